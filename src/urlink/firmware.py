@@ -1,0 +1,203 @@
+"""Which firmware puts what on the wire: the one table.
+
+The layouts say what each field is and since when it is sent; this table says what sizes that must
+add up to, release by release, and what stands behind each row. A test holds the two against each
+other, so a release that appends fields is one row here and the fields with their `since`.
+
+Source: reference ur-realtime section 2, ur-primary section 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from linkcore.errors import BadVersion
+from linkcore.version import parse_version
+
+from .schemas.robot_state import RobotState
+
+__all__ = ["NEWEST", "RELEASES", "Firmware", "Release", "infer", "release_of"]
+
+
+class Firmware(NamedTuple):
+    """A controller's software version; compares as a version does.
+
+    >>> Firmware.parse("5.11") < Firmware.parse("5.12.2")
+    True
+    >>> str(Firmware(3, 10)), Firmware(3, 10).is_e_series
+    ('3.10', False)
+    """
+
+    major: int
+    minor: int
+    bugfix: int = 0
+    build: int = 0
+
+    @classmethod
+    def parse(cls, text: str | tuple[int, ...]) -> Firmware:
+        """From ``"5.11"`` or ``"5.11.1.108318"``, or from a tuple of two to four numbers.
+
+        Raises:
+            BadVersion: it is neither.
+        """
+        numbers = parse_version(text)
+        if not 2 <= len(numbers) <= 4:
+            raise BadVersion(f"{text!r} is not a firmware; expected something like '5.11' or '3.4.3'")
+        return cls(*numbers)
+
+    @property
+    def is_cb2(self) -> bool:
+        """A CB2 controller (1.x)."""
+        return self.major < 3
+
+    @property
+    def is_e_series(self) -> bool:
+        """An e-Series controller (5.x), or a later one."""
+        return self.major >= 5
+
+    @property
+    def rate(self) -> int:
+        """Packets a second on the real-time interface: 125 on CB2 and CB3, 500 on e-Series."""
+        return 500 if self.is_e_series else 125
+
+    def __str__(self) -> str:
+        parts = list(self)
+        while len(parts) > 2 and parts[-1] == 0:
+            parts.pop()
+        return ".".join(map(str, parts))
+
+
+@dataclass(frozen=True)
+class Release:
+    """The first firmware with these sizes; they hold until the next row of the same generation.
+
+    Attributes:
+        since: the first version.
+        realtime: bytes of the real-time packet.
+        state: type of sub-package -> its bytes without Euromap, in the order in which they are sent.
+        evidence: what backs the row, for the compatibility table.
+    """
+
+    since: Firmware
+    realtime: int
+    state: Mapping[int, int]
+    evidence: str
+
+    @property
+    def first_state_size(self) -> int:
+        """Bytes of the first robot state of a connection, with kinematics and configuration."""
+        return 5 + sum(self.state.values())
+
+    @property
+    def state_size(self) -> int:
+        """Bytes of the later states, which leave kinematics and configuration out."""
+        return 5 + sum(size for kind, size in self.state.items() if kind not in self.first_state_only)
+
+    @property
+    def first_state_only(self) -> frozenset[int]:
+        """Types of the sub-packages that only the first state of a connection has."""
+        # The laser pointer of the oldest firmware shares its number with the kinematics.
+        return frozenset({5, 6}) if self.state.get(5) == 225 else frozenset()
+
+
+def _cb2(masterboard: int, **more: int) -> dict[int, int]:
+    order: dict[int, int | None] = {0: 29, 1: 251, 4: 53, 5: more.get("kinematics", more.get("laser_pointer"))}
+    order |= {9: more.get("calibration"), 3: masterboard, 2: 37, 6: more.get("configuration")}
+    order |= {7: more.get("force"), 8: more.get("additional")}
+    return {kind: size for kind, size in order.items() if size is not None}
+
+
+def _cb3(mode: int, masterboard: int, cartesian: int, additional: int, **more: int) -> dict[int, int]:
+    order = {0: mode, 1: 251, 4: cartesian, 5: 225, 9: 53, 3: masterboard, 2: 37, 6: 445, 7: 61, 8: additional}
+    return order | ({10: more["safety"]} if "safety" in more else {})
+
+
+def _e_series(masterboard: int, additional: int, **more: int) -> dict[int, int]:
+    order = {0: 47, 1: 251, 4: 101, 5: 225, 9: 53, 3: masterboard, 2: 37, 6: more.get("configuration", 445)}
+    order |= {7: 61, 8: additional, 10: 43, 11: 26}
+    return order | ({12: more["tool_mode"]} if "tool_mode" in more else {})
+
+
+#: Oldest first. A row holds from its version to the next row of the same major version.
+RELEASES: tuple[Release, ...] = (
+    Release(Firmware(1, 5), 756, _cb2(61, laser_pointer=29), "state: real bytes (465 B, pre-1.7); real-time: one public decoder"),
+    Release(Firmware(1, 6), 764, _cb2(64), "real-time: 3 public decoders; state: sizes inferred"),
+    Release(
+        Firmware(1, 7),
+        764,
+        _cb2(64, force=61, additional=10),
+        "real-time: 3 public decoders; state: reported real bytes (510 B)",
+    ),
+    Release(
+        Firmware(1, 8),
+        812,
+        _cb2(64, kinematics=225, calibration=53, configuration=469, force=61, additional=7),
+        "real bytes: real-time 812 B, state 1254 B",
+    ),
+    Release(Firmware(3, 0), 1044, _cb3(38, 72, 53, 7), "public decoders (4 real-time, 2+ state)"),
+    Release(Firmware(3, 2), 1060, _cb3(46, 74, 101, 7), "public decoders and user reports"),
+    Release(Firmware(3, 3), 1060, _cb3(46, 74, 101, 8), "real bytes: head of a 1306 B state, version message"),
+    Release(Firmware(3, 5), 1108, _cb3(47, 74, 101, 8, safety=43), "public decoders; state size by a user report"),
+    Release(
+        Firmware(3, 10),
+        1116,
+        _cb3(47, 75, 101, 9, safety=43),
+        "real bytes: connection head of 3.10 (state 1352 B by a user report); real-time: user reports",
+    ),
+    Release(Firmware(3, 14), 1140, _cb3(47, 75, 101, 9, safety=43), "public decoders; vendor page of its 5.x twin"),
+    Release(Firmware(5, 0), 1108, _e_series(74, 8), "public decoders; state size by a user report (5.0.5)"),
+    Release(Firmware(5, 2), 1108, _e_series(74, 8, tool_mode=8), "public decoders"),
+    Release(
+        Firmware(5, 4),
+        1116,
+        _e_series(75, 9, tool_mode=8),
+        "real bytes: states 716 B and 1386 B (URSim 5.4 to 5.8); real-time: user reports",
+    ),
+    Release(Firmware(5, 9), 1140, _e_series(75, 9, tool_mode=8), "vendor page RealTime 5.9, 2 public decoders"),
+    Release(
+        Firmware(5, 10),
+        1220,
+        _e_series(75, 9, tool_mode=8),
+        "vendor page RealTime 5.10, 3 public decoders; real connection heads of 5.11 to 5.13 "
+        "(5.11.11 declares a 1471 B first state: 85 bytes more than this row, of unknown content)",
+    ),
+    Release(
+        Firmware(5, 25),
+        1220,
+        _e_series(75, 9, tool_mode=8, configuration=449),
+        "vendor page; configuration by one report (5.25.1)",
+    ),
+)
+
+#: The newest firmware that the table knows.
+NEWEST = RELEASES[-1].since
+
+
+def release_of(firmware: Firmware) -> Release:
+    """The row that holds for `firmware`; a later one than all known has the newest row.
+
+    Raises:
+        BadVersion: older than every row of the table.
+    """
+    rows = [row for row in RELEASES if row.since <= firmware]
+    same = [row for row in rows if row.since.major == firmware.major]
+    if not rows or (not same and firmware.major < RELEASES[-1].since.major):
+        raise BadVersion(f"nothing is known of firmware {firmware}; the table begins with {RELEASES[0].since}")
+    return (same or rows)[-1]
+
+
+def infer(state: RobotState) -> Firmware | None:
+    """The oldest firmware whose sizes are those of `state`, or None where no row has them.
+
+    What a controller that sends no version message can be known by.
+    """
+    sizes = {kind: size for kind, size in state.sizes.items() if kind not in (3, 5, 6)}
+    masterboard = state.sizes.get(3)
+    for row in RELEASES:
+        wanted = {kind: size for kind, size in row.state.items() if kind not in (3, 5, 6)}
+        euromap = 12 if row.since.is_cb2 else 16
+        if sizes == wanted and masterboard in (row.state[3], row.state[3] + euromap):
+            return row.since
+    return None
