@@ -1,0 +1,97 @@
+"""Replay: a recording as a transport, on absolute deadlines."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+
+from .errors import BadValue, ConnectionLost
+from .recording import Kind, Record, Recording
+from .stamp import Stamp
+from .transport import Chunk, Finished
+
+__all__ = ["ReplayClock", "ReplayTransport"]
+
+
+class ReplayClock:
+    """The time line that the channels of one replay share; it starts when the first one opens.
+
+    Args:
+        recording: whose time line.
+        rate: 1 is the speed of the recording, 2 twice that; 0 as fast as possible.
+    """
+
+    def __init__(self, recording: Recording, rate: float = 1.0) -> None:
+        if not 0 <= rate < float("inf"):
+            raise BadValue(f"rate is {rate}; expected 0 (as fast as possible) or a positive number")
+        self.rate = rate
+        self._lock = threading.Lock()
+        self._started: float | None = None
+        first = next((record for record in recording if record.kind is Kind.BYTES), None)
+        self._first = 0.0 if first is None else first.stamp.monotonic
+
+    def start(self) -> None:
+        """Start the time line, if nothing has yet."""
+        with self._lock:
+            if self._started is None:
+                self._started = time.monotonic()
+
+    def delay(self, stamp: Stamp) -> float:
+        """Seconds from now until what was stamped so is due."""
+        if self.rate == 0 or self._started is None:
+            return 0.0
+        return self._started + (stamp.monotonic - self._first) / self.rate - time.monotonic()
+
+
+class ReplayTransport:
+    """One channel of a recording as a source of bytes.
+
+    Chunks come as they were cut, at the recorded times. Their stamps say the recorded wall time, and
+    the present on the monotonic clock. Where the recorded connection was lost, this one is too.
+    """
+
+    def __init__(self, recording: Recording, channel: str, clock: ReplayClock) -> None:
+        number = recording.channel(channel)
+        self.name = f"{recording.path.name} ({channel})"
+        self._clock = clock
+        self._records: Iterator[Record] = (record for record in recording if record.channel == number)
+        self._closed = threading.Event()
+
+    def open(self, timeout: float) -> None:
+        """Start, or go on after a lost connection."""
+        self._clock.start()
+
+    def receive(self) -> Chunk:
+        """Wait until the next chunk is due.
+
+        Raises:
+            Finished: that was all.
+            ConnectionLost: as recorded, or closed.
+        """
+        for record in self._records:
+            if record.kind is Kind.EVENT:
+                event = json.loads(record.payload)
+                if event["state"] == "lost":
+                    raise ConnectionLost(f"{self.name}: as recorded: {event['error']}")
+            elif record.kind is Kind.BYTES:
+                delay = self._clock.delay(record.stamp)
+                if delay > 0:
+                    self._closed.wait(delay)
+                if self._closed.is_set():
+                    raise ConnectionLost(f"{self.name}: closed")
+                return Chunk(record.payload, Stamp(time.monotonic(), record.stamp.wall))
+        raise Finished
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Refuse: nobody is listening in a recording.
+
+        Raises:
+            BadValue: always.
+        """
+        raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
+
+    def close(self) -> None:
+        """Wake whoever waits."""
+        self._closed.set()

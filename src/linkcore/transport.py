@@ -1,0 +1,147 @@
+"""Where bytes come from: TCP with deadlines. The only module that imports `socket`.
+
+A transport is opened, asked for chunks until it raises, closed, and opened again. What it raises is
+always of this library's error tree: operating-system errors are mapped here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import time
+from typing import NamedTuple, Protocol
+
+from .errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
+from .stamp import Stamp
+
+__all__ = ["Chunk", "Finished", "TcpTransport", "Transport"]
+
+#: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
+_CHUNK = 65536
+
+
+class Chunk(NamedTuple):
+    """Bytes as they came, and when."""
+
+    data: bytes
+    stamp: Stamp
+
+
+class Finished(Exception):
+    """There are no more bytes, in good order: the end of a recording."""
+
+
+class Transport(Protocol):
+    """A source of bytes."""
+
+    #: what it is connected to, for messages
+    name: str
+
+    def open(self, timeout: float) -> None:
+        """Connect within `timeout` seconds; raises `RemoteError`."""
+
+    def receive(self) -> Chunk:
+        """Wait for bytes. Raises `LinkTimeout`, `ConnectionLost` or `Finished`."""
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send all of `data` within `timeout` seconds; raises `RemoteError`."""
+
+    def close(self) -> None:
+        """Disconnect, and wake whoever waits in `receive`. Idempotent, from any thread."""
+
+
+class TcpTransport:
+    """A TCP client connection.
+
+    Args:
+        host: name or address.
+        port: TCP port.
+        silence: seconds without a byte after which `receive` raises `LinkTimeout`.
+    """
+
+    def __init__(self, host: str, port: int, *, silence: float) -> None:
+        self.host = host
+        self.port = port
+        self.silence = silence
+        self.name = f"{host}:{port}"
+        self._socket: socket.socket | None = None
+
+    def open(self, timeout: float) -> None:
+        """Connect within `timeout` seconds.
+
+        Raises:
+            ConnectFailed: refused, unreachable, or no such host.
+            LinkTimeout: nobody answered in time.
+        """
+        self.close()
+        try:
+            connection = socket.create_connection((self.host, self.port), timeout)
+        except OSError as error:
+            raise _mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection.settimeout(self.silence)
+        self._socket = connection
+
+    def receive(self) -> Chunk:
+        """Wait for bytes.
+
+        Raises:
+            LinkTimeout: silent for too long.
+            ConnectionLost: the peer closed or reset the connection, or `close` was called.
+        """
+        connection = self._socket
+        if connection is None:
+            raise ConnectionLost(f"{self.name} is not connected")
+        try:
+            data = connection.recv(_CHUNK)
+        except OSError as error:
+            raise _mapped(error, f"{self.name}", self.silence, ConnectionLost) from error
+        if not data:
+            raise ConnectionLost(f"{self.name} closed the connection")
+        return Chunk(data, Stamp(time.monotonic(), time.time()))
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send all of `data` within `timeout` seconds.
+
+        Raises:
+            LinkTimeout: the peer did not take it in time; part of it may have been sent.
+            ConnectionLost: the connection is gone.
+        """
+        connection = self._socket
+        if connection is None:
+            raise ConnectionLost(f"{self.name} is not connected")
+        until = time.monotonic() + timeout
+        rest = memoryview(data)
+        try:
+            while rest:
+                if time.monotonic() > until:
+                    raise TimeoutError
+                rest = rest[connection.send(rest) :]
+        except OSError as error:
+            raise _mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
+
+    def close(self) -> None:
+        """Disconnect, and wake whoever waits in `receive`."""
+        connection, self._socket = self._socket, None
+        if connection is None:
+            return
+        try:
+            connection.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            pass  # already gone: nobody is waiting on it then
+        connection.close()
+
+
+def _mapped(error: OSError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
+    """The one place where operating-system errors become the library's own."""
+    if isinstance(error, TimeoutError):
+        return LinkTimeout(f"{doing}: nothing within {timeout:g} s")
+    if isinstance(error, socket.gaierror):
+        return otherwise(f"{doing}: no such host ({error.strerror})")
+    if isinstance(error, ConnectionRefusedError):
+        return otherwise(f"{doing}: connection refused; is the controller on, and is this its port?")
+    if error.errno == errno.EBADF:
+        return otherwise(f"{doing}: closed here")
+    return otherwise(f"{doing}: {error.strerror or error}")

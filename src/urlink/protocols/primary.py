@@ -1,0 +1,246 @@
+"""The primary and secondary interface (30001, 30002, 30011, 30012), sans-IO.
+
+Bytes to robot states, robot messages and the other packages. The version message that a controller
+sends on connecting tells the layouts of what follows; until then the sizes do.
+Source: reference ur-primary.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from linkcore.errors import PacketError
+from linkcore.framing import Framer
+from linkcore.packet import State
+from linkcore.stamp import Stamp
+from linkcore.version import Version
+
+from ..firmware import Firmware
+from ..schemas.enums import PackageType
+from ..schemas.headers import PACKAGE_SIZES, REALTIME_SIZES
+from ..schemas.robot_message import MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
+from ..schemas.robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
+
+__all__ = ["PackageBorder", "PackageDecoder", "PrimaryProtocol"]
+
+_HEAD = struct.Struct(">iB")
+_MESSAGE_HEAD = 15  # size, type, timestamp, source, message type
+# While looking for a border: larger ones are not believed.
+_LARGEST_BELIEVED = 8192
+_KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
+# A robot state or a robot message of a believable size.
+_CANDIDATE = re.compile(rb"\x00\x00..[\x10\x14]", re.DOTALL)
+
+
+class PackageBorder:
+    """Borders of the package stream. Types that nobody knows are taken once a known one has come."""
+
+    header = 5
+    largest = PACKAGE_SIZES.stop - 1
+
+    def __init__(self) -> None:
+        self._in_step = False
+
+    def __str__(self) -> str:
+        return "a primary or secondary interface"
+
+    def size_at(self, buffer: bytes, at: int) -> int:
+        size, kind = _HEAD.unpack_from(buffer, at)
+        if size not in PACKAGE_SIZES or not (self._in_step or kind in _KNOWN_TYPES):
+            return 0
+        if kind == PackageType.ROBOT_STATE and at + 9 <= len(buffer) and size > 5:
+            # The first sub-package is inside, or this is no robot state.
+            (first,) = struct.unpack_from(">i", buffer, at + 5)
+            if not 5 <= first <= size - 5:
+                return 0
+        self._in_step = True
+        return int(size)
+
+    def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
+        kind = buffer[at + 4]
+        if kind == PackageType.ROBOT_STATE and not _is_chain(buffer, at, size):
+            # If a package follows where this one says it ends, it is the inside that is damaged.
+            return not self._is_header(buffer, at + size)
+        return kind == PackageType.ROBOT_MESSAGE and size < _MESSAGE_HEAD
+
+    def _is_header(self, buffer: bytes, at: int) -> bool:
+        if at + 5 > len(buffer):
+            return False
+        size, kind = _HEAD.unpack_from(buffer, at)
+        return size in PACKAGE_SIZES and kind in _KNOWN_TYPES
+
+    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
+        end = len(buffer)
+        for match in _CANDIDATE.finditer(buffer, start):
+            at = match.start()
+            size, kind = _HEAD.unpack_from(buffer, at)
+            if size > _LARGEST_BELIEVED or self.size_at(buffer, at) == 0:
+                continue
+            if kind == PackageType.ROBOT_STATE:
+                if _is_chain(buffer, at, size, whole=False):
+                    return at, at + size <= end
+            elif size >= _MESSAGE_HEAD:
+                if at + _MESSAGE_HEAD > end:
+                    return at, False
+                if buffer[at + _MESSAGE_HEAD - 1] in MESSAGES:
+                    if at + size + 5 > end:
+                        return at, False
+                    if self._is_header(buffer, at + size):
+                        return at, True
+        return max(start, end - 4), False
+
+    def peer(self, buffer: bytes) -> str | None:
+        if buffer.startswith(b"Connected: Universal"):
+            return "the dashboard server (port 29999)"
+        size = int.from_bytes(buffer[:4], "big")
+        if size in REALTIME_SIZES and size % 8 == 4:
+            return "the real-time interface (port 30003)"
+        return None
+
+
+def _is_chain(buffer: bytes, at: int, size: int, whole: bool = True) -> bool:
+    """Whether the sub-packages of a robot state add up to its size.
+
+    Without `whole`, as far as the buffer reaches.
+    """
+    end, at = at + size, at + 5
+    while at < end:
+        if at + 5 > end:
+            return False
+        if at + 5 > len(buffer):
+            return not whole
+        (sub,) = struct.unpack_from(">i", buffer, at)
+        if sub < 5:
+            return False
+        at += sub
+    return at == end
+
+
+def _class_of(kind: int, size: int) -> type[SubPackage]:
+    """The class of a sub-package; where a number has two meanings, the first that its size allows."""
+    classes = SUB_PACKAGES.get(kind, ())
+    for cls in classes:
+        if size >= min(layout.size for layout in cls.LAYOUTS.all):
+            return cls
+    # A 9-byte kinematics package is reported when nothing has changed; its content is not known.
+    return classes[0] if classes and (kind, size) != (5, 9) else UnknownSubPackage
+
+
+class PackageDecoder:
+    """Whole packages to typed states.
+
+    Attributes:
+        version: the firmware whose layouts are the least that will do; None goes by sizes alone.
+    """
+
+    def __init__(self, version: Version | None = None) -> None:
+        self.version = version
+        # (type, size) -> decoder of a sub-package: what repeats ten times a second is looked up once.
+        self._known: dict[tuple[int, int], Callable[..., SubPackage]] = {}
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
+        """The typed state of one whole package.
+
+        Raises:
+            PacketError: a layout that the package, or one of its sub-packages, cannot hold.
+        """
+        kind = frame[4]
+        if kind == PackageType.ROBOT_STATE:
+            return self._robot_state(frame, stamp)
+        if kind == PackageType.ROBOT_MESSAGE:
+            return self._robot_message(frame, stamp)
+        cls = PACKAGES.get(kind)
+        if cls is None:
+            return OtherPackage.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
+        return cls.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
+
+    def _robot_state(self, frame: bytes, stamp: Stamp | None) -> RobotState:
+        packages = []
+        at, end, known = 5, len(frame), self._known
+        while at < end:
+            if at + 5 > end:
+                raise PacketError(
+                    "sub-package header cut off", packet="RobotState", expected=5, actual=end - at, offset=at
+                )
+            size, kind = _HEAD.unpack_from(frame, at)
+            if not 5 <= size <= end - at:
+                raise PacketError(
+                    f"sub-package {kind} does not fit", packet="RobotState", expected=size, actual=end - at, offset=at
+                )
+            data = frame[at : at + size]
+            decode = known.get((kind, size))
+            packages.append(decode(data, stamp) if decode is not None else self._sub_package(kind, data, stamp, at))
+            at += size
+        return RobotState.of(frame, packages, stamp)
+
+    def _sub_package(self, kind: int, data: bytes, stamp: Stamp | None, at: int) -> SubPackage:
+        cls = _class_of(kind, len(data))
+        version = self._version_for(cls)
+        try:
+            best = cls.LAYOUTS.fitting(len(data), version)[0]
+            state: SubPackage = cls.LAYOUTS.decode(data, version, stamp)
+        except PacketError as error:
+            raise PacketError(
+                f"in a robot state, {error.reason}",
+                packet=error.packet,
+                version=error.version,
+                expected=error.expected,
+                actual=error.actual,
+                offset=at,
+            ) from None
+        if (best.size == len(data) or not cls.LAYOUTS.blocks) and len(self._known) < 256:
+            self._known[kind, len(data)] = best.decode
+        return state
+
+    def _version_for(self, cls: type[State]) -> Version | None:
+        """The version, unless that one is not known to send this class: then the size decides."""
+        if self.version is None:
+            return None
+        try:
+            cls.LAYOUTS.of(self.version)
+        except PacketError:
+            return None
+        return self.version
+
+    def _robot_message(self, frame: bytes, stamp: Stamp | None) -> State:
+        if len(frame) < _MESSAGE_HEAD:
+            raise PacketError(
+                "packet too short",
+                packet="RobotMessage",
+                expected=_MESSAGE_HEAD,
+                actual=len(frame),
+                offset=len(frame),
+            )
+        cls: Any = MESSAGES.get(frame[_MESSAGE_HEAD - 1], UnknownMessage)
+        if cls is VersionMessage:
+            # It is what tells the version, so only its own bytes can tell its layout.
+            return cls.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
+        return cls.LAYOUTS.decode(frame, self._version_for(cls), stamp)  # type: ignore[no-any-return]
+
+
+class PrimaryProtocol:
+    """Bytes in, typed states out; a new one for each connection.
+
+    Attributes:
+        firmware: what the controller said of itself on this connection, or None so far.
+    """
+
+    def __init__(self) -> None:
+        self.framer = Framer(PackageBorder())
+        self._decoder = PackageDecoder()
+        self.firmware: Firmware | None = None
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
+        """The typed state of one whole package.
+
+        Raises:
+            PacketError: a layout that the package, or one of its sub-packages, cannot hold.
+        """
+        state = self._decoder.decode(frame, stamp)
+        if isinstance(state, VersionMessage):
+            self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
+            self._decoder = PackageDecoder(self.firmware)
+        return state

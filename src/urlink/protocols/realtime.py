@@ -1,0 +1,97 @@
+"""The real-time interface (30003, 30013), sans-IO: bytes to `RealtimeState`.
+
+Nothing but the length announces a packet: 4 + 8k bytes, the same for a whole connection. That is
+enough to find a lost border again, and to skip the secondary-interface packages (560 and 9 bytes)
+that the CB2 simulator leaks into the stream. Source: reference ur-realtime, sections 1 and 7.
+"""
+
+from __future__ import annotations
+
+import re
+
+from linkcore.framing import Framer
+from linkcore.stamp import Stamp
+from linkcore.version import Version
+
+from ..schemas.headers import PACKAGE_SIZES, REALTIME_SIZES
+from ..schemas.realtime import RealtimeState
+
+__all__ = ["RealtimeBorder", "RealtimeProtocol"]
+
+# Two zero bytes, then a size of 4 + 8k between 500 and 4096.
+_HEADER = re.compile(rb"\x00\x00[\x01-\x0f][\x04\x0c\x14\x1c\x24\x2c\x34\x3c\x44\x4c\x54\x5c\x64\x6c\x74\x7c"
+                     rb"\x84\x8c\x94\x9c\xa4\xac\xb4\xbc\xc4\xcc\xd4\xdc\xe4\xec\xf4\xfc]", re.DOTALL)
+
+
+class RealtimeBorder:
+    """Borders of the real-time stream. Learns the size of the connection's packets."""
+
+    # One byte more than the size: it tells another interface from this one.
+    header = 5
+    largest = REALTIME_SIZES.stop - 1
+
+    def __init__(self) -> None:
+        self.size = 0
+
+    def __str__(self) -> str:
+        return "the real-time interface"
+
+    def size_at(self, buffer: bytes, at: int) -> int:
+        size = int.from_bytes(buffer[at : at + 4], "big")
+        if size == self.size:
+            return size
+        if self.size or not (size in REALTIME_SIZES and size % 8 == 4):
+            return 0
+        self.size = size
+        return size
+
+    def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
+        return False
+
+    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
+        for match in _HEADER.finditer(buffer, start):
+            at = match.start()
+            size = int.from_bytes(match[0], "big")
+            if size == self.size:
+                return at, True
+            if size not in REALTIME_SIZES:
+                continue
+            if at + size + 4 > len(buffer):
+                return at, False
+            # Not the size this connection had so far: true if the next packet has it too.
+            if buffer.startswith(match[0], at + size):
+                self.size = size
+                return at, True
+        return max(start, len(buffer) - 3), False
+
+    def peer(self, buffer: bytes) -> str | None:
+        if buffer.startswith(b"Connected: Universal"):
+            return "the dashboard server (port 29999)"
+        # As a real-time packet, byte 4 would be the top of a time: 0x00 or 0x3f and up.
+        if int.from_bytes(buffer[:4], "big") in PACKAGE_SIZES and buffer[4:5] in (b"\x10", b"\x14"):
+            return "a primary or secondary interface (port 30001 or 30002)"
+        return None
+
+
+class RealtimeProtocol:
+    """Bytes in, typed states out; a new one for each connection."""
+
+    def __init__(self) -> None:
+        self.framer = Framer(RealtimeBorder())
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
+        """The state in one packet; its length tells the layout.
+
+        Raises:
+            PacketError: shorter than every layout.
+        """
+        return decode_realtime(frame, None, stamp)
+
+
+def decode_realtime(frame: bytes, version: Version | None, stamp: Stamp | None = None) -> RealtimeState:
+    """The state in one packet, judged by `version` if one is given.
+
+    Raises:
+        PacketError: shorter than the layout of `version`, or than every layout.
+    """
+    return RealtimeState.LAYOUTS.decode(frame, version, stamp)  # type: ignore[no-any-return]
