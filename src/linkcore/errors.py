@@ -123,6 +123,4 @@ class PacketError(RemoteError, ValueError):
 def _packet_error(
     reason: str, packet: str, version: str | None, expected: int | None, actual: int | None, offset: int
 ) -> PacketError:
-    return PacketError(
-        reason, packet=packet, version=version, expected=expected, actual=actual, offset=offset
-    )
+    return PacketError(reason, packet=packet, version=version, expected=expected, actual=actual, offset=offset)

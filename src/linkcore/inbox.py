@@ -6,6 +6,7 @@ locks are used as binary semaphores, the cheapest way for one thread to wake ano
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -39,7 +40,7 @@ class Inbox:
         #: No more will come: what waits can still be taken.
         self.ended = False
         #: Nothing more will be taken.
-        self.closed = False
+        self.closed: bool = False
         self._wants = wants
         self._lost = lost
         self._queue: deque[Any] = deque()
@@ -82,8 +83,7 @@ class Inbox:
                 queue.append(item)
             self._blocked = False
             self._signal(self._filled)
-        if self.closed:
-            self._drop_all()
+        self._drop_if_closed()
 
     def end(self) -> None:
         """No more will come."""
@@ -138,6 +138,10 @@ class Inbox:
         if self._lost is not None:
             self._lost(item)
 
+    def _drop_if_closed(self) -> None:
+        if self.closed:
+            self._drop_all()
+
     def _drop_all(self) -> None:
         with self._closing:  # the reader and whoever closes may both come here
             while self._queue:
@@ -146,7 +150,6 @@ class Inbox:
     @staticmethod
     def _signal(semaphore: threading.Lock) -> None:
         if semaphore.locked():
-            try:
+            # Two threads may signal at once: once is enough.
+            with contextlib.suppress(RuntimeError):
                 semaphore.release()
-            except RuntimeError:
-                pass  # two threads signalled at once: once is enough

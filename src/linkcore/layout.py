@@ -124,7 +124,7 @@ class Place:
 
             def read_vector(values: tuple[Any, ...]) -> Any:
                 vector = np.array(values[at], native)
-                vector.setflags(False)
+                vector.setflags(write=False)
                 return vector
 
             return read_vector
@@ -214,7 +214,7 @@ class Layout:
                     codes.append(f"{place.count or 1}{place.code}" if place.code is not None else "|")
                     self._runs.append([place])
                 continue
-            (count,) = {place.count for place in group}
+            (count,) = {place.count or 1 for place in group}
             stride = sum(place.width for place in group)
             step = len(group)
             for number, place in enumerate(group):
@@ -260,7 +260,7 @@ class Layout:
             state._layout = self
             state._stamp = stamp
             cells = frombuffer(data, _WIRE_DOUBLE, count, start).astype(_NATIVE_DOUBLE)
-            cells.setflags(False)
+            cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
             state._values = cells
             return state
 
@@ -447,7 +447,8 @@ class Layout:
         """
         if self.has_text:
             raise BadValue(f"{self.packet.__name__} has text in it, so it has no numpy dtype")
-        names, formats, offsets = ["message_size"], [np.dtype(">i4")], [0]
+        names, offsets = ["message_size"], [0]
+        formats: list[np.dtype[Any]] = [np.dtype(">i4")]
         for run in self._runs:
             key = run[0].wire.interleave
             if key is None:

@@ -280,9 +280,7 @@ class Layouts:
                 own.append(self.of(version, dict.fromkeys(self.blocks, True)))
             least = own[0].size
             candidates = [
-                layout
-                for layout in candidates
-                if any(layout.fields[: len(mine.fields)] == mine.fields for mine in own)
+                layout for layout in candidates if any(layout.fields[: len(mine.fields)] == mine.fields for mine in own)
             ]
         fits = [layout for layout in candidates if layout.size <= size]
         if not fits:
@@ -362,7 +360,8 @@ def packet(
         declared = {name: item for name, item in vars(cls).items() if isinstance(item, Wire)}
         body = {name: item for name, item in vars(cls).items() if name not in {*declared, "__dict__", "__weakref__"}}
         # As attrs does: a class with slots has to be made anew.
-        made: Any = type(cls)(cls.__name__, cls.__bases__, {**body, "__slots__": ()})
+        remake: Any = type(cls)
+        made = remake(cls.__name__, cls.__bases__, {**body, "__slots__": ()})
         fields = {**inherited}
         for name, wire in declared.items():
             fields[name] = Wire(**{**vars(wire), "name": name})

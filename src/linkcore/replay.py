@@ -61,6 +61,7 @@ class ReplayTransport:
 
     def open(self, timeout: float) -> None:
         """Start, or go on after a lost connection."""
+        self._closed.clear()
         self._clock.start()
 
     def receive(self) -> Chunk:

@@ -240,7 +240,7 @@ class Stream(Feed[T]):
         """
         return Feed(self, kind)
 
-    def subscribe(  # type: ignore[override]
+    def subscribe(
         self,
         callback: Callable[[Any], object],
         kind: type | None = None,
@@ -301,7 +301,7 @@ class Stream(Feed[T]):
                 return False
         with self._lock:
             subscriptions = list(self._subscriptions)
-        return all([subscription.join(left()) for subscription in subscriptions])
+        return all(subscription.join(left()) for subscription in subscriptions)
 
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect and end every subscription and iteration; within `timeout` seconds.

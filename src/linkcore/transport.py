@@ -6,6 +6,7 @@ always of this library's error tree: operating-system errors are mapped here and
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import socket
 import time
@@ -127,10 +128,8 @@ class TcpTransport:
         connection, self._socket = self._socket, None
         if connection is None:
             return
-        try:
+        with contextlib.suppress(OSError):  # already gone: nobody is waiting on it then
             connection.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass  # already gone: nobody is waiting on it then
         connection.close()
 
 

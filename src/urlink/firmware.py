@@ -122,7 +122,12 @@ def _e_series(masterboard: int, additional: int, **more: int) -> dict[int, int]:
 
 #: Oldest first. A row holds from its version to the next row of the same major version.
 RELEASES: tuple[Release, ...] = (
-    Release(Firmware(1, 5), 756, _cb2(61, laser_pointer=29), "state: real bytes (465 B, pre-1.7); real-time: one public decoder"),
+    Release(
+        Firmware(1, 5),
+        756,
+        _cb2(61, laser_pointer=29),
+        "state: real bytes (465 B, pre-1.7); real-time: one public decoder",
+    ),
     Release(Firmware(1, 6), 764, _cb2(64), "real-time: 3 public decoders; state: sizes inferred"),
     Release(
         Firmware(1, 7),

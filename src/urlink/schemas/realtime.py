@@ -17,11 +17,28 @@ from .headers import REALTIME
 
 __all__ = ["RealtimeState"]
 
-_CB2_ORDER = (
-    "time q_target qd_target qdd_target I_target M_target q_actual qd_actual I_actual "
-    "tool_accelerometer unused tcp_force tool_vector_actual tcp_speed_actual digital_input_bits "
-    "motor_temperatures controller_timer test_value robot_mode joint_modes"
-).split()
+_CB2_ORDER = [
+    "time",
+    "q_target",
+    "qd_target",
+    "qdd_target",
+    "I_target",
+    "M_target",
+    "q_actual",
+    "qd_actual",
+    "I_actual",
+    "tool_accelerometer",
+    "unused",
+    "tcp_force",
+    "tool_vector_actual",
+    "tcp_speed_actual",
+    "digital_input_bits",
+    "motor_temperatures",
+    "controller_timer",
+    "test_value",
+    "robot_mode",
+    "joint_modes",
+]
 
 
 @packet(header=REALTIME, reorder=("3.0", _CB2_ORDER))

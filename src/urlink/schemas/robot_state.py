@@ -333,7 +333,7 @@ SUB_PACKAGES: dict[int, tuple[type[SubPackage], ...]] = {
 _Part = TypeVar("_Part", bound=SubPackage)
 
 
-class _part(Generic[_Part]):
+class _Slot(Generic[_Part]):
     """The sub-package of one class in a robot state, as an attribute; None where it was not sent."""
 
     def __init__(self, kind: type[_Part]) -> None:
@@ -341,7 +341,7 @@ class _part(Generic[_Part]):
         self.__doc__ = kind.__doc__
 
     @overload
-    def __get__(self, state: None, owner: object) -> _part[_Part]: ...
+    def __get__(self, state: None, owner: object) -> _Slot[_Part]: ...
     @overload
     def __get__(self, state: RobotState, owner: object) -> _Part | None: ...
     def __get__(self, state: RobotState | None, owner: object) -> Any:
@@ -360,21 +360,21 @@ class RobotState(State):
 
     __slots__ = ()
 
-    robot_mode_data = _part(RobotModeData)
-    joint_data = _part(JointData)
-    tool_data = _part(ToolData)
-    masterboard_data = _part(MasterboardData)
-    cartesian_info = _part(CartesianInfo)
-    kinematics_info = _part(KinematicsInfo)
-    laser_pointer = _part(LaserPointer)
-    configuration_data = _part(ConfigurationData)
-    force_mode_data = _part(ForceModeData)
-    additional_info = _part(AdditionalInfo)
-    calibration_data = _part(CalibrationData)
-    safety_data = _part(SafetyData)
-    tool_communication_info = _part(ToolCommunicationInfo)
-    tool_mode_info = _part(ToolModeInfo)
-    singularity_info = _part(SingularityInfo)
+    robot_mode_data = _Slot(RobotModeData)
+    joint_data = _Slot(JointData)
+    tool_data = _Slot(ToolData)
+    masterboard_data = _Slot(MasterboardData)
+    cartesian_info = _Slot(CartesianInfo)
+    kinematics_info = _Slot(KinematicsInfo)
+    laser_pointer = _Slot(LaserPointer)
+    configuration_data = _Slot(ConfigurationData)
+    force_mode_data = _Slot(ForceModeData)
+    additional_info = _Slot(AdditionalInfo)
+    calibration_data = _Slot(CalibrationData)
+    safety_data = _Slot(SafetyData)
+    tool_communication_info = _Slot(ToolCommunicationInfo)
+    tool_mode_info = _Slot(ToolModeInfo)
+    singularity_info = _Slot(SingularityInfo)
 
     def __init__(self, *packages: SubPackage) -> None:
         body = b"".join(map(bytes, packages))
@@ -406,7 +406,7 @@ class RobotState(State):
         """The sub-package of class `kind`, or None where the package did not hold it."""
         for package in self._values:
             if type(package) is kind:
-                return package  # type: ignore[no-any-return]
+                return package
         return None
 
     def __iter__(self) -> Iterator[SubPackage]:

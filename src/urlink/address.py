@@ -1,0 +1,122 @@
+"""Addresses: where a robot is, or what stands in for one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from linkcore.errors import BadAddress, BadVersion
+
+from .firmware import Firmware, release_of
+
+__all__ = ["PORTS", "Address", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
+
+#: interface -> TCP port of a controller
+PORTS: Mapping[str, int] = {
+    "primary": 30001,
+    "secondary": 30002,
+    "realtime": 30003,
+    "primary_readonly": 30011,
+    "secondary_readonly": 30012,
+    "realtime_readonly": 30013,
+}
+
+
+@dataclass(frozen=True)
+class RobotAddress:
+    """A controller on the network: ``192.168.56.101`` or ``ur://192.168.56.101?primary=40001``."""
+
+    host: str
+    ports: Mapping[str, int] = field(default_factory=lambda: dict(PORTS))
+
+
+@dataclass(frozen=True)
+class SimulatorAddress:
+    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4``."""
+
+    model: str | None = None
+    firmware: Firmware | None = None
+
+
+@dataclass(frozen=True)
+class RecordingAddress:
+    """A recording: ``replay:///path/run.urlog?rate=2``; rate 0 is as fast as possible."""
+
+    path: Path
+    rate: float = 1.0
+
+
+Address = RobotAddress | SimulatorAddress | RecordingAddress
+
+
+def parse_address(text: str) -> Address:
+    """Read an address.
+
+    Raises:
+        BadAddress: says what is wrong and what was expected.
+
+    >>> parse_address("sim://ur5e?firmware=5.11")
+    SimulatorAddress(model='ur5e', firmware=Firmware(major=5, minor=11, bugfix=0, build=0))
+    >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
+    40003
+    """
+    if not text.strip() or any(character.isspace() for character in text.strip()):
+        raise BadAddress(f"{text!r} is no address; expected a host, ur://host, sim://model or replay:///file")
+    text = text.strip()
+    parts = urlsplit(text if "://" in text else f"ur://{text}")
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    if parts.scheme == "ur":
+        return _robot(text, parts.hostname, parts.netloc, parts.path, options)
+    if parts.scheme == "sim":
+        return _simulator(text, parts.netloc or parts.path.strip("/"), options)
+    if parts.scheme == "replay":
+        return _recording(text, unquote(parts.netloc + parts.path), options)
+    raise BadAddress(f"{text!r}: unknown kind {parts.scheme!r}; expected ur, sim or replay")
+
+
+def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[str, str]) -> RobotAddress:
+    if not host or path not in ("", "/"):
+        raise BadAddress(f"{text!r}: expected a host name or address, as in ur://192.168.56.101")
+    if netloc.rpartition("]")[2].count(":") and not netloc.endswith(("]", ":")):
+        raise BadAddress(
+            f"{text!r}: a robot has a port for each interface, so one number is not enough; "
+            f"expected ur://{host}?realtime=30003&primary=30001"
+        )
+    ports = dict(PORTS)
+    for name, value in options.items():
+        if name not in ports:
+            raise BadAddress(f"{text!r}: unknown option {name!r}; expected one of {', '.join(ports)}")
+        if not value.isdecimal() or not 0 < int(value) < 65536:
+            raise BadAddress(f"{text!r}: {name}={value!r} is not a port; expected 1 to 65535")
+        ports[name] = int(value)
+    return RobotAddress(host, ports)
+
+
+def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
+    firmware = options.pop("firmware", None)
+    if options:
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware")
+    try:
+        version = None if firmware is None else Firmware.parse(firmware)
+        if version is not None:
+            release_of(version)
+    except BadVersion as error:
+        raise BadAddress(f"{text!r}: {error}") from None
+    return SimulatorAddress(model or None, version)
+
+
+def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:
+    rate = options.pop("rate", "1")
+    if options:
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected rate")
+    if not path:
+        raise BadAddress(f"{text!r} names no file; expected replay:///path/run.urlog")
+    try:
+        speed = 0.0 if rate == "max" else float(rate)
+    except ValueError:
+        speed = -1.0
+    if not 0 <= speed < float("inf"):
+        raise BadAddress(f"{text!r}: rate={rate!r}; expected a positive number, or max")
+    return RecordingAddress(Path(path), speed)

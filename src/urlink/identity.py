@@ -1,0 +1,86 @@
+"""Who is there: what a controller says of itself on connecting."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from linkcore.errors import LinkTimeout, PacketError, WrongPeer
+from linkcore.transport import TcpTransport
+
+from .firmware import Firmware, infer
+from .models import model_of
+from .protocols.primary import PrimaryProtocol
+from .schemas.robot_state import ConfigurationData, RobotState
+
+__all__ = ["Identity", "identify"]
+
+#: How long to wait for the rest once a part is known: the first state follows within 0.1 s.
+_GRACE = 1.0
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What is known of a controller.
+
+    Attributes:
+        firmware: its version; where it did not say, the oldest that sends such states.
+        said_so: whether the firmware is the controller's own word.
+        model: name of the arm, such as "UR5e"; None where no configuration came.
+    """
+
+    firmware: Firmware
+    said_so: bool
+    model: str | None
+
+
+def identify(host: str, port: int, timeout: float) -> Identity:
+    """Connect to a primary or secondary interface, read who is there, and disconnect.
+
+    Raises:
+        ConnectFailed: nobody answers there.
+        ConnectionLost: it closed the connection before it said who it is.
+        LinkTimeout: silent, or not done within `timeout` seconds.
+        WrongPeer: something else is talking.
+    """
+    until = time.monotonic() + timeout
+    transport = TcpTransport(host, port, silence=min(0.1, timeout))
+    transport.open(timeout)
+    session = PrimaryProtocol()
+    received = b""
+    state: RobotState | None = None
+    configuration: ConfigurationData | None = None
+    try:
+        while time.monotonic() < until:
+            try:
+                data = transport.receive().data
+            except LinkTimeout:
+                data = b""
+            received = (received + data)[:64]
+            for frame in session.framer.feed(data):
+                try:
+                    packet = session.decode(frame)
+                except PacketError:
+                    continue  # one bad packet is no reason not to know the others
+                if isinstance(packet, RobotState):
+                    state = state or packet
+                    configuration = configuration or packet.configuration_data
+            if session.firmware is not None and configuration is not None:
+                break
+            if session.firmware is not None or state is not None:
+                until = min(until, time.monotonic() + _GRACE)
+    finally:
+        transport.close()
+    firmware = session.firmware or (None if state is None else infer(state))
+    if firmware is None:
+        if not received:
+            raise LinkTimeout(f"{transport.name} took the connection but sent nothing within {timeout:g} s")
+        raise WrongPeer(f"{transport.name} does not talk like a UR controller; it began with {received[:32]!r}")
+    return Identity(firmware, session.firmware is not None, _model_name(configuration, firmware))
+
+
+def _model_name(configuration: ConfigurationData | None, firmware: Firmware) -> str | None:
+    if configuration is None:
+        return None
+    model = model_of(int(configuration.robot_type), firmware.is_e_series)
+    return configuration.robot_type.name if model is None else model.name
