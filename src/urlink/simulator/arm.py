@@ -1,0 +1,338 @@
+"""The arm: it follows a motion, brakes when it must, and shows what its sensors would measure.
+
+Only following and braking happen every cycle. Everything else is worked out from there when a packet asks for it, so
+that it costs nothing while nobody looks, and comes out the same whoever looks and how often.
+
+What is behind the numbers:
+
+- **positions and poses** agree: every pose is the forward kinematics of the joint positions beside it;
+- **speeds** are the derivatives of the positions, TCP speeds the Jacobian times the joint speeds;
+- **lag and noise** of the actual joints are of the size seen in the one moving and the one standing capture;
+- **moments** hold the arm up (masses and centres of mass as published) and accelerate it (a coarse inertia, a guess);
+- **currents** are moments over the torque constants that the captures show, plus a guess of friction;
+- **temperatures** rise slowly from 24 degC, more in joints that carry more; how fast is a guess;
+- **tool accelerometer** is gravity in the frame of the tool, of the sign that the real CB2 packet shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linkcore.errors import BadValue
+from urlink.models import Model
+
+from . import kinematics
+from .motion import Motion, Setpoint, brake
+
+__all__ = ["Arm", "Sample"]
+
+FloatArray = NDArray[np.float64]
+
+# Seconds by which the actual joints trail their targets.
+_LAG = 0.002
+# Standard deviations: rad, rad/s (of a moving joint), A, N or Nm, V, m/s².
+_NOISE_Q, _NOISE_QD, _NOISE_I, _NOISE_F, _NOISE_V, _NOISE_ACC = 1e-5, 5e-4, 0.01, 0.3, 0.05, 0.02
+_AMBIENT = 24.0
+_WARMING = 900.0
+# Of the friction current, A, and of the joint speed at which it is there, rad/s. A guess.
+_FRICTION, _STICTION = 0.4, 0.02
+
+_ZERO = [0.0] * 6
+# Gaussian noise is drawn once and walked through; a prime length keeps the channels from falling into step.
+_NOISE_LENGTH = 8191
+# Nm/A by joint, read off one capture each: simulated UR5e and UR3e, real CB2 UR5. The rest are guessed by joint size.
+_TORQUE_CONSTANTS = {
+    "UR5e": (9.93, 9.93, 9.93, 7.77, 7.77, 7.77),
+    "UR3e": (10.86, 10.86, 7.77, 3.6, 3.6, 3.6),
+    "UR5": (12.5, 12.5, 12.5, 9.3, 9.3, 9.3),
+    "UR3": (12.5, 12.5, 9.3, 4.5, 4.5, 4.5),
+}
+_TORQUE_CONSTANTS_LARGE = (14.0, 14.0, 12.5, 9.3, 9.3, 9.3)
+
+
+class Sample:
+    """Everything the arm shows in one cycle.
+
+    Attributes:
+        q_target, qd_target, qdd_target, M_target, I_target: six numbers: rad, rad/s, rad/s², Nm, A.
+        q_actual, qd_actual, I_actual, I_control, V_actual, T_motor: six numbers: rad, rad/s, A, A, V, degC.
+        pose_actual, pose_target: TCP in the base frame, m and rotation vector in rad.
+        speed_actual, speed_target: of the TCP, m/s and rad/s.
+        force: at the TCP, N and Nm.
+        elbow_position, elbow_velocity: the end of the upper arm, m and m/s.
+        accelerometer: m/s², in the frame of the tool.
+        momentum: kg m/s, coarse.
+        dexterity: the square of the determinant of the flange's Jacobian, which is what three captures hold.
+    """
+
+    __slots__ = (
+        "I_actual",
+        "I_control",
+        "I_target",
+        "M_target",
+        "T_motor",
+        "V_actual",
+        "accelerometer",
+        "elbow_position",
+        "elbow_velocity",
+        "force",
+        "momentum",
+        "pose_actual",
+        "pose_target",
+        "q_actual",
+        "q_target",
+        "qd_actual",
+        "qd_target",
+        "qdd_target",
+        "speed_actual",
+        "speed_target",
+    )
+
+    I_actual: list[float]
+    I_control: list[float]
+    I_target: list[float]
+    M_target: list[float]
+    T_motor: list[float]
+    V_actual: list[float]
+    accelerometer: list[float]
+    elbow_position: list[float]
+    elbow_velocity: list[float]
+    force: list[float]
+    momentum: float
+    pose_actual: list[float]
+    pose_target: list[float]
+    q_actual: list[float]
+    q_target: list[float]
+    qd_actual: list[float]
+    qd_target: list[float]
+    qdd_target: list[float]
+    speed_actual: list[float]
+    speed_target: list[float]
+
+
+class Arm:
+    """Six joints of a model that follow a motion.
+
+    Attributes:
+        model: geometry, masses and limits.
+        payload: kg at the flange.
+        payload_cog: (3,) its centre of mass in the flange frame, m.
+        payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
+        is_powered: without power there is no current and no noise.
+    """
+
+    def __init__(self, model: Model, motion: Motion, seed: int = 0) -> None:
+        self.model = model
+        self.payload = 0.0
+        self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
+        self.payload_inertia: Sequence[float] = (0.0,) * 6
+        self.is_powered = True
+        self._tcp: list[float] = list(_ZERO)
+        self._motion = motion
+        self._noise_table = _noise(seed)
+        self._inertia = _inertia(model)
+        self._constants = _TORQUE_CONSTANTS.get(model.name, _TORQUE_CONSTANTS_LARGE)
+        self._mass = float(model.link_masses.sum())
+        self._setpoint = motion.advance(0.0)
+        # A motion that has begun goes on; one that was stopped is started anew.
+        self._follows = True
+        self._brake: tuple[Setpoint, float, float] | None = None
+        load = kinematics.gravity_torque(model, self._setpoint.q).tolist()
+        self._rise = [4.0 + 3.0 * math.sqrt(abs(m / k)) for m, k in zip(load, self._constants, strict=True)]
+        self._cycle = 0
+        self._time = 0.0
+        self._sample: Sample | None = None
+
+    # -- moving ------------------------------------------------------------------------------------
+
+    @property
+    def motion(self) -> Motion:
+        """What the arm follows."""
+        return self._motion
+
+    def follow(self, motion: Motion) -> None:
+        """Brake if need be, then follow another motion from where the arm comes to stand."""
+        self._motion = motion
+        self._stop()
+
+    @property
+    def tcp(self) -> list[float]:
+        """The tool centre point in the flange frame: m and rotation vector in rad."""
+        return list(self._tcp)
+
+    @tcp.setter
+    def tcp(self, pose: Sequence[float]) -> None:
+        values = [float(value) for value in pose]
+        if len(values) != 6 or not all(map(math.isfinite, values)):
+            raise BadValue(f"a TCP is six finite numbers, not {pose!r}")
+        self._tcp = values
+        self._sample = None
+
+    @property
+    def setpoint(self) -> Setpoint:
+        """The targets of this cycle."""
+        return self._setpoint
+
+    @property
+    def is_standing(self) -> bool:
+        """No joint moves, and none will without leave."""
+        return self._brake is None and not any(self._setpoint.qd) and not self._follows
+
+    def advance(self, seconds: float, may_move: bool) -> None:
+        """One cycle later: follow the motion if that is allowed, else brake and stand."""
+        self._cycle += 1
+        self._time += seconds
+        self._sample = None
+        if not may_move:
+            self._stop()
+        if self._brake is not None:
+            self._braking(seconds)
+        elif self._follows:
+            self._setpoint = self._motion.advance(seconds)
+        elif may_move:
+            self._motion.start(self._setpoint.q)
+            self._follows = True
+            self._setpoint = self._motion.advance(seconds)
+
+    def _stop(self) -> None:
+        if self._follows:
+            self._follows = False
+            if any(self._setpoint.qd):
+                self._brake = (self._setpoint, brake(self.model, self._setpoint.qd), 0.0)
+            else:
+                self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
+
+    def _braking(self, seconds: float) -> None:
+        """All joints slow down alike, so the brake path goes straight on from where the arm was going."""
+        assert self._brake is not None
+        begin, duration, past = self._brake
+        past += seconds
+        if past >= duration:
+            self._brake = None
+            pace, way, change = 0.0, 0.5 * duration, 0.0
+        else:
+            self._brake = (begin, duration, past)
+            u = past / duration
+            pace = 1.0 - u * u * (3.0 - 2.0 * u)
+            way = duration * (u - u**3 * (1.0 - 0.5 * u))
+            change = -6.0 * u * (1.0 - u) / duration
+        self._setpoint = Setpoint(
+            [q + way * v for q, v in zip(begin.q, begin.qd, strict=True)],
+            [pace * v for v in begin.qd] if pace else _ZERO,
+            [change * v for v in begin.qd] if pace else _ZERO,
+        )
+
+    # -- being looked at ---------------------------------------------------------------------------
+
+    @property
+    def sample(self) -> Sample:
+        """What the arm shows in this cycle."""
+        if self._sample is None:
+            self._sample = self._look()
+        return self._sample
+
+    @property
+    def dexterity(self) -> float:
+        """The square of the determinant of the flange's Jacobian: 0 in a singular posture.
+
+        This is the number that three captured force mode packets hold, to all their digits.
+        """
+        return float(np.linalg.det(kinematics.jacobian(self.model, self._setpoint.q))) ** 2
+
+    def _noise(self, channel: int, scale: float) -> list[float]:
+        at = (self._cycle * 6 + channel * 1171) % _NOISE_LENGTH
+        return [scale * x for x in self._noise_table[at : at + 6]]
+
+    def _look(self) -> Sample:
+        model, tcp = self.model, self._tcp
+        q, qd, qdd = self._setpoint
+        s = Sample()
+        s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
+        moving = any(qd)
+        if moving:
+            # q(t - lag), to the first order: its derivative is known exactly.
+            s.q_actual = [p - _LAG * v + n for p, v, n in zip(q, qd, self._noise(0, _NOISE_Q), strict=True)]
+            s.qd_actual = [v - _LAG * a + n for v, a, n in zip(qd, qdd, self._noise(1, _NOISE_QD), strict=True)]
+        elif self.is_powered:
+            s.q_actual = [p + n for p, n in zip(q, self._noise(0, _NOISE_Q), strict=True)]
+            s.qd_actual = _ZERO
+        else:
+            s.q_actual, s.qd_actual = q, _ZERO
+
+        s.pose_target = kinematics.pose(model, q, tcp).tolist()
+        s.pose_actual = kinematics.pose(model, s.q_actual, tcp).tolist()
+        s.speed_target = (kinematics.jacobian(model, q, tcp) @ qd).tolist() if moving else _ZERO
+        s.speed_actual = (kinematics.jacobian(model, s.q_actual, tcp) @ s.qd_actual).tolist() if moving else _ZERO
+        s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
+        s.elbow_position, s.elbow_velocity = _elbow(model, s.q_actual, s.qd_actual)
+        s.accelerometer = [
+            g + n for g, n in zip(_gravity_in_tool(s.pose_actual), self._noise(2, _NOISE_ACC)[:3], strict=True)
+        ]
+        self._load(s)
+        warm = 1.0 - math.exp(-self._time / _WARMING)
+        s.T_motor = [round(_AMBIENT + rise * warm, 1) for rise in self._rise]
+        return s
+
+    def _load(self, s: Sample) -> None:
+        """Moments, currents, voltages and the force at the TCP."""
+        if not self.is_powered:
+            s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
+            return
+        held = kinematics.gravity_torque(self.model, s.q_target, self.payload, self.payload_cog).tolist()
+        s.M_target = [g + m * a for g, m, a in zip(held, self._inertia, s.qdd_target, strict=True)]
+        s.I_target = [m / k for m, k in zip(s.M_target, self._constants, strict=True)]
+        s.I_control = [i + _FRICTION * math.tanh(v / _STICTION) for i, v in zip(s.I_target, s.qd_target, strict=True)]
+        s.I_actual = [i + n for i, n in zip(s.I_control, self._noise(3, _NOISE_I), strict=True)]
+        s.V_actual = [
+            round(47.8 - 0.1 * abs(i) + n, 1) for i, n in zip(s.I_control, self._noise(4, _NOISE_V), strict=True)
+        ]
+        s.force = self._noise(5, _NOISE_F)
+
+
+def _gravity_in_tool(pose: Sequence[float]) -> tuple[float, float, float]:
+    """Gravity as the tool's frame sees it, m/s²: +z for a tool that points down.
+
+    The real CB2 packet has this sign: (-0.1, -2.8, 8.4) where the kinematics of its joints give (-1.0, -0.6, 9.8).
+    """
+    rx, ry, rz = pose[3:]
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    g = kinematics.GRAVITY
+    if angle < 1e-12:
+        return 0.0, 0.0, -g
+    x, y, z = rx / angle, ry / angle, rz / angle
+    s, v = math.sin(angle), 1.0 - math.cos(angle)
+    # The third row of the rotation matrix is the base's z axis in the frame of the tool.
+    return -g * (v * x * z - s * y), -g * (v * y * z + s * x), -g * (1.0 - v * (x * x + y * y))
+
+
+def _elbow(model: Model, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:
+    """The end of the upper arm, on the axis through the shoulder's plane; m and m/s.
+
+    The elbow of the safety data of the one CB3 capture is this point. That the real-time packet's is too is a guess.
+    """
+    a2, d1 = model.dh_a.item(1), model.dh_d.item(0)
+    s1, c1, s2, c2 = math.sin(q[0]), math.cos(q[0]), math.sin(q[1]), math.cos(q[1])
+    turn, lift = qd[0], qd[1]
+    out, speed = a2 * c2, -a2 * s2 * lift
+    return (
+        [out * c1, out * s1, d1 + a2 * s2],
+        [speed * c1 - out * s1 * turn, speed * s1 + out * c1 * turn, a2 * c2 * lift],
+    )
+
+
+def _inertia(model: Model) -> list[float]:
+    """kg m² that each joint accelerates, coarsely: everything behind it at half its reach in an L-shaped posture."""
+    lengths = [abs(a) + abs(d) for a, d in zip(model.dh_a.tolist(), model.dh_d.tolist(), strict=True)]
+    masses = model.link_masses.tolist()
+    return [sum(masses[i:]) * (0.5 * sum(lengths[i:])) ** 2 / 2.0 for i in range(6)]
+
+
+@lru_cache(maxsize=32)
+def _noise(seed: int) -> tuple[float, ...]:
+    numbers: list[float] = np.random.default_rng(seed).standard_normal(_NOISE_LENGTH).tolist()
+    return (*numbers, *numbers[:6])

@@ -1,0 +1,318 @@
+"""The controller: clock, arm, modes, signals, and what it sends."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Literal
+
+from linkcore.errors import BadValue, LocalError
+from urlink import models
+from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
+
+from .arm import Arm
+from .faults import Faults, ScheduledFault, parse_fault
+from .modes import Modes
+from .motion import Demonstration, Motion
+from .packets import Packets, greeting, safety_messages
+from .ports import PORTS, interface
+from .signals import Signals
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from .server import Server
+
+__all__ = ["Controller", "Counters"]
+
+_NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
+
+#: States a second on the primary and secondary interface.
+STATE_RATE = 10
+#: Lines from clients that are kept.
+RECEIVED = 1000
+
+
+@dataclass
+class Counters:
+    """What has happened on the ports of a controller since it started.
+
+    Attributes:
+        connections: accepted.
+        sent: packets and packages handed to the network, once per connection.
+        dropped: connections ended because the client did not read.
+        refused_bytes: input thrown away: text to read-only ports, lines too long.
+        late: cycles in which packets went out more than one cycle after they were due.
+        skipped: cycles in which no packets went out because they were far too late.
+    """
+
+    connections: int = 0
+    sent: int = 0
+    dropped: int = 0
+    refused_bytes: int = 0
+    late: int = 0
+    skipped: int = 0
+
+
+class Controller:
+    """A robot controller in software that serves the primary, secondary and real-time interfaces.
+
+    As a context manager it serves its ports from one thread of its own::
+
+        with Controller("UR5e", "5.11") as controller:
+            print(controller.host, controller.ports["realtime"])
+
+    Without being started it has no thread and no socket, and `step` advances it cycle by cycle: everything then is
+    the same for the same seed, to the last byte.
+
+    Args:
+        model: name of the arm, such as `"UR5e"`.
+        firmware: None for the newest that suits the model.
+        host: address to listen on.
+        ports: `"free"` for any that are free, `"standard"` for those of a real controller, or a mapping from names in
+            `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
+        seed: of the noise on the sensors and of random garbage.
+        serial: serial number of the arm.
+        motion: what the arm follows; None for the gentle demonstration.
+        output_limit: bytes that may wait for one client before it is dropped, beside what the network holds.
+
+    Attributes:
+        model: the `urlink.models.Model`.
+        firmware: what the controller runs at present.
+        arm: its joints: motion, TCP, payload.
+        modes: of robot, safety and program.
+        signals: its inputs and outputs.
+        faults: what can go wrong, on demand.
+        received: (name of the port, line of text) of the latest lines that clients sent, to be run as URScript.
+        counters: what has happened on the ports.
+        cycle: number of the cycle since the controller was made, reboots included.
+
+    Raises:
+        UnknownModel: no such arm.
+        BadVersion: no such firmware.
+        BadValue: the firmware does not go with the model, or `ports` is none of the above.
+    """
+
+    def __init__(
+        self,
+        model: str = "UR5e",
+        firmware: str | Firmware | None = None,
+        *,
+        host: str = "127.0.0.1",
+        ports: Literal["free", "standard"] | Mapping[str, int] = "free",
+        seed: int = 0,
+        serial: str = "20230000001",
+        motion: Motion | None = None,
+        output_limit: int = 1 << 20,
+    ) -> None:
+        self.model = models.model(model)
+        newest = NEWEST if self.model.generation == "e" else _NEWEST_CB3
+        self.firmware = self.suited(newest if firmware is None else firmware)
+        self.host = host
+        self.seed = seed
+        self.serial = serial
+        self.output_limit = output_limit
+        self.cycle = 0
+        self.signals = Signals()
+        self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
+        self.counters = Counters()
+        self._wanted_ports = _wanted(ports)
+        self._motion = motion
+        self._server: Server | None = None
+        self._schedule: list[ScheduledFault] = []
+        self._outbox: list[bytes] = []
+        self._cycles_down = 0
+        self._next_firmware = self.firmware
+        self._boot()
+        self.faults = Faults(self, seed)
+
+    def suited(self, firmware: str | Firmware) -> Firmware:
+        """The firmware, if it goes with the model.
+
+        UR3, UR5 and UR10 run 1.x (not the UR3, which came with CB3) and 3.x, all others 5.0 and later. In which later
+        release the younger arms arrived is not looked at.
+
+        Raises:
+            BadVersion: no such firmware.
+            BadValue: it does not go with the model.
+        """
+        parsed = Firmware.parse(firmware)
+        release_of(parsed)
+        if self.model.generation == "e":
+            suits, needs = parsed.is_e_series, "5.0 or later"
+        elif self.model.name == "UR3":
+            suits, needs = not parsed.is_e_series and not parsed.is_cb2, "3.x"
+        else:
+            suits, needs = not parsed.is_e_series, "1.x or 3.x"
+        if not suits:
+            raise BadValue(f"a {self.model.name} does not run firmware {parsed}; it needs {needs}")
+        return parsed
+
+    def _boot(self) -> None:
+        self.firmware = self._next_firmware
+        self._uptime = 0
+        self._period = 1.0 / self.firmware.rate
+        self.modes = Modes(self.firmware)
+        self.arm = Arm(self.model, self._motion or Demonstration(), self.seed)
+        self._packets = Packets(self)
+        self._announced = self.modes.safety_mode
+        self.modes.advance(0.0, self.arm.is_standing, self.arm.motion.is_program)
+
+    # -- clock -------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Seconds since the controller started or came back from a reboot: whole cycles."""
+        return self._uptime / self.firmware.rate
+
+    @property
+    def is_up(self) -> bool:
+        """False while it reboots."""
+        return self._cycles_down == 0
+
+    def step(self, cycles: int = 1) -> None:
+        """Advance so many controller cycles of 8 ms (CB) or 2 ms (e-Series), without thread or socket.
+
+        Raises:
+            LocalError: the controller has been started, so its own thread steps it.
+        """
+        if self._server is not None:
+            raise LocalError("a controller that serves its ports cannot be stepped as well")
+        for _ in range(cycles):
+            self.advance()
+            self._outbox.clear()
+
+    def advance(self) -> None:
+        """One cycle later. Only for the thread that owns the controller; others use `step`."""
+        self.cycle += 1
+        if self._schedule:
+            self._happen()
+        if self._cycles_down:
+            self._cycles_down -= 1
+            if self._cycles_down == 0:
+                self._boot()
+            return
+        self._uptime += 1
+        arm, modes = self.arm, self.modes
+        arm.advance(self._period, modes.may_move)
+        modes.advance(self._period, arm.is_standing, arm.motion.is_program)
+        arm.is_powered = modes.is_powered
+        if modes.safety_mode is not self._announced:
+            self._announced = modes.safety_mode
+            self._outbox += safety_messages(self)
+
+    def take_messages(self) -> list[bytes]:
+        """Packages that the primary interface is to send beside its states, once each."""
+        messages, self._outbox = self._outbox, []
+        return messages
+
+    def go_down(self, firmware: Firmware | None, seconds: float) -> None:
+        """Reboot; see `Faults.reboot`. Only for the thread that owns the controller."""
+        self._next_firmware = firmware or self.firmware
+        self._cycles_down = max(1, round(seconds * self.firmware.rate))
+        self._outbox.clear()
+
+    # -- faults by the clock -------------------------------------------------------------------------
+
+    def schedule(self, *faults: str | ScheduledFault) -> None:
+        """Let faults happen at their times, in seconds since the controller was made: `schedule("protective_stop@5")`.
+
+        Raises:
+            BadValue: a text that `parse_fault` cannot read, or a reboot into firmware that does not go with the model.
+        """
+        parsed = [parse_fault(fault) if isinstance(fault, str) else fault for fault in faults]
+        for fault in parsed:
+            if fault.name == "reboot" and fault.arguments and fault.arguments[0] is not None:
+                self.suited(fault.arguments[0])
+
+        def schedule() -> None:
+            self._schedule = sorted([*self._schedule, *parsed], key=lambda fault: fault.at)
+
+        self.call(schedule)
+
+    def _happen(self) -> None:
+        while self._schedule and self._schedule[0].at * self.firmware.rate <= self.cycle:
+            self._schedule.pop(0).happen(self.faults)
+
+    # -- packets -------------------------------------------------------------------------------------
+
+    def realtime_packet(self) -> bytes:
+        """The real-time packet of this cycle."""
+        return self._packets.realtime()
+
+    def state_package(self, first: bool = False) -> bytes:
+        """The robot state of this cycle; with `first` as a connection begins, with kinematics and configuration."""
+        return self._packets.state(first)
+
+    def greeting(self, port: str) -> list[bytes]:
+        """What a connection to this port begins with, package by package: nothing on the real-time ports."""
+        if interface(port) == "realtime":
+            return []
+        return [*greeting(self, interface(port)), self._packets.state(first=True)]
+
+    # -- serving -------------------------------------------------------------------------------------
+
+    @property
+    def ports(self) -> dict[str, int]:
+        """Name of each port that is served -> its number; empty until started."""
+        return {} if self._server is None else dict(self._server.ports)
+
+    @property
+    def is_serving(self) -> bool:
+        """Started and not closed."""
+        return self._server is not None
+
+    def call(self, change: Callable[[], object]) -> None:
+        """Do something to the controller between two cycles, in whichever thread owns it, and wait until it is done.
+
+        For changes that must not fall into the middle of a cycle; from any thread.
+        """
+        server = self._server
+        if server is None:
+            change()
+        else:
+            server.call(change)
+
+    def start(self) -> Self:
+        """Listen on the ports and serve them from a thread. Without effect if that is so already.
+
+        Raises:
+            BadAddress: the ports cannot be listened on.
+        """
+        if self._server is None:
+            # The one module that has sockets is imported by those who want them.
+            from .server import Server
+
+            server = Server(self, self.host, self._wanted_ports)
+            server.start()
+            self._server = server
+        return self
+
+    def close(self) -> None:
+        """End all connections and the thread, within a second or so. Without effect if it is not started."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Controller {self.model.name}, firmware {self.firmware}>"
+
+
+def _wanted(ports: str | Mapping[str, int]) -> dict[str, int]:
+    if ports == "standard":
+        return dict(PORTS)
+    if ports == "free":
+        return dict.fromkeys(PORTS, 0)
+    if isinstance(ports, str) or not ports or not ports.keys() <= PORTS.keys():
+        raise BadValue(f"ports are 'free', 'standard' or a mapping from {', '.join(PORTS)}; not {ports!r}")
+    return dict(ports)

@@ -1,0 +1,233 @@
+"""The modes of robot, joints, safety and program, and how they follow from one another.
+
+Numbers and names are in `urlink.schemas.enums`. How the modes hang together is read off manuals, drivers and three
+captures of standing robots; what is a guess says so here:
+
+- the times that powering on takes, and that a reboot is over with the arm running: guesses, made short for tests;
+- a protective stop pauses the program and leaves the motors on; an emergency stop stops the program and, once the arm
+  stands, takes the power away. The vendor documents both as stop categories 2 and 1;
+- the CB2 modes of the same events (security stopped, emergency stopped, no power) by their names in the vendor's list;
+  that joints of a CB2 keep the mode RUNNING in a protective stop is a guess.
+"""
+
+from __future__ import annotations
+
+import enum
+
+from linkcore.version import Since
+from urlink.firmware import Firmware
+from urlink.schemas.enums import (
+    JointMode,
+    MasterOnOffState,
+    MasterSafetyState,
+    ProgramState,
+    RobotMode,
+    RobotModeCB2,
+    SafetyMode,
+    ToolMode,
+)
+
+__all__ = ["Modes", "Power", "Stop"]
+
+
+class Power(enum.Enum):
+    """How far the arm is powered."""
+
+    OFF = "off"
+    BOOTING = "booting"
+    IDLE = "idle"
+    RUNNING = "running"
+
+
+class Stop(enum.Enum):
+    """What keeps the arm from moving."""
+
+    NONE = "none"
+    PROTECTIVE = "protective"
+    EMERGENCY = "emergency"
+
+
+_ROBOT_MODE = {
+    Power.OFF: RobotMode.POWER_OFF,
+    Power.BOOTING: RobotMode.POWER_ON,
+    Power.IDLE: RobotMode.IDLE,
+    Power.RUNNING: RobotMode.RUNNING,
+}
+_ROBOT_MODE_CB2 = {
+    Power.OFF: RobotModeCB2.NO_POWER,
+    Power.BOOTING: RobotModeCB2.INITIALIZING,
+    Power.IDLE: RobotModeCB2.READY,
+    Power.RUNNING: RobotModeCB2.RUNNING,
+}
+_JOINT_MODE = {
+    Power.OFF: JointMode.POWER_OFF,
+    Power.BOOTING: JointMode.BOOTING,
+    Power.IDLE: JointMode.IDLE,
+    Power.RUNNING: JointMode.RUNNING,
+}
+_TOOL_MODE = {
+    Power.OFF: ToolMode.POWER_OFF,
+    Power.BOOTING: ToolMode.BOOTING,
+    Power.IDLE: ToolMode.IDLE,
+    Power.RUNNING: ToolMode.RUNNING,
+}
+_SAFETY_MODE = {
+    Stop.NONE: SafetyMode.NORMAL,
+    Stop.PROTECTIVE: SafetyMode.PROTECTIVE_STOP,
+    Stop.EMERGENCY: SafetyMode.ROBOT_EMERGENCY_STOP,
+}
+
+#: On CB2 this number says that the joint is emergency stopped; later it got another meaning.
+_JOINT_EMERGENCY_STOPPED_CB2 = JointMode.READY_FOR_POWER_OFF
+
+# Real bytes: without a program 3.3 says 1.0, 3.10 and 5.4 say 0.0. Where between them it changed is not known.
+_SCALES_TO_ZERO = Since("3.10/5.0")
+
+
+class Modes:
+    """What the controller is doing, as one small state machine.
+
+    Attributes:
+        power: how far the arm is powered.
+        stop: what keeps it from moving.
+    """
+
+    #: seconds from power off to idle, and from idle to running (brakes released)
+    BOOT_TIME = 0.4
+    BRAKE_RELEASE_TIME = 0.2
+
+    def __init__(self, firmware: Firmware) -> None:
+        self._firmware = firmware
+        self.power = Power.RUNNING
+        self.stop = Stop.NONE
+        self._has_program = False
+        self._is_standing = True
+        self._is_switching_off = False
+        self._releases_brakes = False
+        self._wait = 0.0
+
+    # -- what happens ----------------------------------------------------------------------------
+
+    def protective_stop(self) -> None:
+        """The arm brakes and stands, motors on. Without effect while an emergency stop holds or the power is off."""
+        if self.stop is Stop.NONE and self.power is Power.RUNNING:
+            self.stop = Stop.PROTECTIVE
+
+    def emergency_stop(self) -> None:
+        """The arm brakes and stands, then loses its power."""
+        self.stop = Stop.EMERGENCY
+        self._is_switching_off = True
+
+    def clear(self) -> None:
+        """Unlock a protective stop, or release the emergency stop button, which leaves the power off."""
+        self.stop = Stop.NONE
+
+    def power_off(self) -> None:
+        """The arm brakes and stands, then loses its power."""
+        self._is_switching_off = True
+
+    def power_on(self, release_brakes: bool = True) -> None:
+        """Power the joints up to idle, and with `release_brakes` to running.
+
+        Without effect while an emergency stop holds, as on a real controller.
+        """
+        if self.stop is Stop.EMERGENCY:
+            return
+        self._is_switching_off = False
+        self._releases_brakes = release_brakes
+        if self.power is Power.OFF:
+            self.power, self._wait = Power.BOOTING, self.BOOT_TIME
+        elif self.power is Power.IDLE:
+            self._wait = self.BRAKE_RELEASE_TIME
+
+    def advance(self, seconds: float, is_standing: bool, has_program: bool) -> None:
+        """One cycle later. `is_standing` says whether the arm has come to rest."""
+        self._is_standing = is_standing
+        self._has_program = has_program
+        if self._is_switching_off:
+            if is_standing:
+                self._is_switching_off = False
+                self.power = Power.OFF
+        elif self._wait > 0.0:
+            self._wait -= seconds
+            if self._wait <= 0.0:
+                self._next_power()
+
+    def _next_power(self) -> None:
+        if self.power is Power.BOOTING:
+            self.power = Power.IDLE
+            self._wait = self.BRAKE_RELEASE_TIME if self._releases_brakes else 0.0
+        elif self.power is Power.IDLE and self._releases_brakes:
+            self.power = Power.RUNNING
+
+    # -- what follows from it ----------------------------------------------------------------------
+
+    @property
+    def may_move(self) -> bool:
+        """The arm is free to follow its motion."""
+        return self.power is Power.RUNNING and self.stop is Stop.NONE and not self._is_switching_off
+
+    @property
+    def is_powered(self) -> bool:
+        """The joints have power."""
+        return self.power is not Power.OFF
+
+    @property
+    def robot_mode(self) -> RobotMode | RobotModeCB2:
+        """The robot mode, in the numbers of the generation."""
+        if not self._firmware.is_cb2:
+            return _ROBOT_MODE[self.power]
+        if self.stop is Stop.EMERGENCY:
+            return RobotModeCB2.EMERGENCY_STOPPED
+        if self.stop is Stop.PROTECTIVE:
+            return RobotModeCB2.SECURITY_STOPPED
+        return _ROBOT_MODE_CB2[self.power]
+
+    @property
+    def joint_mode(self) -> JointMode:
+        """The mode that all six joints are in."""
+        if self._firmware.is_cb2 and self.stop is Stop.EMERGENCY:
+            return _JOINT_EMERGENCY_STOPPED_CB2
+        return _JOINT_MODE[self.power]
+
+    @property
+    def tool_mode(self) -> ToolMode:
+        """The mode of the tool board."""
+        return _TOOL_MODE[self.power]
+
+    @property
+    def safety_mode(self) -> SafetyMode:
+        """The safety mode; the safety status is the same number in every case that can occur here."""
+        return _SAFETY_MODE[self.stop]
+
+    @property
+    def master_safety_state(self) -> MasterSafetyState:
+        """The safety state of a CB2 masterboard."""
+        return MasterSafetyState.ROBOT_EMERGENCY_STOP if self.stop is Stop.EMERGENCY else MasterSafetyState.OK
+
+    @property
+    def master_on_off_state(self) -> MasterOnOffState:
+        """The power state of a CB2 masterboard."""
+        if self._is_switching_off and self.is_powered:
+            return MasterOnOffState.TURNING_OFF
+        if self.power is Power.OFF:
+            return MasterOnOffState.OFF
+        return MasterOnOffState.TURNING_ON if self.power is Power.BOOTING else MasterOnOffState.ON
+
+    @property
+    def program_state(self) -> ProgramState:
+        """What the program does: plays while the arm may move, pauses in a protective stop, is stopped otherwise."""
+        if not self._has_program:
+            return ProgramState.STOPPED
+        if self.may_move:
+            return ProgramState.PLAYING
+        if self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off:
+            return ProgramState.PAUSED if self._is_standing else ProgramState.PAUSING
+        return ProgramState.STOPPED if self._is_standing else ProgramState.STOPPING
+
+    @property
+    def speed_scaling(self) -> float:
+        """1 while a program plays; without one 0 on newer firmware and 1 on older."""
+        if self.program_state is ProgramState.PLAYING:
+            return 1.0
+        return 0.0 if self._firmware in _SCALES_TO_ZERO else 1.0

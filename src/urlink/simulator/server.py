@@ -1,0 +1,429 @@
+"""The controller's ports: one thread that keeps the clock and serves every client.
+
+Deadlines are absolute: cycle k is due k periods after the start, however late the one before was. A cycle that comes
+late is caught up, and its packets still go out, as they would from a network that hiccups; beyond `LATEST` they are not
+worth sending and are counted instead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import TYPE_CHECKING
+
+from linkcore.errors import BadAddress, LinkTimeout
+
+from .controller import STATE_RATE
+from .ports import interface
+
+if TYPE_CHECKING:
+    from .controller import Controller
+    from .tampering import Segmenter
+
+__all__ = ["Server"]
+
+#: Seconds after which a packet is not worth sending any more.
+LATEST = 0.25
+#: Seconds beyond which the clock is set anew rather than caught up: the machine slept.
+ASLEEP = 5.0
+#: Bytes of a line from a client; longer ones are thrown away.
+LONGEST_LINE = 1 << 16
+#: Seconds that other threads wait for the server's.
+PATIENCE = 5.0
+
+# Bytes that the kernel may hold for a client. Left to itself it grows to megabytes: seconds of old news.
+_KERNEL_BUFFER = 1 << 18
+# Closing with this option set resets the connection.
+_RESET = struct.pack("ii", 1, 0)
+
+
+class _Port:
+    """One port: its listening socket and its clients.
+
+    While the controller is down the socket is bound and does not listen: connections are refused, and nobody else can
+    take the number.
+    """
+
+    def __init__(self, name: str, host: str, number: int) -> None:
+        self.name = name
+        self.kind = interface(name)
+        self.clients: set[_Client] = set()
+        self._host = host
+        self.socket = self._bound(number)
+        self.number: int = self.socket.getsockname()[1]
+        self.is_listening = False
+
+    def _bound(self, number: int) -> socket.socket:
+        listener = None
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(self._host, number, type=socket.SOCK_STREAM)[0]
+            listener = socket.socket(family, kind, protocol)
+            listener.setblocking(False)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+        except (OSError, OverflowError) as error:
+            if listener is not None:
+                listener.close()
+            reason = getattr(error, "strerror", None) or error
+            raise BadAddress(f"cannot listen on {self._host}:{number} for {self.name}: {reason}") from None
+        return listener
+
+    def listen(self) -> None:
+        self.socket.listen(64)
+        self.is_listening = True
+
+    def refuse(self) -> None:
+        self.socket.close()
+        self.socket = self._bound(self.number)
+        self.is_listening = False
+
+
+class _Client:
+    """One connection: what waits to be sent, and the line that is being received."""
+
+    def __init__(self, link: socket.socket, port: _Port) -> None:
+        self.link = link
+        self.port = port
+        self.pending = bytearray()
+        self.line = bytearray()
+        self.is_too_long = False
+        self.segmenter: Segmenter | None = None
+
+
+class Server:
+    """Serves the ports of one controller from one thread, which from then on owns the controller.
+
+    Args:
+        controller: to be served.
+        host: address to listen on.
+        ports: name -> number, 0 for a free one.
+
+    Raises:
+        BadAddress: a port cannot be listened on.
+    """
+
+    def __init__(self, controller: Controller, host: str, ports: Mapping[str, int]) -> None:
+        self._controller = controller
+        self._counters = controller.counters
+        self._faults = controller.faults
+        self._ports: list[_Port] = []
+        self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
+        self._is_closing = False
+        self._segments_seen = self._faults.segments_changed
+        self._waker, self._woken = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        try:
+            for name, number in ports.items():
+                self._ports.append(_Port(name, host, number))
+            for port in self._ports:
+                port.listen()
+                self._selector.register(port.socket, selectors.EVENT_READ, port)
+        except BaseException:
+            self._release()
+            raise
+        self._waker.setblocking(False)
+        self._woken.setblocking(False)
+        self._selector.register(self._woken, selectors.EVENT_READ, None)
+        self._of_kind = {
+            kind: [port for port in self._ports if port.kind == kind] for kind in ("primary", "secondary", "realtime")
+        }
+        self._thread = threading.Thread(target=self._run, name=f"urlink sim {controller.model.name}", daemon=True)
+
+    @property
+    def ports(self) -> dict[str, int]:
+        """Name of each port -> its number."""
+        return {port.name: port.number for port in self._ports}
+
+    # -- from other threads ------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and all connections. Returns within `PATIENCE`."""
+        self._is_closing = True
+        self._wake()
+        if self._thread is not threading.current_thread():
+            self._thread.join(PATIENCE)
+
+    def call(self, change: Callable[[], object]) -> None:
+        """Do something in the server's thread between two cycles, and wait until it is done.
+
+        Raises:
+            LinkTimeout: it was not done within `PATIENCE`.
+            Exception: whatever `change` raises.
+        """
+        if self._thread is threading.current_thread() or not self._thread.is_alive():
+            change()
+            return
+        done: Future[None] = Future()
+        self._calls.append((change, done))
+        self._wake()
+        try:
+            done.result(PATIENCE)
+        except TimeoutError:
+            if done.done():
+                raise
+            raise LinkTimeout("the simulated controller does not answer") from None
+
+    def _wake(self) -> None:
+        # A full pipe wakes as well; a closed one belongs to a thread that has ended.
+        with contextlib.suppress(OSError):
+            self._waker.send(b"\0")
+
+    # -- the thread --------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        finally:
+            self._release()
+            while self._calls:
+                self._calls.popleft()[1].set_result(None)
+
+    def _serve(self) -> None:
+        controller = self._controller
+        rate = controller.firmware.rate
+        epoch = time.monotonic()
+        done = 0
+        while not self._is_closing:
+            due = int((time.monotonic() - epoch) * rate)
+            if due - done > ASLEEP * rate:
+                epoch += (due - done - 1) / rate
+                self._counters.skipped += due - done - 1
+                due = done + 1
+            while done < due:
+                done += 1
+                controller.advance()
+                behind = due - done
+                if behind > LATEST * rate:
+                    self._counters.skipped += 1
+                    continue
+                if behind and self._of_interest(done):
+                    self._counters.late += 1
+                self._emit(done)
+            if self._calls:
+                self._do_calls()
+            self._wait(epoch + self._next(done) / rate)
+
+    def _of_interest(self, cycle: int) -> bool:
+        return self._next(cycle - 1) == cycle
+
+    def _next(self, done: int) -> int:
+        """The next cycle in which something is to be done on time; the ones between are caught up then."""
+        if not self._controller.is_up or any(port.clients for port in self._of_kind["realtime"]):
+            return done + 1
+        rate = self._controller.firmware.rate
+        return -(-(done * STATE_RATE // rate + 1) * rate // STATE_RATE)
+
+    def _emit(self, cycle: int) -> None:
+        """Send what this cycle has to send."""
+        controller, faults = self._controller, self._faults
+        self._open_or_refuse()
+        cuts = faults.take_cuts()
+        if cuts:
+            for port in self._ports:
+                if port.name in cuts:
+                    self._end(port, reset=True)
+        if faults.segments_changed != self._segments_seen:
+            self._segments_seen = faults.segments_changed
+            self._segment_anew()
+        if not controller.is_up:
+            return
+        for message in controller.take_messages():
+            self._broadcast("primary", message)
+        realtime = self._of_kind["realtime"]
+        if any(port.clients for port in realtime):
+            self._broadcast("realtime", controller.realtime_packet())
+        rate = controller.firmware.rate
+        if cycle * STATE_RATE // rate != (cycle - 1) * STATE_RATE // rate:
+            others = self._of_kind["primary"] + self._of_kind["secondary"]
+            if any(port.clients for port in others):
+                state = controller.state_package()
+                self._broadcast("primary", state)
+                self._broadcast("secondary", state)
+
+    def _broadcast(self, kind: str, packet: bytes) -> None:
+        for port in self._of_kind[kind]:
+            if port.clients and not self._faults.is_stalled(port.name):
+                data = self._faults.on_the_wire(port.name, packet)
+                for client in list(port.clients):
+                    self._counters.sent += 1
+                    if client.segmenter is None:
+                        self._send(client, data)
+                    else:
+                        for segment in client.segmenter.put(data):
+                            self._send(client, segment)
+
+    def _send(self, client: _Client, data: bytes) -> None:
+        if not client.pending:
+            try:
+                sent = client.link.send(data)
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                self._drop(client)
+                return
+            if sent == len(data):
+                return
+            data = data[sent:]
+            self._selector.modify(client.link, selectors.EVENT_READ | selectors.EVENT_WRITE, client)
+        client.pending += data
+        if len(client.pending) > self._controller.output_limit:
+            self._counters.dropped += 1
+            self._drop(client, reset=True)
+
+    # -- events --------------------------------------------------------------------------------------
+
+    def _wait(self, deadline: float) -> None:
+        """Serve sockets until the deadline, or until something was served."""
+        remaining = deadline - time.monotonic()
+        # Selectors count in whole milliseconds and round up, too coarse for a cycle of two: the last part is slept.
+        whole = int(remaining * 1e3)
+        if whole >= 1:
+            events = self._selector.select(whole * 1e-3)
+        else:
+            events = self._selector.select(0)
+            if not events and remaining > 0.0:
+                time.sleep(remaining)
+        for key, mask in events:
+            what = key.data
+            if what is None:
+                with contextlib.suppress(BlockingIOError):
+                    self._woken.recv(4096)
+            elif isinstance(what, _Port):
+                if what.is_listening:
+                    self._accept(what)
+            elif what in what.port.clients:
+                if mask & selectors.EVENT_WRITE:
+                    self._flush(what)
+                if mask & selectors.EVENT_READ and what in what.port.clients:
+                    self._receive(what)
+
+    def _do_calls(self) -> None:
+        while self._calls:
+            change, done = self._calls.popleft()
+            try:
+                change()
+            except Exception as error:
+                done.set_exception(error)
+            else:
+                done.set_result(None)
+
+    def _accept(self, port: _Port) -> None:
+        if self._faults.is_stalled(port.name):
+            # Connected but silent: the kernel has made the connection, and it waits. Without a pause the selector
+            # would report it over and over.
+            time.sleep(0.0005)
+            return
+        try:
+            link, _ = port.socket.accept()
+        except OSError:
+            return  # It was there and is gone.
+        link.setblocking(False)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BUFFER)
+        client = _Client(link, port)
+        client.segmenter = self._faults.segmenter(port.name)
+        port.clients.add(client)
+        self._counters.connections += 1
+        self._selector.register(link, selectors.EVENT_READ, client)
+        for package in self._controller.greeting(port.name):
+            if client in port.clients:
+                self._counters.sent += 1
+                data = self._faults.lasting(port.name, package)
+                for segment in [data] if client.segmenter is None else client.segmenter.put(data):
+                    self._send(client, segment)
+
+    def _flush(self, client: _Client) -> None:
+        try:
+            sent = client.link.send(client.pending)
+        except BlockingIOError:
+            return
+        except OSError:
+            self._drop(client)
+            return
+        del client.pending[:sent]
+        if not client.pending:
+            self._selector.modify(client.link, selectors.EVENT_READ, client)
+
+    def _receive(self, client: _Client) -> None:
+        try:
+            data = client.link.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+        elif client.port.name != client.port.kind:
+            # Text to a read-only port has no effect.
+            self._counters.refused_bytes += len(data)
+        else:
+            *lines, rest = data.split(b"\n")
+            for line in lines:
+                self._extend(client, line)
+                if not client.is_too_long:
+                    text = client.line.decode("utf-8", "backslashreplace").removesuffix("\r")
+                    self._controller.received.append((client.port.name, text))
+                client.line.clear()
+                client.is_too_long = False
+            self._extend(client, rest)
+
+    def _extend(self, client: _Client, part: bytes) -> None:
+        if client.is_too_long or len(client.line) + len(part) > LONGEST_LINE:
+            self._counters.refused_bytes += len(client.line) + len(part)
+            client.line.clear()
+            client.is_too_long = True
+        else:
+            client.line += part
+
+    # -- connections come and go ---------------------------------------------------------------------
+
+    def _open_or_refuse(self) -> None:
+        is_up = self._controller.is_up
+        for port in self._ports:
+            if port.is_listening != is_up:
+                if is_up:
+                    port.listen()
+                    self._selector.register(port.socket, selectors.EVENT_READ, port)
+                else:
+                    self._end(port, reset=True)
+                    self._selector.unregister(port.socket)
+                    port.refuse()
+
+    def _segment_anew(self) -> None:
+        for port in self._ports:
+            for client in list(port.clients):
+                held = b"" if client.segmenter is None else client.segmenter.rest()
+                client.segmenter = self._faults.segmenter(port.name)
+                if held:
+                    self._send(client, held)
+
+    def _drop(self, client: _Client, reset: bool = False) -> None:
+        client.port.clients.discard(client)
+        self._selector.unregister(client.link)
+        if reset:
+            with contextlib.suppress(OSError):
+                client.link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+        client.link.close()
+
+    def _end(self, port: _Port, reset: bool) -> None:
+        for client in list(port.clients):
+            self._drop(client, reset)
+
+    def _release(self) -> None:
+        for port in self._ports:
+            self._end(port, reset=False)
+            port.socket.close()
+        self._selector.close()
+        self._waker.close()
+        self._woken.close()
