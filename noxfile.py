@@ -1,0 +1,130 @@
+"""The project's checks. `nox` runs the gate, `nox -l` lists everything."""
+
+from pathlib import Path
+
+import nox
+
+nox.needs_version = ">=2025.2.9"
+nox.options.sessions = ["tests", "lint", "types", "docs"]
+nox.options.error_on_external_run = True
+
+ROOT = Path(__file__).parent
+PROJECT = nox.project.load_toml(ROOT / "pyproject.toml")
+EXTRAS = "[cli,plot]"
+
+
+def group(*names: str) -> tuple[str, ...]:
+    """The requirements of the named dependency groups."""
+    return nox.project.dependency_groups(PROJECT, *names)
+
+
+def present(*paths: str) -> list[str]:
+    """Those of the paths that exist."""
+    return [path for path in paths if (ROOT / path).exists()]
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """Run the tests, and the examples in docstrings, docs and README."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    # One pytest run, so that its last line is the verdict on everything.
+    everything = [
+        "--doctest-modules",
+        "--doctest-glob=*.md",
+        "--ignore=docs/conf.py",
+        *present("tests", "src", "docs", "README.md"),
+    ]
+    session.run("pytest", *(session.posargs or everything))
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Check style and formatting."""
+    session.install(*group("lint"))
+    session.run("ruff", "check", *session.posargs, ".")
+    session.run("ruff", "format", "--check", ".")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """Check the types of the packages, the tests and the benchmarks."""
+    session.install("-e", f".{EXTRAS}", *group("types"))
+    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks")))
+    if not session.posargs:
+        # Finds uses of a standard library newer than the oldest supported Python. Seen from there, the types
+        # of a newer numpy are Any, hence the separate run that is milder about Any.
+        oldest = ["--python-version=3.10", "--no-warn-return-any", "--no-warn-unused-ignores"]
+        session.run("mypy", *oldest, "src")
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """Build the documentation; a warning is an error."""
+    session.install("-e", f".{EXTRAS}", *group("docs"))
+    # -E: a page that did not change is read again, or its warnings would be seen once only.
+    session.run(
+        "sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html"
+    )
+
+
+@nox.session
+def bench(session: nox.Session) -> None:
+    """Run every benchmark in turn, quickly unless arguments are given."""
+    session.install("-e", f".{EXTRAS}")
+    # A module whose name starts with an underscore is shared by the benchmarks and is none itself.
+    scripts = sorted(path for path in Path("benchmarks").glob("*.py") if not path.name.startswith("_"))
+    if not scripts:
+        session.error("there is no benchmark in benchmarks/")
+    for script in scripts:
+        session.run("python", str(script), *(session.posargs or ["--quick"]))
+
+
+@nox.session
+def interop(session: nox.Session) -> None:
+    """Try the simulator with a client that other people wrote."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "interop"))
+    # urx calls Condition.notifyAll in its receiving threads, which as an error would end them.
+    session.run(
+        "pytest",
+        "-W",
+        "ignore:notifyAll:DeprecationWarning",
+        *(session.posargs or ["tests/interop"]),
+    )
+
+
+@nox.session
+def fuzz(session: nox.Session) -> None:
+    """Run the property tests with many more examples."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run(
+        "pytest",
+        "-m",
+        "property",
+        "--timeout=1800",
+        *(session.posargs or ["tests"]),
+        env={"HYPOTHESIS_PROFILE": "fuzz"},
+    )
+
+
+@nox.session(reuse_venv=False)
+def wheel(session: nox.Session) -> None:
+    """Run the tests against the wheel that users get."""
+    dist = Path(session.create_tmp()).resolve() / "dist"
+    session.install("build")
+    session.run("python", "-m", "build", "--wheel", "--outdir", str(dist))
+    (built,) = dist.glob("*.whl")
+    session.install(f"{built}{EXTRAS}", *group("tests"))
+    packages = sorted(path.parent.name for path in ROOT.glob("src/*/__init__.py"))
+    # From here src/ must be out of reach.
+    session.chdir(dist)
+    session.run(
+        "python",
+        "-c",
+        "import importlib, sys\n"
+        "for name in sys.argv[1:]:\n"
+        "    path = importlib.import_module(name).__file__\n"
+        "    assert path.startswith(sys.prefix), f'{name} comes from {path}, not from the wheel'",
+        *packages,
+    )
+    config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
+    session.run("pytest", *config, *(session.posargs or [str(ROOT / "tests")]))
