@@ -28,6 +28,7 @@ from urlink.models import Model
 
 from . import kinematics
 from .motion import Motion, Setpoint, brake
+from .twist import geometry, tool_speed
 
 __all__ = ["Arm", "Sample"]
 
@@ -67,7 +68,6 @@ class Sample:
         elbow_position, elbow_velocity: the end of the upper arm, m and m/s.
         accelerometer: m/s², in the frame of the tool.
         momentum: kg m/s, coarse.
-        dexterity: the square of the determinant of the flange's Jacobian, which is what three captures hold.
     """
 
     __slots__ = (
@@ -136,6 +136,7 @@ class Arm:
         self._motion = motion
         self._noise_table = _noise(seed)
         self._inertia = _inertia(model)
+        self._geometry = geometry(model)
         self._constants = _TORQUE_CONSTANTS.get(model.name, _TORQUE_CONSTANTS_LARGE)
         self._mass = float(model.link_masses.sum())
         self._setpoint = motion.advance(0.0)
@@ -144,6 +145,8 @@ class Arm:
         self._brake: tuple[Setpoint, float, float] | None = None
         load = kinematics.gravity_torque(model, self._setpoint.q).tolist()
         self._rise = [4.0 + 3.0 * math.sqrt(abs(m / k)) for m, k in zip(load, self._constants, strict=True)]
+        self._warmed_to = -1
+        self._warm: list[float] = []
         self._cycle = 0
         self._time = 0.0
         self._sample: Sample | None = None
@@ -266,17 +269,24 @@ class Arm:
 
         s.pose_target = kinematics.pose(model, q, tcp).tolist()
         s.pose_actual = kinematics.pose(model, s.q_actual, tcp).tolist()
-        s.speed_target = (kinematics.jacobian(model, q, tcp) @ qd).tolist() if moving else _ZERO
-        s.speed_actual = (kinematics.jacobian(model, s.q_actual, tcp) @ s.qd_actual).tolist() if moving else _ZERO
+        s.speed_target = tool_speed(self._geometry, q, qd, s.pose_target) if moving else _ZERO
+        s.speed_actual = tool_speed(self._geometry, s.q_actual, s.qd_actual, s.pose_actual) if moving else _ZERO
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
         s.elbow_position, s.elbow_velocity = _elbow(model, s.q_actual, s.qd_actual)
         s.accelerometer = [
             g + n for g, n in zip(_gravity_in_tool(s.pose_actual), self._noise(2, _NOISE_ACC)[:3], strict=True)
         ]
         self._load(s)
-        warm = 1.0 - math.exp(-self._time / _WARMING)
-        s.T_motor = [round(_AMBIENT + rise * warm, 1) for rise in self._rise]
+        s.T_motor = self._temperatures()
         return s
+
+    def _temperatures(self) -> list[float]:
+        second = int(self._time)
+        if second != self._warmed_to:
+            self._warmed_to = second
+            warm = 1.0 - math.exp(-second / _WARMING)
+            self._warm = [round(_AMBIENT + rise * warm, 1) for rise in self._rise]
+        return self._warm
 
     def _load(self, s: Sample) -> None:
         """Moments, currents, voltages and the force at the TCP."""

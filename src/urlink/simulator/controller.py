@@ -68,7 +68,7 @@ class Controller:
     the same for the same seed, to the last byte.
 
     Args:
-        model: name of the arm, such as `"UR5e"`.
+        model: name of the arm, such as `"UR10"`; None for a UR5e, or a UR5 where the firmware is older than 5.0.
         firmware: None for the newest that suits the model.
         host: address to listen on.
         ports: `"free"` for any that are free, `"standard"` for those of a real controller, or a mapping from names in
@@ -97,7 +97,7 @@ class Controller:
 
     def __init__(
         self,
-        model: str = "UR5e",
+        model: str | None = None,
         firmware: str | Firmware | None = None,
         *,
         host: str = "127.0.0.1",
@@ -107,6 +107,8 @@ class Controller:
         motion: Motion | None = None,
         output_limit: int = 1 << 20,
     ) -> None:
+        if model is None:
+            model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
         self.model = models.model(model)
         newest = NEWEST if self.model.generation == "e" else _NEWEST_CB3
         self.firmware = self.suited(newest if firmware is None else firmware)
@@ -155,7 +157,11 @@ class Controller:
         self._uptime = 0
         self._period = 1.0 / self.firmware.rate
         self.modes = Modes(self.firmware)
-        self.arm = Arm(self.model, self._motion or Demonstration(), self.seed)
+        motion = self._motion or Demonstration()
+        if self.cycle:
+            # The arm has not moved while the controller was down.
+            motion.start(self.arm.setpoint.q)
+        self.arm = Arm(self.model, motion, self.seed)
         self._packets = Packets(self)
         self._announced = self.modes.safety_mode
         self.modes.advance(0.0, self.arm.is_standing, self.arm.motion.is_program)

@@ -160,8 +160,8 @@ class Faults:
     def append(self, tail: bytes | int, port: str | None = None) -> None:
         """Let packets end in bytes that no known layout explains, as those of a newer release; until `heal`.
 
-        Real-time packets grow by the tail, robot states by one tail per sub-package, and their size fields tell. Messages
-        stay as they are.
+        Real-time packets grow by the tail, robot states by one tail per sub-package, and their size fields say so.
+        Messages stay as they are.
 
         Args:
             tail: the bytes, or how many random ones. A newer release appends whole cells of 8 bytes to a real-time

@@ -4,8 +4,9 @@ Numbers and names are in `urlink.schemas.enums`. How the modes hang together is 
 captures of standing robots; what is a guess says so here:
 
 - the times that powering on takes, and that a reboot is over with the arm running: guesses, made short for tests;
-- a protective stop pauses the program and leaves the motors on; an emergency stop stops the program and, once the arm
-  stands, takes the power away. The vendor documents both as stop categories 2 and 1;
+- a protective stop leaves the motors on; an emergency stop is a stop of category 1, which in the manual's words leaves
+  the motors "in a power off state with brakes engaged" once the arm stands. That the first pauses the program and the
+  second stops it is a guess;
 - the CB2 modes of the same events (security stopped, emergency stopped, no power) by their names in the vendor's list;
   that joints of a CB2 keep the mode RUNNING in a protective stop is a guess.
 """

@@ -8,6 +8,7 @@ worth sending and are counted instead.
 from __future__ import annotations
 
 import contextlib
+import select
 import selectors
 import socket
 import struct
@@ -16,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
 from linkcore.errors import BadAddress, LinkTimeout
@@ -40,6 +42,8 @@ PATIENCE = 5.0
 
 # Bytes that the kernel may hold for a client. Left to itself it grows to megabytes: seconds of old news.
 _KERNEL_BUFFER = 1 << 18
+# Descriptors that select takes.
+_SELECTABLE = 1024
 # Closing with this option set resets the connection.
 _RESET = struct.pack("ii", 1, 0)
 
@@ -59,6 +63,7 @@ class _Port:
         self.socket = self._bound(number)
         self.number: int = self.socket.getsockname()[1]
         self.is_listening = False
+        self.is_paused = False
 
     def _bound(self, number: int) -> socket.socket:
         listener = None
@@ -82,7 +87,7 @@ class _Port:
     def refuse(self) -> None:
         self.socket.close()
         self.socket = self._bound(self.number)
-        self.is_listening = False
+        self.is_listening = self.is_paused = False
 
 
 class _Client:
@@ -90,6 +95,7 @@ class _Client:
 
     def __init__(self, link: socket.socket, port: _Port) -> None:
         self.link = link
+        self.is_open = True
         self.port = port
         self.pending = bytearray()
         self.line = bytearray()
@@ -119,6 +125,10 @@ class Server:
         self._segments_seen = self._faults.segments_changed
         self._waker, self._woken = socket.socketpair()
         self._selector = selectors.DefaultSelector()
+        # The selector of Linux waits in whole milliseconds, too coarse for a cycle of two. But it is a descriptor
+        # itself, and select, which can be told microseconds, waits for it; unless it has a number too high for select.
+        fileno = getattr(self._selector, "fileno", int)()
+        self._select_from = (fileno,) if 0 < fileno < _SELECTABLE else None
         try:
             for name, number in ports.items():
                 self._ports.append(_Port(name, host, number))
@@ -169,7 +179,7 @@ class Server:
         self._wake()
         try:
             done.result(PATIENCE)
-        except TimeoutError:
+        except FutureTimeout:
             if done.done():
                 raise
             raise LinkTimeout("the simulated controller does not answer") from None
@@ -210,23 +220,23 @@ class Server:
                 if behind and self._of_interest(done):
                     self._counters.late += 1
                 self._emit(done)
-            if self._calls:
-                self._do_calls()
-            self._wait(epoch + self._next(done) / rate)
+            # What a call has changed shows in the very next cycle.
+            wake = done + 1 if self._do_calls() else self._next(done)
+            self._wait(epoch + wake / rate)
 
     def _of_interest(self, cycle: int) -> bool:
         return self._next(cycle - 1) == cycle
 
     def _next(self, done: int) -> int:
         """The next cycle in which something is to be done on time; the ones between are caught up then."""
-        if not self._controller.is_up or any(port.clients for port in self._of_kind["realtime"]):
+        if not self._controller.is_up or self._is_watched("realtime"):
             return done + 1
         rate = self._controller.firmware.rate
         return -(-(done * STATE_RATE // rate + 1) * rate // STATE_RATE)
 
-    def _emit(self, cycle: int) -> None:
-        """Send what this cycle has to send."""
-        controller, faults = self._controller, self._faults
+    def _settle(self) -> None:
+        """Bring ports and connections into the state that controller and faults ask for."""
+        faults = self._faults
         self._open_or_refuse()
         cuts = faults.take_cuts()
         if cuts:
@@ -236,20 +246,29 @@ class Server:
         if faults.segments_changed != self._segments_seen:
             self._segments_seen = faults.segments_changed
             self._segment_anew()
+
+    def _emit(self, cycle: int) -> None:
+        """Send what this cycle has to send."""
+        controller = self._controller
+        self._settle()
         if not controller.is_up:
             return
         for message in controller.take_messages():
             self._broadcast("primary", message)
-        realtime = self._of_kind["realtime"]
-        if any(port.clients for port in realtime):
+        if self._is_watched("realtime"):
             self._broadcast("realtime", controller.realtime_packet())
         rate = controller.firmware.rate
         if cycle * STATE_RATE // rate != (cycle - 1) * STATE_RATE // rate:
-            others = self._of_kind["primary"] + self._of_kind["secondary"]
-            if any(port.clients for port in others):
+            if self._is_watched("primary") or self._is_watched("secondary"):
                 state = controller.state_package()
                 self._broadcast("primary", state)
                 self._broadcast("secondary", state)
+
+    def _is_watched(self, kind: str) -> bool:
+        for port in self._of_kind[kind]:
+            if port.clients:
+                return True
+        return False
 
     def _broadcast(self, kind: str, packet: bytes) -> None:
         for port in self._of_kind[kind]:
@@ -264,6 +283,8 @@ class Server:
                             self._send(client, segment)
 
     def _send(self, client: _Client, data: bytes) -> None:
+        if not client.is_open:
+            return
         if not client.pending:
             try:
                 sent = client.link.send(data)
@@ -286,43 +307,52 @@ class Server:
     def _wait(self, deadline: float) -> None:
         """Serve sockets until the deadline, or until something was served."""
         remaining = deadline - time.monotonic()
-        # Selectors count in whole milliseconds and round up, too coarse for a cycle of two: the last part is slept.
-        whole = int(remaining * 1e3)
-        if whole >= 1:
-            events = self._selector.select(whole * 1e-3)
-        else:
+        if self._select_from is None:
+            # Whole milliseconds, rounded down: the selector would round up. The last part is slept.
+            whole = int(remaining * 1e3)
+            if whole >= 1:
+                events = self._selector.select(whole * 1e-3)
+            else:
+                events = self._selector.select(0)
+                if not events and remaining > 0.0:
+                    time.sleep(remaining)
+        elif select.select(self._select_from, (), (), max(remaining, 0.0))[0]:
             events = self._selector.select(0)
-            if not events and remaining > 0.0:
-                time.sleep(remaining)
+        else:
+            return
         for key, mask in events:
             what = key.data
             if what is None:
                 with contextlib.suppress(BlockingIOError):
                     self._woken.recv(4096)
             elif isinstance(what, _Port):
-                if what.is_listening:
-                    self._accept(what)
-            elif what in what.port.clients:
-                if mask & selectors.EVENT_WRITE:
+                self._accept(what)
+            else:
+                if mask & selectors.EVENT_WRITE and what.is_open:
                     self._flush(what)
-                if mask & selectors.EVENT_READ and what in what.port.clients:
+                if mask & selectors.EVENT_READ and what.is_open:
                     self._receive(what)
 
-    def _do_calls(self) -> None:
+    def _do_calls(self) -> bool:
+        """What other threads want done. True if there was anything."""
+        if not self._calls:
+            return False
         while self._calls:
             change, done = self._calls.popleft()
             try:
                 change()
+                self._settle()
             except Exception as error:
                 done.set_exception(error)
             else:
                 done.set_result(None)
+        return True
 
     def _accept(self, port: _Port) -> None:
         if self._faults.is_stalled(port.name):
-            # Connected but silent: the kernel has made the connection, and it waits. Without a pause the selector
-            # would report it over and over.
-            time.sleep(0.0005)
+            # Connected but silent: the kernel has made the connection, and there it waits.
+            self._selector.unregister(port.socket)
+            port.is_paused = True
             return
         try:
             link, _ = port.socket.accept()
@@ -337,11 +367,10 @@ class Server:
         self._counters.connections += 1
         self._selector.register(link, selectors.EVENT_READ, client)
         for package in self._controller.greeting(port.name):
-            if client in port.clients:
-                self._counters.sent += 1
-                data = self._faults.lasting(port.name, package)
-                for segment in [data] if client.segmenter is None else client.segmenter.put(data):
-                    self._send(client, segment)
+            self._counters.sent += 1
+            data = self._faults.lasting(port.name, package)
+            for segment in [data] if client.segmenter is None else client.segmenter.put(data):
+                self._send(client, segment)
 
     def _flush(self, client: _Client) -> None:
         try:
@@ -397,8 +426,12 @@ class Server:
                     self._selector.register(port.socket, selectors.EVENT_READ, port)
                 else:
                     self._end(port, reset=True)
-                    self._selector.unregister(port.socket)
+                    if not port.is_paused:
+                        self._selector.unregister(port.socket)
                     port.refuse()
+            elif port.is_paused and not self._faults.is_stalled(port.name):
+                port.is_paused = False
+                self._selector.register(port.socket, selectors.EVENT_READ, port)
 
     def _segment_anew(self) -> None:
         for port in self._ports:
@@ -409,6 +442,7 @@ class Server:
                     self._send(client, held)
 
     def _drop(self, client: _Client, reset: bool = False) -> None:
+        client.is_open = False
         client.port.clients.discard(client)
         self._selector.unregister(client.link)
         if reset:
