@@ -1,0 +1,65 @@
+"""Draw docs/images/monitor.svg: what `urlink monitor sim://` shows after a few seconds."""
+
+import argparse
+import itertools
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.terminal_theme import TerminalTheme
+
+import urlink
+from urlink.cli.monitor import watch
+from urlink.cli.picture import WIDTH, Picture
+
+_THEME = TerminalTheme(
+    background=(22, 27, 34),
+    foreground=(222, 228, 235),
+    normal=[
+        (36, 41, 47),
+        (248, 81, 73),
+        (63, 185, 80),
+        (210, 153, 34),
+        (88, 166, 255),
+        (188, 140, 255),
+        (57, 197, 207),
+        (222, 228, 235),
+    ],
+    bright=[(125, 133, 144)] * 8,
+)
+
+
+def main() -> None:
+    """Watch the simulator, and save the last glance."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "images" / "monitor.svg")
+    parser.add_argument("--address", default="sim://")
+    parser.add_argument("--interface", choices=("realtime", "primary"), default="realtime")
+    parser.add_argument("--seconds", type=float, default=6.0)
+    args = parser.parse_args()
+    with urlink.connect(args.address) as robot:
+        if robot.controller is not None:
+            # Something to see among the inputs and outputs.
+            for number in (0, 2, 9):
+                robot.controller.signals.set_digital_input(number, True)
+            for number in (1, 16):
+                robot.controller.signals.set_digital_output(number, True)
+        until = time.monotonic() + args.seconds
+        glances = watch(robot, args.interface)
+        glance = next(itertools.dropwhile(lambda _: time.monotonic() < until, _every(glances, 0.1)))
+        with open("/dev/null", "w") as nowhere:
+            console = Console(record=True, width=WIDTH, file=nowhere, force_terminal=True)
+            console.print(Picture(glance))
+    args.output.parent.mkdir(exist_ok=True)
+    title = f"urlink monitor {args.address}"
+    args.output.write_text(console.export_svg(title=title, theme=_THEME, unique_id="monitor"))
+
+
+def _every(items, seconds):  # type: ignore[no-untyped-def]
+    for item in items:
+        yield item
+        time.sleep(seconds)
+
+
+if __name__ == "__main__":
+    main()

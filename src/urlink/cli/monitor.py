@@ -1,0 +1,186 @@
+"""`urlink monitor`: watch a robot live."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from linkcore.errors import LinkError, LinkTimeout
+from linkcore.stream import ConnectionEvent, ConnectionState, Stream
+
+from ..robot import Robot, connect
+from ..schemas.robot_message import RobotMessage
+from .glance import Glance, Status, status_of
+from .interruption import Interruption
+from .options import Subparsers, add_address, add_command, add_interface, seconds
+from .plain import line
+from .reading import Reading, read
+
+__all__ = ["add_parser", "watch"]
+
+_DESCRIPTION = """\
+Watch a robot: joints, tool, modes, inputs and outputs, and how well its data comes in.
+
+On a terminal the view is painted ten times a second; elsewhere it is one line a second, as with --plain.
+When the connection is lost the view says LOST, shows the last values as old, and goes on as soon as the
+controller is back. The real-time interface shows tool speed and force 125 or 500 times a second; the
+primary interface ten times a second, with the analogue signals and the messages of the controller."""
+
+_EXAMPLES = (
+    "urlink monitor 192.168.56.101",
+    "urlink monitor 'sim://ur10?firmware=3.4' --interface primary",
+    "urlink monitor 'replay:///tmp/run.urlog?rate=2' --plain",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "monitor", "watch a robot live", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    add_interface(parser, ("realtime", "primary"))
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.add_argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Watch until the time is up, a recording is over, or Ctrl-C.
+
+    Raises:
+        RemoteError: nobody is there, or no state ever came.
+    """
+    with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
+        glances = watch(robot, args.interface)
+        next(glances)  # connects, so that what fails there is said before anything is painted
+        show, pause = _painter(args.plain)
+        until = None if args.duration is None else time.monotonic() + args.duration
+        with show as draw:
+            while True:
+                glance = next(glances)
+                over = glance.status is Status.ENDED or (until is not None and time.monotonic() >= until)
+                # A last look at the end, so that what stays on the screen is what was there.
+                draw(glance)
+                if over or interruption.wait(_next(pause, until)):
+                    break
+        interruption.raise_if_any()
+        if glance.reading is None:
+            raise LinkTimeout(
+                f"{args.address}: no state came"
+                + ("" if args.duration is None else f" within {args.duration:g} s")
+                + ("" if glance.trouble is None else f" ({glance.trouble})")
+            )
+    return 0
+
+
+def _next(pause: float, until: float | None) -> float:
+    return pause if until is None else max(min(pause, until - time.monotonic()), 0.0)
+
+
+def watch(robot: Robot, interface: str) -> Iterator[Glance]:
+    """A glance at the robot whenever one is asked for, without end.
+
+    Raises:
+        RemoteError: the first connection could not be made, or the stream gave up.
+    """
+    stream: Stream[Any] = robot.primary if interface == "primary" else robot.realtime
+    identity = _Name(robot)
+    troubles: list[str] = []
+    messages: list[str] = []
+
+    def on_connection(event: ConnectionEvent) -> None:
+        if event.error is not None:
+            troubles[:] = [str(event.error)]
+        elif event.state is ConnectionState.CONNECTED:
+            troubles.clear()
+
+    def on_message(message: RobotMessage) -> None:
+        messages[:] = [str(message)]
+
+    stream.subscribe(on_connection, ConnectionEvent)
+    if interface == "primary":
+        stream.subscribe(on_message, RobotMessage)
+    reading: Reading | None = None
+    since, counted = time.monotonic(), 0
+    while True:
+        if stream.failure is not None:
+            raise stream.failure
+        connection = stream.connection
+        state = stream.latest if connection is not ConnectionState.CLOSED else None
+        if state is not None:
+            reading = read(state)
+        stats = stream.stats
+        if connection is not ConnectionState.CONNECTED or stats.reconnects != counted:
+            since, counted = time.monotonic(), stats.reconnects
+        yield Glance(
+            robot=identity.after(stats.reconnects),
+            address=f"{robot.address} {interface}",
+            status=status_of(connection, state is not None, reading),
+            reading=reading,
+            stats=stats,
+            # Of less than a second no rate can be told.
+            rate=stats.rate if time.monotonic() - since > 1.1 else None,
+            trouble=next(iter(troubles), None),
+            message=next(iter(messages), None),
+        )
+
+
+class _Name:
+    """Model and firmware, asked for again in the background whenever the controller has come back."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._asked = 0
+        self._text = ""
+        self._ask()
+
+    def after(self, reconnects: int) -> str:
+        if reconnects != self._asked:
+            self._asked = reconnects
+            threading.Thread(target=self._ask, name="identity", daemon=True).start()
+        return self._text
+
+    def _ask(self) -> None:
+        with contextlib.suppress(LinkError):  # it has gone again: the next reconnect asks again
+            identity = self._robot.identity
+            self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
+
+
+_Draw = Callable[[Glance], None]
+
+
+def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], float]:
+    """What shows glances, and how many seconds apart."""
+    if plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
+        return _lines(), 1.0
+    try:
+        import rich  # noqa: F401
+    except ImportError:
+        print("urlink: plain lines, since rich is missing; pip install 'urlink[cli]' paints them", file=sys.stderr)
+        return _lines(), 1.0
+    return _pictures(), 0.1
+
+
+@contextlib.contextmanager
+def _lines() -> Iterator[_Draw]:
+    def draw(glance: Glance) -> None:
+        print(line(glance, time.strftime("%H:%M:%S")), flush=True)
+
+    yield draw
+
+
+@contextlib.contextmanager
+def _pictures() -> Iterator[_Draw]:
+    from rich.console import Console
+    from rich.live import Live
+
+    from .picture import Picture
+
+    # The last picture stays on the screen, where it can be read and copied.
+    with Live(console=Console(), auto_refresh=False, vertical_overflow="crop") as live:
+        yield lambda glance: live.update(Picture(glance), refresh=True)

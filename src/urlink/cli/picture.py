@@ -1,0 +1,227 @@
+"""The monitor as a picture: the only module that needs rich."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from rich import box
+from rich.console import Console, ConsoleOptions, Group, RenderResult
+from rich.panel import Panel
+from rich.rule import Rule
+from rich.table import Table
+from rich.text import Text
+
+from .glance import Glance, Status
+from .plain import age_text
+from .reading import Reading
+from .terminal import safe
+
+__all__ = ["WIDTH", "Picture"]
+
+#: Columns that the picture takes where there are as many.
+WIDTH = 100
+#: Columns below which the bars are left out.
+_NARROW = 92
+_JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
+_TURN = 2 * math.pi
+_BAR = 21
+
+_LABEL = "bright_black"
+_VALUE = "default"
+_STATUS = {
+    Status.CONNECTING: "black on yellow",
+    Status.WAITING: "black on yellow",
+    Status.CONNECTED: "bold black on green",
+    Status.SILENT: "bold black on yellow",
+    Status.LOST: "bold white on red",
+    Status.ENDED: "black on white",
+}
+_BORDER = {Status.CONNECTED: "cyan", Status.LOST: "red", Status.ENDED: "white"}
+_GOOD = {"RUNNING", "NORMAL", "PLAYING", "FREEDRIVE", "BACKDRIVE"}
+_CALM = {"IDLE", "STOPPED", "PAUSED", "PAUSING", "STOPPING", "RESUMING", "POWER_OFF", "POWER_ON", "BOOTING", "REDUCED"}
+_CALM |= {"READY", "INITIALIZING", "INITIALISATION", "NO_POWER", "DISCONNECTED", "POWERING_ON", "READY_FOR_POWER_OFF"}
+
+
+class Picture:
+    """A glance at the robot, as a rich renderable."""
+
+    def __init__(self, glance: Glance) -> None:
+        self._glance = glance
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        glance = self._glance
+        width = min(options.max_width, WIDTH)
+        border = _BORDER.get(glance.status, "yellow")
+        rows: list[Table | Text | Rule] = [self._header()]
+        if not glance.is_fresh:
+            rows.append(self._warning())
+        rows.append(Rule(style=border, characters="─"))
+        if glance.reading is not None:
+            rows += self._body(glance.reading, width >= _NARROW)
+        if glance.message is not None:
+            rows.append(_labelled("message", Text(safe(glance.message), _VALUE, overflow="ellipsis", no_wrap=True)))
+        title = Text.assemble((f" {safe(glance.robot)} ", "bold"), (f" {safe(glance.address)} ", _LABEL))
+        yield Panel(
+            Group(*rows), title=title, title_align="left", border_style=border, box=box.ROUNDED, width=width
+        )
+
+    def _header(self) -> Table:
+        glance, stats = self._glance, self._glance.stats
+        left = Text.assemble((f" {glance.status.value} ", _STATUS[glance.status]))
+        if glance.is_fresh and glance.reading is not None:
+            left.append("  – Hz" if glance.rate is None else f"  {glance.rate:.1f} Hz", "bold")
+            left.append("  age ", _LABEL).append(age_text(glance.reading.age))
+        right = Text()
+        counters = (
+            ("received", stats.received),
+            ("dropped", stats.dropped),
+            ("failed", stats.failed),
+            ("reconnects", stats.reconnects),
+        )
+        for name, count in counters:
+            right.append(f"  {name} ", _LABEL).append(f"{count}", "bold yellow" if count and name != "received" else "")
+        row = Table.grid(expand=True)
+        row.add_column()
+        row.add_column(justify="right")
+        row.add_row(left, right)
+        return row
+
+    def _warning(self) -> Text:
+        glance = self._glance
+        if glance.status is Status.ENDED:
+            text = "the recording is over; these are its last values"
+        elif glance.reading is None:
+            text = "no state has come yet"
+        else:
+            text = f"OLD DATA: what is shown is {age_text(glance.reading.age)} old"
+        if glance.trouble is not None and glance.status is not Status.ENDED:
+            text += f" ({safe(glance.trouble)})"
+        return Text(text, "bold red" if glance.status is Status.LOST else "bold yellow", overflow="fold")
+
+    def _body(self, reading: Reading, has_room: bool) -> list[Table | Text | Rule]:
+        # Old values are dim from end to end, whatever they say.
+        shade: Callable[[str], str] = (lambda style: style) if self._glance.is_fresh else (lambda style: "dim")
+        rows: list[Table | Text | Rule] = []
+        if reading.q is not None:
+            rows += [_joints(reading, has_room, shade), Text()]
+        if reading.pose is not None or reading.force is not None:
+            rows += [_tool(reading, shade), Text()]
+        rows.append(_labelled("modes", _modes(reading, shade)))
+        if reading.digital_inputs is not None:
+            rows.append(_labelled("inputs", _bits(reading.digital_inputs, shade)))
+        if reading.digital_outputs is not None:
+            rows.append(_labelled("outputs", _bits(reading.digital_outputs, shade)))
+        if reading.analog:
+            analog = Text(no_wrap=True, overflow="ellipsis")
+            for one in reading.analog:
+                analog.append(f"{one.name} ", _LABEL).append(f"{one.value:.2f} {one.unit}   ", shade(_VALUE))
+            rows.append(_labelled("analog", analog))
+        return rows
+
+
+def _labelled(label: str, text: Text) -> Table:
+    row = Table.grid(padding=(0, 1), expand=True)
+    row.add_column(width=9, style=_LABEL)
+    row.add_column(ratio=1)
+    row.add_row(label, text)
+    return row
+
+
+def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Table:
+    assert reading.q is not None
+    table = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style=_LABEL)
+    table.add_column("joint", width=9, style=_LABEL)
+    if has_room:
+        table.add_column(_scale(), width=_BAR)
+    for name in ("q deg", "q rad", "qd rad/s", "I A", "T °C"):
+        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True)
+    table.add_column("  mode", no_wrap=True)
+    for number, q in enumerate(reading.q):
+        mode = "" if reading.joint_modes is None else reading.joint_modes[number]
+        row: list[Text | str] = [_JOINTS[number] if number < len(_JOINTS) else str(number)]
+        if has_room:
+            row.append(_bar(q, shade))
+        row += [
+            Text(f"{math.degrees(q):9.2f}", shade("bold")),
+            f"{q:8.4f}",
+            _number(reading.qd, number, 8, 3),
+            _number(reading.currents, number, 7, 2),
+            _number(reading.temperatures, number, 6, 1),
+            Text("  " + safe(mode), shade(_mood(mode))) if mode else Text("  –", _LABEL),
+        ]
+        table.add_row(*row)
+    return table
+
+
+def _scale() -> Text:
+    return Text("-360°" + "0".center(_BAR - 10) + "+360°", _LABEL)
+
+
+def _bar(q: float, shade: Callable[[str], str]) -> Text:
+    """Where the joint stands between minus and plus one turn."""
+    middle = _BAR // 2
+    bar = list("─" * _BAR)
+    bar[middle] = "┼"
+    text = Text("".join(bar), "bright_black")
+    if math.isfinite(q):
+        at = round(min(max(q / _TURN, -1.0), 1.0) * middle) + middle
+        text = Text.assemble((text.plain[:at], _LABEL), ("●", shade("bold cyan")), (text.plain[at + 1 :], _LABEL))
+    return text
+
+
+def _tool(reading: Reading, shade: Callable[[str], str]) -> Table:
+    table = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style=_LABEL)
+    table.add_column("tool", width=9, style=_LABEL)
+    for name in ("x", "y", "z"):
+        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True)
+    table.add_column("", width=5, style=_LABEL)
+    for name in ("rx", "ry", "rz"):
+        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True)
+    table.add_column("", width=6, style=_LABEL)
+    lines = (
+        ("pose", reading.pose, ("m", "rad"), 4),
+        ("speed", reading.speed, ("m/s", "rad/s"), 3),
+        ("force", reading.force, ("N", "Nm"), 2),
+    )
+    for name, vector, units, digits in lines:
+        if vector is not None:
+            cells = [f"{value:.{digits}f}" for value in vector]
+            table.add_row(name, *cells[:3], units[0], *cells[3:], units[1])
+    return table
+
+
+def _number(vector: Sequence[float] | None, number: int, width: int, digits: int) -> str:
+    return "–" if vector is None else f"{vector[number]:{width}.{digits}f}"
+
+
+def _modes(reading: Reading, shade: Callable[[str], str]) -> Text:
+    text = Text(overflow="ellipsis", no_wrap=True)
+    for name, mode in (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program)):
+        text.append(f"{name} ", _LABEL)
+        if mode is None:
+            text.append("–   ", _LABEL)
+        else:
+            text.append(safe(mode), shade(_mood(mode))).append("   ")
+    if reading.speed_scaling is not None:
+        text.append("speed ", _LABEL).append(f"{reading.speed_scaling:.0%}", shade(_VALUE))
+    return text
+
+
+def _mood(mode: str) -> str:
+    if mode in _GOOD:
+        return "green"
+    return "yellow" if mode in _CALM else "bold white on red"
+
+
+def _bits(mask: int, shade: Callable[[str], str]) -> Text:
+    text = Text(no_wrap=True)
+    for name, first, count in (("0-7", 0, 8), ("8-15", 8, 8), ("16-17", 16, 2)):
+        text.append(f"{name} ", _LABEL)
+        for number in range(first, first + count):
+            on = bool(mask >> number & 1)
+            text.append("●" if on else "○", shade("bold green") if on else _LABEL)
+        text.append("   ")
+    if mask >> 18:
+        text.append(f"and {mask >> 18 << 18:#x}", shade(_VALUE))
+    return text

@@ -1,0 +1,44 @@
+"""The monitor as a line of text, where there is no terminal to paint on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .glance import Glance, Status
+from .terminal import safe
+
+__all__ = ["age_text", "line"]
+
+
+def line(glance: Glance, clock: str) -> str:
+    """One line with the values that matter most; old values say that they are old."""
+    parts = [f"{clock} {glance.status.value}", safe(glance.robot)]
+    reading, stats = glance.reading, glance.stats
+    if glance.status is Status.CONNECTED:
+        parts.append("- Hz" if glance.rate is None else f"{glance.rate:.1f} Hz")
+    elif glance.trouble is not None and glance.status is not Status.ENDED:
+        parts.append(safe(glance.trouble))
+    if reading is None:
+        parts.append("no state yet")
+    else:
+        parts.append(f"age {age_text(reading.age)}" if glance.is_fresh else f"OLD DATA, {age_text(reading.age)}")
+        if reading.q is not None:
+            parts.append(f"q {_vector([math.degrees(value) for value in reading.q], 1)} deg")
+        if reading.pose is not None:
+            parts.append(f"tool {_vector(reading.pose[:3], 3)} m")
+        modes = (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program))
+        parts += [f"{name} {safe(mode)}" for name, mode in modes if mode is not None]
+    counters = f"received {stats.received} dropped {stats.dropped} failed {stats.failed} reconnects {stats.reconnects}"
+    return " | ".join([*parts, counters])
+
+
+def age_text(seconds: float) -> str:
+    """An age, short: ``2 ms``, ``3.4 s``, ``12 min``."""
+    if seconds < 1.0:
+        return f"{seconds * 1000:.0f} ms"
+    return f"{seconds:.1f} s" if seconds < 600.0 else f"{seconds / 60:.0f} min"
+
+
+def _vector(values: Sequence[float], digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)
