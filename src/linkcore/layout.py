@@ -79,6 +79,8 @@ class Place:
         #: struct's letter, or None for bytes of no fixed number.
         self.code: str | None = inner.fmtstr[-1] if isinstance(inner, construct.FormatField) else None
         self.width = inner.sizeof() if self.code is not None else 0
+        #: numpy's name of one element, such as "f8". struct's letters will not do: numpy's "L" has 8 bytes on Linux.
+        self.kind = "" if self.code is None else f"{_numpy_kind(self.code)}{self.width}"
         # Filled in by the layout, which alone knows the neighbours.
         self.offset = 0
         self.stride = self.width
@@ -120,7 +122,8 @@ class Place:
             read = element.read
             return lambda values: read(values[at])
         if element is None:
-            native = np.dtype(self.code)
+            # Floats of four bytes too are handed out as float64; that is exact.
+            native = _NATIVE_DOUBLE if self.kind[0] == "f" else np.dtype(self.kind)
 
             def read_vector(values: tuple[Any, ...]) -> Any:
                 vector = np.array(values[at], native)
@@ -265,6 +268,27 @@ class Layout:
             return state
 
         return decode
+
+    def decode_all(self, packets: Sequence[bytes], stamp: Stamp | None = None) -> list[Any]:
+        """The states of many packets of the same length, swapped at once: for a reader that fell behind.
+
+        Only for layouts `of_cells`. The states share one array, which lives as long as one of them.
+        """
+        start, size = int(self.header.sizeof()), len(packets[0])
+        count = (self.size - start) // 8
+        record = np.dtype({"names": ["cells"], "formats": [(">f8", count)], "offsets": [start], "itemsize": size})
+        table = np.frombuffer(b"".join(packets), record)["cells"].astype(_NATIVE_DOUBLE)
+        table.setflags(write=False)
+        packet, new = self.packet, object.__new__
+        states = []
+        for data, cells in zip(packets, table, strict=True):
+            state = new(packet)
+            state._data = data
+            state._layout = self
+            state._stamp = stamp
+            state._values = cells
+            states.append(state)
+        return states
 
     def _struct_decoder(self) -> Callable[..., Any]:
         """Mixed widths: one precompiled struct for the whole packet."""
@@ -455,9 +479,9 @@ class Layout:
                 place = run[0]
                 shape = () if place.count is None else (place.count,)
                 names.append(place.wire.name)
-                formats.append(np.dtype((f">{place.code}", shape)))
+                formats.append(np.dtype((f">{place.kind}", shape)))
             else:
-                element = np.dtype([(place.wire.name, f">{place.code}") for place in run])
+                element = np.dtype([(place.wire.name, f">{place.kind}") for place in run])
                 names.append(key)
                 formats.append(np.dtype((element, (run[0].count,))))
             offsets.append(run[0].offset)
@@ -498,6 +522,10 @@ class Layout:
                 value = getattr(state, place.wire.name)[number]
                 name = f"{place.wire.name}[{number}]"
                 yield Row(start, data[start : start + place.width], name, value, place.wire.unit, place.wire.doc)
+
+
+def _numpy_kind(code: str) -> str:
+    return "f" if code in "fd" else "u" if code.isupper() else "i"
 
 
 def _not_sent(values: Any) -> None:
