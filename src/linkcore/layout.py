@@ -334,7 +334,7 @@ class Layout:
             if place.code is not None:
                 count = place.count or 1
                 offset += place.width * count
-                self._fits(place, offset, data)
+                self._fits(place, start, offset, data)
                 yield place, start, offset, list(struct.unpack_from(f">{count}{place.code}", data, start))
                 continue
             shape = place.element
@@ -343,9 +343,9 @@ class Layout:
                 text, offset = start, len(data)
             else:
                 text = start + int(shape.prefix.sizeof())
-                self._fits(place, text, data)
+                self._fits(place, start, text, data)
                 offset = text + int(shape.prefix.parse(data[start:text]))
-                self._fits(place, offset, data)
+                self._fits(place, start, offset, data)
             if offset - text < shape.least:
                 raise PacketError(
                     f"{place.wire.name} is too short",
@@ -356,14 +356,14 @@ class Layout:
                 )
             yield place, start, offset, [data[text:offset]]
 
-    def _fits(self, place: Place, end: int, data: bytes) -> None:
+    def _fits(self, place: Place, start: int, end: int, data: bytes) -> None:
         if end > len(data):
             raise PacketError(
                 f"{place.wire.name} runs past the end of the packet",
                 packet=self.packet.__name__,
                 expected=end,
                 actual=len(data),
-                offset=place.offset,
+                offset=start,
             )
 
     def end(self, data: bytes) -> int:
@@ -399,18 +399,23 @@ class Layout:
             place = self.places.get(name)
             if place is None:
                 continue
-            if place.code == "Q":
-                try:
-                    cells.view(np.uint64)[place.at] = value
-                except (TypeError, ValueError, OverflowError) as error:
-                    raise BadValue(f"{name}: {value!r} cannot be sent ({error})") from None
-            elif place.count is None:
-                cells[place.at] = place.raw(value)[0]
-            else:
-                vector = np.asarray(value, np.float64)
-                if vector.shape != (place.count,):
-                    raise BadValue(f"{name}: expected {place.count} elements, got {value!r}")
-                cells[place.at] = vector
+            try:
+                if place.code == "Q":
+                    mask = place.raw(value)[0]
+                    if not 0 <= mask < 1 << 64:
+                        raise OverflowError("a mask has 64 bits")
+                    cells.view(np.uint64)[place.at] = mask
+                elif place.count is None:
+                    cells[place.at] = place.raw(value)[0]
+                else:
+                    vector = np.asarray(value, np.float64)
+                    if vector.shape != (place.count,):
+                        raise BadValue(f"{name}: expected {place.count} elements, got {value!r}")
+                    cells[place.at] = vector
+            except BadValue:
+                raise
+            except (TypeError, ValueError, OverflowError) as error:
+                raise BadValue(f"{name}: {value!r} cannot be sent ({error})") from None
         return bytes(cells.astype(_WIRE_DOUBLE).tobytes())
 
     def _encode_runs(self, values: Mapping[str, Any]) -> bytes:
