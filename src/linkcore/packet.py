@@ -258,7 +258,8 @@ class Layouts:
 
         An exact size wins, then the longest that fits: what is left over is the tail. With a
         version, its own layout is the least that will do, and only layouts that extend it come
-        into question, since a newer release appends.
+        into question, since a newer release appends. Where a release took fields away, its first
+        builds may still send them: an exact size of the same generation will do, if it is larger.
 
         Raises:
             PacketError: the packet is shorter than its version's layout, or than any.
@@ -280,7 +281,10 @@ class Layouts:
                 own.append(self.of(version, dict.fromkeys(self.blocks, True)))
             least = own[0].size
             candidates = [
-                layout for layout in candidates if any(layout.fields[: len(mine.fields)] == mine.fields for mine in own)
+                layout
+                for layout in candidates
+                if any(layout.fields[: len(mine.fields)] == mine.fields for mine in own)
+                or (layout.first[0] == version[0] and layout.size == size > least and not layout.has_text)
             ]
         fits = [layout for layout in candidates if layout.size <= size]
         if not fits:
