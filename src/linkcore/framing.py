@@ -24,8 +24,11 @@ class Border(Protocol):
     def size_at(self, buffer: bytes, at: int) -> int:
         """Size of the packet whose header begins at `at`, or 0 if no packet can begin there."""
 
-    def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
-        """Whether the whole packet at `at` cannot be one, so that its size is not to be trusted."""
+    def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
+        """Whether the whole packet at `at` cannot be one, so that its size is not to be trusted.
+
+        None if the header that follows it is needed to tell, and has not come.
+        """
 
     def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
         """First place from `start` on where a packet begins, and whether that is certain.
@@ -89,7 +92,10 @@ class Framer:
                 continue
             if at + size > end:
                 break
-            if border.is_broken(buffer, at, size):
+            broken = border.is_broken(buffer, at, size)
+            if broken is None:
+                break
+            if broken:
                 # Its size may be a lie that swallows good packets: look inside it for the next.
                 self._lose(buffer, at)
                 at += 1

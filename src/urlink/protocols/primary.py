@@ -20,7 +20,7 @@ from linkcore.version import Version
 
 from ..firmware import Firmware
 from ..schemas.enums import PackageType
-from ..schemas.headers import PACKAGE_SIZES, REALTIME_SIZES
+from ..schemas.headers import DASHBOARD_GREETING, PACKAGE_SIZES, REALTIME_SIZES
 from ..schemas.robot_message import MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
 from ..schemas.robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
@@ -31,8 +31,8 @@ _MESSAGE_HEAD = 15  # size, type, timestamp, source, message type
 # While looking for a border: larger ones are not believed.
 _LARGEST_BELIEVED = 8192
 _KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
-# A robot state or a robot message of a believable size.
-_CANDIDATE = re.compile(rb"\x00\x00..[\x10\x14]", re.DOTALL)
+# A robot state or a robot message of a believable size. It looks ahead, since candidates may overlap.
+_CANDIDATE = re.compile(rb"(?=\x00\x00..[\x10\x14])", re.DOTALL)
 
 
 class PackageBorder:
@@ -59,16 +59,14 @@ class PackageBorder:
         self._in_step = True
         return int(size)
 
-    def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
+    def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         kind = buffer[at + 4]
         if kind == PackageType.ROBOT_STATE and not _is_chain(buffer, at, size):
             # If a package follows where this one says it ends, it is the inside that is damaged.
-            return not self._is_header(buffer, at + size)
+            return None if at + size + 5 > len(buffer) else not self._is_header(buffer, at + size)
         return kind == PackageType.ROBOT_MESSAGE and size < _MESSAGE_HEAD
 
     def _is_header(self, buffer: bytes, at: int) -> bool:
-        if at + 5 > len(buffer):
-            return False
         size, kind = _HEAD.unpack_from(buffer, at)
         return size in PACKAGE_SIZES and kind in _KNOWN_TYPES
 
@@ -93,7 +91,7 @@ class PackageBorder:
         return max(start, end - 4), False
 
     def peer(self, buffer: bytes) -> str | None:
-        if buffer.startswith(b"Connected: Universal"):
+        if DASHBOARD_GREETING.startswith(buffer[: len(DASHBOARD_GREETING)]):
             return "the dashboard server (port 29999)"
         size = int.from_bytes(buffer[:4], "big")
         if size in REALTIME_SIZES and size % 8 == 4:

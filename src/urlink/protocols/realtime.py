@@ -8,12 +8,13 @@ that the CB2 simulator leaks into the stream. Source: reference ur-realtime, sec
 from __future__ import annotations
 
 import re
+import struct
 
 from linkcore.framing import Framer
 from linkcore.stamp import Stamp
 from linkcore.version import Version
 
-from ..schemas.headers import PACKAGE_SIZES, REALTIME_SIZES
+from ..schemas.headers import DASHBOARD_GREETING, PACKAGE_SIZES, REALTIME_SIZES
 from ..schemas.realtime import RealtimeState
 
 __all__ = ["RealtimeBorder", "RealtimeProtocol"]
@@ -24,10 +25,19 @@ _HEADER = re.compile(
     rb"\x84\x8c\x94\x9c\xa4\xac\xb4\xbc\xc4\xcc\xd4\xdc\xe4\xec\xf4\xfc]",
     re.DOTALL,
 )
+_TIME = struct.Struct(">4xd")
+# Seconds that the controller's clock may have gone on while the border was lost.
+_LONGEST_LOSS = 60.0
+# Types of the packages that leak into the stream, and of those around them.
+_LEAKING = b"\x05\x10\x14"
 
 
 class RealtimeBorder:
-    """Borders of the real-time stream. Learns the size of the connection's packets."""
+    """Borders of the real-time stream. Learns the size of the connection's packets.
+
+    The size alone is no proof when looking for a lost border: integer-coded digital bits can spell
+    it, in every packet anew. What is believed goes on in time, or is followed by the next packet.
+    """
 
     # One byte more than the size: it tells another interface from this one.
     header = 5
@@ -35,6 +45,7 @@ class RealtimeBorder:
 
     def __init__(self) -> None:
         self.size = 0
+        self._time: float | None = None
 
     def __str__(self) -> str:
         return "the real-time interface"
@@ -49,26 +60,42 @@ class RealtimeBorder:
         return size
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
+        # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
+        if self._time is None and buffer[at + 4] == 0x10:
+            return int.from_bytes(buffer[at + 5 : at + 9], "big") <= size - 5
+        (self._time,) = _TIME.unpack_from(buffer, at)
         return False
 
     def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
         for match in _HEADER.finditer(buffer, start):
             at = match.start()
             size = int.from_bytes(match[0], "big")
-            if size == self.size:
-                return at, True
             if size not in REALTIME_SIZES:
                 continue
-            if at + size + 4 > len(buffer):
+            if self._goes_on(buffer, at):
+                return at, True
+            end = at + size
+            # Better than a place that is followed by a header is one inside it that goes on in time.
+            for inner in _HEADER.finditer(buffer, at + 1, end):
+                if self._goes_on(buffer, inner.start()):
+                    return inner.start(), True
+            if end + 5 > len(buffer):
                 return at, False
-            # Not the size this connection had so far: true if the next packet has it too.
-            if buffer.startswith(match[0], at + size):
+            leak = buffer[end : end + 2] == b"\x00\x00" and buffer[end + 4] in _LEAKING
+            if buffer.startswith(match[0], end) or (size == self.size and leak):
                 self.size = size
                 return at, True
         return max(start, len(buffer) - 3), False
 
+    def _goes_on(self, buffer: bytes, at: int) -> bool:
+        """Whether the packet at `at` has the connection's size and a time that follows the last one."""
+        if self._time is None or at + 12 > len(buffer) or int.from_bytes(buffer[at : at + 4], "big") != self.size:
+            return False
+        (time,) = _TIME.unpack_from(buffer, at)
+        return bool(self._time <= time <= self._time + _LONGEST_LOSS)
+
     def peer(self, buffer: bytes) -> str | None:
-        if buffer.startswith(b"Connected: Universal"):
+        if DASHBOARD_GREETING.startswith(buffer[: len(DASHBOARD_GREETING)]):
             return "the dashboard server (port 29999)"
         # As a real-time packet, byte 4 would be the top of a time: 0x00 or 0x3f and up.
         if int.from_bytes(buffer[:4], "big") in PACKAGE_SIZES and buffer[4:5] in (b"\x10", b"\x14"):
