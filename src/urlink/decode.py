@@ -57,12 +57,14 @@ def decode(
         version = Firmware.parse(firmware)
         release_of(version)
     data = bytes(data)
-    border = RealtimeBorder() if interface == "realtime" else PackageBorder()
+    border: RealtimeBorder | PackageBorder = PackageBorder()
     name = "RealtimeState" if interface == "realtime" else "package"
     decoder = PackageDecoder(version)
     states: list[State] = []
     at = 0
     while at < len(data):
+        if interface == "realtime":
+            border = RealtimeBorder()  # it learns one length, as one connection has; here there may be several
         if len(data) - at < border.header:
             raise _cut_off(name, version, border.header, len(data) - at, at)
         size = border.size_at(data, at)

@@ -75,8 +75,9 @@ class RealtimeBorder:
             if self._goes_on(buffer, at):
                 return at, True
             end = at + size
-            # Better than a place that is followed by a header is one inside it that goes on in time.
-            for inner in _HEADER.finditer(buffer, at + 1, end):
+            # Better than a place that is followed by a header is one inside it that goes on in time;
+            # as far as its time has come when the end can be judged, so that chunks make no difference.
+            for inner in _HEADER.finditer(buffer, at + 1, end - 3):
                 if self._goes_on(buffer, inner.start()):
                     return inner.start(), True
             if end + 5 > len(buffer):
