@@ -6,6 +6,8 @@ the new layout leaves too few bytes for its text, the old one is meant.
 
 from __future__ import annotations
 
+from typing import Any
+
 from construct import Float64b, Int8sb, Int8ub, Int16ub, Int32sb, Int32ub, Int64ub
 
 from linkcore.packet import State, Vector, packet, wire
@@ -200,6 +202,15 @@ class OtherPackage(State):
         """The type byte."""
         code = self._data[4]
         return PackageType(code if code < 255 else -1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The type and the payload."""
+        return {"type": self.type.name, **State.to_dict(self)}
+
+    def __str__(self) -> str:
+        return f"OtherPackage(type={self.type.name}, payload={self._data[5:]!r})"
+
+    __repr__ = __str__
 
 
 #: sub-type byte of a robot message -> class

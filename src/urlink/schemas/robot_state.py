@@ -7,10 +7,11 @@ recognised by type, their layout by size, since sizes grew from release to relea
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Generic, TypeVar, overload
+from typing import Any, Generic, NoReturn, TypeVar, overload
 
 from construct import Float32b, Float64b, Int8ub, Int16sb, Int16ub, Int32sb, Int32ub, Int64ub
 
+from linkcore.errors import BadValue
 from linkcore.packet import IntVector, State, Vector, packet, wire
 from linkcore.shapes import Coded, Raw
 from linkcore.stamp import Stamp
@@ -311,6 +312,15 @@ class UnknownSubPackage(SubPackage):
         """The type byte."""
         return self._data[4]
 
+    def to_dict(self) -> dict[str, Any]:
+        """The type byte and the payload."""
+        return {"type": self.type, **SubPackage.to_dict(self)}
+
+    def __str__(self) -> str:
+        return f"UnknownSubPackage(type={self.type}, payload={self._data[5:]!r})"
+
+    __repr__ = __str__
+
 
 #: type byte -> class; where a number had two meanings, the size decides.
 SUB_PACKAGES: dict[int, tuple[type[SubPackage], ...]] = {
@@ -420,9 +430,18 @@ class RobotState(State):
     def __reduce__(self) -> tuple[object, ...]:
         return (RobotState.of, (self._data, self._values, self._stamp))
 
+    @classmethod
+    def dtype(cls, version: object = None) -> NoReturn:
+        """There is none: which sub-packages there are varies.
+
+        Raises:
+            BadValue: always.
+        """
+        raise BadValue("the sub-packages of RobotState vary, so it has no numpy dtype; each of them has its own")
+
     def to_dict(self) -> dict[str, Any]:
-        """Name of each sub-package -> its `to_dict()`."""
-        return {snake_case(type(package).__name__): package.to_dict() for package in self.packages}
+        """Name of each sub-package -> its `to_dict()`; an unknown one has its type in its name."""
+        return {_key(package): package.to_dict() for package in self.packages}
 
     def __str__(self) -> str:
         return f"RobotState({', '.join(map(str, self.packages))})"
@@ -431,6 +450,11 @@ class RobotState(State):
 
     def _repr_html_(self) -> str:
         return "".join(package._repr_html_() for package in self.packages)
+
+
+def _key(package: SubPackage) -> str:
+    name = snake_case(type(package).__name__)
+    return f"{name}_{package.type}" if isinstance(package, UnknownSubPackage) else name
 
 
 def snake_case(name: str) -> str:
