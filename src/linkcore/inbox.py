@@ -33,9 +33,9 @@ class Inbox:
         wants: Callable[[Any], bool] | None = None,
         lost: Callable[[Any], None] | None = None,
     ) -> None:
-        self.policy = policy
+        self._limit = policy.limit
+        self._evicts = policy.evicts
         self.received = 0
-        self.taken = 0
         self.dropped = 0
         #: No more will come: what waits can still be taken.
         self.ended = False
@@ -67,12 +67,11 @@ class Inbox:
         if self.closed:
             return
         self.received += len(items)
-        queue, limit = self._queue, self.policy.limit
-        if self.policy.evicts:
+        queue, limit = self._queue, self._limit
+        if self._evicts:
             queue.extend(items)
             while len(queue) > limit:
                 self._drop_one()
-            self._signal(self._filled)
         else:
             for item in items:
                 while len(queue) >= limit and not self.closed:
@@ -82,8 +81,9 @@ class Inbox:
                     self._room.acquire(timeout=0.05)
                 queue.append(item)
             self._blocked = False
-            self._signal(self._filled)
         self._drop_if_closed()
+        # Last of all: the consumer wants the interpreter now, and the reader is about to let go of it.
+        self._signal(self._filled)
 
     def end(self) -> None:
         """No more will come."""
@@ -94,17 +94,20 @@ class Inbox:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until something may be there, or the inbox has ended; False when time is up."""
-        return self._filled.acquire(timeout=-1 if timeout is None else max(timeout, 0.0))
+        if timeout is None:
+            return self._filled.acquire()
+        return self._filled.acquire(timeout=max(timeout, 0.0))
 
     def take(self) -> Any | None:
         """The oldest packet that waits, or None."""
+        if not self._queue:
+            return None
         try:
             item = self._queue.popleft()
-        except IndexError:
+        except IndexError:  # evicted this very moment
             return None
-        self.taken += 1
-        if self._blocked:
-            self._signal(self._room)
+        if self._blocked and len(self._queue) <= self._limit // 2:
+            self._signal(self._room)  # not for each one: the two threads would take turns
         return item
 
     def next(self, timeout: float | None = None) -> Any | None:

@@ -204,7 +204,8 @@ class Layouts:
         self.cls = cls
         self._reorder = reorder
         self._of: dict[tuple[Version, bool], Layout] = {}
-        self._chosen: dict[tuple[int, Version | None], list[Layout]] = {}
+        # (size, version) -> decoder, where these two alone decide
+        self._decoders: dict[tuple[int, Version | None], Callable[..., Any]] = {}
         self.blocks = {wire.block for wire in cls.FIELDS.values() if wire.block is not None}
         known: dict[Any, Layout] = {}
         for version in self._borders():
@@ -264,15 +265,6 @@ class Layouts:
         Raises:
             PacketError: the packet is shorter than its version's layout, or than any.
         """
-        key = (size, version)
-        chosen = self._chosen.get(key)
-        if chosen is None:
-            chosen = self._fitting(size, version)
-            if len(self._chosen) < 256:  # lengths come from the wire: keep no more than a few
-                self._chosen[key] = chosen
-        return chosen
-
-    def _fitting(self, size: int, version: Version | None) -> list[Layout]:
         candidates = list(self.all)
         least = min(layout.size for layout in candidates)
         if version is not None:
@@ -304,9 +296,15 @@ class Layouts:
         Raises:
             PacketError: no layout holds it.
         """
+        key = (len(data), version)
+        decode = self._decoders.get(key)
+        if decode is not None:
+            return decode(data, stamp)
         fits = self.fitting(len(data), version)
         best = fits[0]
-        if best.size == len(data) or len(fits) == 1 or not (best.has_text or self.blocks):
+        if (best.size == len(data) or not self.blocks) and not best.has_text:
+            if len(self._decoders) < 256:  # lengths come from the wire: keep no more than a few
+                self._decoders[key] = best.decode
             return best.decode(data, stamp)
         failure: PacketError | None = None
         for layout in fits:

@@ -10,9 +10,8 @@ from typing import Any
 from .errors import LinkTimeout
 from .policy import block
 from .recording import Kind, RecordingWriter
-from .stream import ConnectionEvent, Stream, Traffic
+from .stream import Chunk, ConnectionEvent, Stream, Traffic
 from .subscription import Subscription
-from .transport import Chunk
 
 __all__ = ["Recorder"]
 
@@ -46,7 +45,7 @@ class Recorder:
 
         def write(item: Chunk | ConnectionEvent) -> None:
             if isinstance(item, Chunk):
-                writer.write(Kind.BYTES, channel, item.stamp, item.data)
+                writer.write(Kind.BYTES, channel, item.received, item.data)
             else:
                 error = None if item.error is None else str(item.error)
                 event = json.dumps({"state": item.state.value, "error": error}).encode()

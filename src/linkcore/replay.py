@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from .errors import BadValue, ConnectionLost
 from .recording import Kind, Record, Recording
 from .stamp import Stamp
-from .transport import Chunk, Finished
+from .transport import Finished
 
 __all__ = ["ReplayClock", "ReplayTransport"]
 
@@ -64,7 +64,7 @@ class ReplayTransport:
         self._closed.clear()
         self._clock.start()
 
-    def receive(self) -> Chunk:
+    def receive(self) -> tuple[bytes, Stamp]:
         """Wait until the next chunk is due.
 
         Raises:
@@ -82,7 +82,7 @@ class ReplayTransport:
                     self._closed.wait(delay)
                 if self._closed.is_set():
                     raise ConnectionLost(f"{self.name}: closed")
-                return Chunk(record.payload, Stamp(time.monotonic(), record.stamp.wall))
+                return record.payload, Stamp(time.monotonic(), record.stamp.wall)
         raise Finished
 
     def send(self, data: bytes, timeout: float) -> None:

@@ -13,7 +13,7 @@ import enum
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from .backoff import Backoff
@@ -24,9 +24,9 @@ from .policy import Policy, block, drop_oldest, latest
 from .stamp import Stamp
 from .statistics import StreamStatistics
 from .subscription import Subscription
-from .transport import Chunk, Finished, Transport
+from .transport import Finished, Transport
 
-__all__ = ["ConnectionEvent", "ConnectionState", "Feed", "Session", "Stream", "Traffic"]
+__all__ = ["Chunk", "ConnectionEvent", "ConnectionState", "Feed", "Session", "Stream", "Traffic"]
 
 _log = logging.getLogger(__name__)
 
@@ -66,6 +66,13 @@ class Traffic:
     IS_EVENT = True
 
 
+class Chunk(NamedTuple):
+    """Bytes as they came, and when."""
+
+    data: bytes
+    received: Stamp
+
+
 class Session(Protocol):
     """One connection's protocol, sans-IO; a stream makes a new one each time it connects."""
 
@@ -73,6 +80,9 @@ class Session(Protocol):
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
         """The typed packet in one frame; raises `PacketError`."""
+
+    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> Sequence[Any]:
+        """The typed packets in many frames; raises `PacketError` if one of them is bad."""
 
 
 class Feed(Generic[T]):
@@ -460,12 +470,12 @@ class Stream(Feed[T]):
         failure: Exception | None = None
         while not self._closing.is_set():
             error: Exception | None = None
+            before = self._received
             try:
                 self._tell(ConnectionState.CONNECTING)
                 self._transport.open(self._timeout)
                 if self._closing.is_set():  # closed while connecting: it could not see this socket
                     break
-                before = self._received
                 self._connected()
                 self._pump()
             except Finished:
@@ -534,28 +544,41 @@ class Stream(Feed[T]):
         feed, decode, receive = session.framer.feed, session.decode, transport.receive
         progress = time.monotonic()
         while True:
-            chunk = receive()
-            data, stamp = chunk
-            for inbox in self._inboxes.get(Traffic, ()):
-                if inbox.received == 0 and session.framer.rest:
-                    inbox.offer((Chunk(session.framer.rest, stamp),))  # the head of the packet it came into
-                inbox.offer((chunk,))
+            data, stamp = receive()
+            if Traffic in self._inboxes:
+                self._tap(session.framer.rest, Chunk(data, stamp))
             frames = feed(data)
-            packets = []
-            failed = 0
-            for frame in frames:
-                try:
-                    packets.append(decode(frame, stamp))
-                except PacketError as error:
-                    failed += 1
-                    self._report(error)
             if frames:
                 progress = stamp.monotonic
             elif silence is not None and time.monotonic() - progress > silence:
                 raise LinkTimeout(f"{self.name}: bytes come, but no packet for {silence:g} s")
+            failed = 0
+            try:
+                packets: Sequence[Any] = (
+                    session.decode_all(frames, stamp) if len(frames) != 1 else [decode(frames[0], stamp)]
+                )
+            except PacketError:
+                packets, failed = self._decode_singly(session, frames, stamp)
             self._publish(packets, failed, len(data), stamp)
 
-    def _publish(self, packets: list[Any], failed: int, size: int, stamp: Stamp) -> None:
+    def _tap(self, rest: bytes, chunk: Chunk) -> None:
+        """Hand the bytes to those who want them as they came."""
+        for inbox in self._inboxes[Traffic]:
+            if inbox.received == 0 and rest:
+                inbox.offer((Chunk(rest, chunk.received),))  # the head of the packet it came into
+            inbox.offer((chunk,))
+
+    def _decode_singly(self, session: Session, frames: list[bytes], stamp: Stamp) -> tuple[list[Any], int]:
+        """All that can be decoded, and how many cannot: one bad packet takes no other with it."""
+        packets = []
+        for frame in frames:
+            try:
+                packets.append(session.decode(frame, stamp))
+            except PacketError as error:
+                self._report(error)
+        return packets, len(frames) - len(packets)
+
+    def _publish(self, packets: Sequence[Any], failed: int, size: int, stamp: Stamp) -> None:
         with self._lock:
             count = len(packets)
             self._bytes += size

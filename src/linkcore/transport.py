@@ -8,24 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import select
 import socket
+import struct
+import sys
 import time
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from .errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from .stamp import Stamp
 
-__all__ = ["Chunk", "Finished", "TcpTransport", "Transport"]
+__all__ = ["Finished", "TcpTransport", "Transport"]
 
 #: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
 _CHUNK = 65536
-
-
-class Chunk(NamedTuple):
-    """Bytes as they came, and when."""
-
-    data: bytes
-    stamp: Stamp
 
 
 class Finished(Exception):
@@ -41,8 +37,8 @@ class Transport(Protocol):
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds; raises `RemoteError`."""
 
-    def receive(self) -> Chunk:
-        """Wait for bytes. Raises `LinkTimeout`, `ConnectionLost` or `Finished`."""
+    def receive(self) -> tuple[bytes, Stamp]:
+        """Wait for bytes; with the moment they came. Raises `LinkTimeout`, `ConnectionLost` or `Finished`."""
 
     def send(self, data: bytes, timeout: float) -> None:
         """Send all of `data` within `timeout` seconds; raises `RemoteError`."""
@@ -82,11 +78,11 @@ class TcpTransport:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        connection.settimeout(self.silence)
+        _set_receive_timeout(connection, self.silence)
         self._socket = connection
 
-    def receive(self) -> Chunk:
-        """Wait for bytes.
+    def receive(self) -> tuple[bytes, Stamp]:
+        """Wait for bytes; with the moment they came.
 
         Raises:
             LinkTimeout: silent for too long.
@@ -97,11 +93,13 @@ class TcpTransport:
             raise ConnectionLost(f"{self.name} is not connected")
         try:
             data = connection.recv(_CHUNK)
+        except BlockingIOError:
+            raise LinkTimeout(f"{self.name}: nothing within {self.silence:g} s") from None
         except OSError as error:
             raise _mapped(error, f"{self.name}", self.silence, ConnectionLost) from error
         if not data:
             raise ConnectionLost(f"{self.name} closed the connection")
-        return Chunk(data, Stamp(time.monotonic(), time.time()))
+        return data, Stamp(time.monotonic(), time.time())
 
     def send(self, data: bytes, timeout: float) -> None:
         """Send all of `data` within `timeout` seconds.
@@ -117,9 +115,10 @@ class TcpTransport:
         rest = memoryview(data)
         try:
             while rest:
-                if time.monotonic() > until:
+                # The socket blocks, for the sake of `receive`: ask whether there is room first.
+                if not select.select([], [connection], [], max(until - time.monotonic(), 0.0))[1]:
                     raise TimeoutError
-                rest = rest[connection.send(rest) :]
+                rest = rest[connection.send(rest, getattr(socket, "MSG_DONTWAIT", 0)) :]
         except OSError as error:
             raise _mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
 
@@ -131,6 +130,21 @@ class TcpTransport:
         with contextlib.suppress(OSError):  # already gone: nobody is waiting on it then
             connection.shutdown(socket.SHUT_RDWR)
         connection.close()
+
+
+def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
+    """Let `recv` wait so long, and no longer.
+
+    Python's own timeout asks the kernel twice for each packet, poll and recv; the kernel's asks once.
+    """
+    if sys.platform == "win32":
+        connection.settimeout(seconds)
+        return
+    connection.settimeout(None)
+    whole = int(seconds)
+    connection.setsockopt(
+        socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", whole, max(int((seconds - whole) * 1e6), 1))
+    )
 
 
 def _mapped(error: OSError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:

@@ -31,9 +31,8 @@ from linkcore.packet import State
 from linkcore.policy import Policy, block, drop_oldest, latest
 from linkcore.recorder import Recorder
 from linkcore.stamp import Stamp
-from linkcore.stream import ConnectionEvent, ConnectionState, Feed, Stream, Traffic
+from linkcore.stream import Chunk, ConnectionEvent, ConnectionState, Feed, Stream, Traffic
 from linkcore.subscription import Subscription
-from linkcore.transport import Chunk
 
 from .decode import decode
 from .firmware import Firmware

@@ -53,7 +53,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
     try:
         while time.monotonic() < until:
             try:
-                data = transport.receive().data
+                data = transport.receive()[0]
             except LinkTimeout:
                 data = b""
             received = (received + data)[:64]

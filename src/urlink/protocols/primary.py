@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from linkcore.errors import PacketError
@@ -242,3 +242,11 @@ class PrimaryProtocol:
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             self._decoder = PackageDecoder(self.firmware)
         return state
+
+    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[State]:
+        """The typed states of many packages, in order.
+
+        Raises:
+            PacketError: one of them cannot be held by its layout.
+        """
+        return [self.decode(frame, stamp) for frame in frames]

@@ -1,0 +1,206 @@
+"""From a sender in another process to the user's callback: latency, CPU, and what a flood does.
+
+A sender process writes real-time packets to loopback sockets. The receiver runs once as the loop one
+would write by hand (`recv`, cut at the length, read the time) and once as a urlink stream with a
+callback; each in a process of its own, in turns, so that both meet the same machine. All figures
+are ratios or differences between the two.
+
+    python benchmarks/end_to_end.py            # 10 s a run
+    python benchmarks/end_to_end.py --quick    # 2 s a run
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import resource
+import socket
+import struct
+import threading
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from linkcore.backoff import Backoff
+from linkcore.stream import Stream
+from linkcore.transport import TcpTransport
+from urlink import RealtimeState
+from urlink.protocols.realtime import RealtimeProtocol
+
+RATE = 500
+PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0]))
+SIZE = len(PACKET)
+_TIME = struct.Struct(">d")
+
+
+def send(ports: Connection, seconds: float, flood: int) -> None:
+    """Serve one connection: paced packets that carry the moment of sending, or a flood of them."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ports.send(server.getsockname()[1])
+        connection, _ = server.accept()
+        with connection:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if flood:
+                batch = PACKET * 64
+                for _ in range(flood // 64):
+                    connection.sendall(batch)
+            else:
+                head, tail = PACKET[:4], PACKET[12:]
+                start = time.monotonic() + 0.2
+                for number in range(int(seconds * RATE)):
+                    pause = start + number / RATE - time.monotonic()
+                    if pause > 0:
+                        time.sleep(pause)
+                    connection.sendall(head + _TIME.pack(time.monotonic()) + tail)
+            connection.shutdown(socket.SHUT_WR)
+            connection.recv(1)  # until the receiver is done
+
+
+def receive_raw(port: int, results: Connection, total: int, busy: bool) -> None:
+    """The loop one would write by hand."""
+    spin(busy)
+    latencies = []
+    count = 0
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        cpu, began = time.process_time(), time.monotonic()
+        rest = b""
+        while True:
+            data = connection.recv(65536)
+            if not data:
+                break
+            now = time.monotonic()
+            rest += data
+            at = 0
+            while len(rest) - at >= 4:
+                (size,) = struct.unpack_from(">i", rest, at)
+                if len(rest) - at < size:
+                    break
+                packet = rest[at : at + size]
+                count += 1
+                if not total:
+                    latencies.append(now - _TIME.unpack_from(packet, 4)[0])
+                at += size
+            rest = rest[at:]
+        results.send(report(count, latencies, cpu, began))
+
+
+def receive_stream(port: int, results: Connection, total: int, busy: bool) -> None:
+    """A urlink stream and a callback."""
+    spin(busy)
+    latencies: list[float] = []
+    seen = [0]
+    stream = Stream(
+        "benchmark",
+        TcpTransport("127.0.0.1", port, silence=5.0),
+        RealtimeProtocol,
+        RealtimeState,
+        backoff=Backoff(tries=0),
+    )
+
+    def measure(state: RealtimeState) -> None:
+        latencies.append(time.monotonic() - state.time)
+
+    def count(state: RealtimeState) -> None:
+        seen[0] += 1
+
+    cpu, began = time.process_time(), time.monotonic()
+    subscription = stream.subscribe(count if total else measure)
+    stream.join(600)
+    outcome = report(stream.stats.received, latencies, cpu, began)
+    stats, own = stream.stats, subscription.stats
+    assert stats.received == stats.delivered + stats.dropped + stats.failed, stats
+    assert own.received == own.delivered + own.dropped + own.failed + own.waiting, own
+    assert own.waiting == 0 and own.delivered == (seen[0] if total else len(latencies)), own
+    outcome |= {"dropped": stats.dropped, "failed": stats.failed, "delivered": own.delivered}
+    stream.close()
+    results.send(outcome)
+
+
+def spin(busy: bool) -> None:
+    """A Python thread that computes all the time, as a user's program may."""
+
+    def work() -> None:
+        value = 1
+        while True:
+            value = value * 1103515245 % 2147483648
+
+    if busy:
+        threading.Thread(target=work, daemon=True).start()
+
+
+def report(count: int, latencies: list[float], cpu: float, began: float) -> dict[str, Any]:
+    elapsed = time.monotonic() - began
+    outcome: dict[str, Any] = {"count": count, "seconds": elapsed, "cpu": time.process_time() - cpu}
+    outcome["peak_kib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    if latencies:
+        outcome["p50"], outcome["p99"] = (float(np.percentile(latencies, share)) * 1e6 for share in (50, 99))
+    return outcome
+
+
+def run(receiver: Any, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
+    """One sender process and one receiver process."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    sender = context.Process(target=send, args=(there, seconds, flood))
+    sender.start()
+    port = here.recv()
+    mine, theirs = context.Pipe()
+    process = context.Process(target=receiver, args=(port, theirs, flood, busy))
+    process.start()
+    outcome: dict[str, Any] = mine.recv()
+    process.join(10)
+    sender.join(10)
+    if outcome["count"] != (flood or int(seconds * RATE)):
+        raise SystemExit(f"{receiver.__name__}: {outcome['count']} packets arrived of {flood or seconds * RATE}")
+    return outcome
+
+
+def compare(seconds: float, rounds: int, busy: bool) -> dict[str, float]:
+    pairs = [(run(receive_raw, seconds, 0, busy), run(receive_stream, seconds, 0, busy)) for _ in range(rounds)]
+    figures = {
+        "p50_raw_us": [raw["p50"] for raw, _ in pairs],
+        "p50_stream_us": [stream["p50"] for _, stream in pairs],
+        "p50_difference_us": [stream["p50"] - raw["p50"] for raw, stream in pairs],
+        "p99_raw_us": [raw["p99"] for raw, _ in pairs],
+        "p99_ratio": [stream["p99"] / raw["p99"] for raw, stream in pairs],
+        "cpu_ratio": [stream["cpu"] / raw["cpu"] for raw, stream in pairs],
+        "dropped": [stream["dropped"] for _, stream in pairs],
+    }
+    return {name: float(np.median(values)) for name, values in figures.items()}
+
+
+def flood(packets: int, rounds: int) -> dict[str, float]:
+    pairs = [(run(receive_raw, 0, packets, False), run(receive_stream, 0, packets, False)) for _ in range(rounds)]
+    figures = {
+        "raw_packets_per_s": [raw["count"] / raw["seconds"] for raw, _ in pairs],
+        "ratio": [stream["count"] / stream["seconds"] * raw["seconds"] / raw["count"] for raw, stream in pairs],
+        "dropped_share": [stream["dropped"] / stream["count"] for _, stream in pairs],
+    }
+    return {name: float(np.median(values)) for name, values in figures.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s, and fewer packets")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    seconds, rounds = (2.0, 1) if options.quick else (10.0, 3)
+    figures = {
+        "500 Hz": compare(seconds, rounds, busy=False),
+        "500 Hz, one busy Python thread beside": compare(seconds, rounds, busy=True),
+        "flood": flood(64 * (1000 if options.quick else 8000), rounds),
+    }
+    if options.json:
+        print(json.dumps(figures))
+        return
+    for title, values in figures.items():
+        print(title)
+        for name, value in values.items():
+            print(f"  {name:20} {value:12.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""A scripted transport and a tiny protocol: what streams are tested on without a network."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+
+from construct import Int8ub, Int32ub, Struct
+
+from linkcore.errors import ConnectionLost, PacketError
+from linkcore.framing import Framer
+from linkcore.packet import State, packet, wire
+from linkcore.stamp import Stamp
+
+HEADER = Struct("size" / Int8ub)
+
+
+@packet(header=HEADER)
+class Count(State):
+    """Five bytes: a size and a number."""
+
+    number: int = wire(Int32ub)
+
+
+class CountBorder:
+    header = 1
+    largest = 5
+
+    def __str__(self) -> str:
+        return "counts"
+
+    def size_at(self, buffer: bytes, at: int) -> int:
+        return 5 if buffer[at] == 5 else 0
+
+    def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
+        return False
+
+    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
+        at = buffer.find(b"\x05", start)
+        return (len(buffer), False) if at < 0 else (at, True)
+
+    def peer(self, buffer: bytes) -> str | None:
+        return None
+
+
+#: The number that cannot be decoded.
+BAD = 666
+
+
+class CountSession:
+    def __init__(self) -> None:
+        self.framer = Framer(CountBorder())
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> Count:
+        count: Count = Count.LAYOUTS.decode(frame, None, stamp)
+        if count.number == BAD:
+            raise PacketError("bad on purpose", packet="Count")
+        return count
+
+    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[Count]:
+        return [self.decode(frame, stamp) for frame in frames]
+
+
+def counts(*numbers: int) -> bytes:
+    return b"".join(bytes(Count(number=number)) for number in numbers)
+
+
+class ScriptedTransport:
+    """Yields what the test puts: bytes are received, exceptions raised; `open` takes a turn too.
+
+    `openings` holds what each `open` does: None succeeds, an exception is raised.
+    """
+
+    name = "script"
+
+    def __init__(self, *openings: Exception | None) -> None:
+        self._openings = list(openings)
+        self._items: deque[bytes | Exception] = deque()
+        self._changed = threading.Condition()
+        self._closed = True
+        self.opened = 0
+
+    def put(self, *items: bytes | Exception) -> None:
+        with self._changed:
+            self._items.extend(items)
+            self._changed.notify_all()
+
+    def open(self, timeout: float) -> None:
+        self.opened += 1
+        outcome = self._openings.pop(0) if self._openings else None
+        if outcome is not None:
+            raise outcome
+        with self._changed:
+            self._closed = False
+
+    def receive(self) -> tuple[bytes, Stamp]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: self._items or self._closed, timeout=30)
+            if self._closed:
+                raise ConnectionLost("closed here")
+            item = self._items.popleft()
+        if isinstance(item, Exception):
+            raise item
+        return item, Stamp(time.monotonic(), time.time())
+
+    def send(self, data: bytes, timeout: float) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
