@@ -62,9 +62,7 @@ def docs(session: nox.Session) -> None:
     """Build the documentation; a warning is an error."""
     session.install("-e", f".{EXTRAS}", *group("docs"))
     # -E: a page that did not change is read again, or its warnings would be seen once only.
-    session.run(
-        "sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html"
-    )
+    session.run("sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html")
 
 
 @nox.session
