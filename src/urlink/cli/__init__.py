@@ -13,13 +13,13 @@ from collections.abc import Iterator, Sequence
 
 from linkcore.errors import LinkError
 
-from . import monitor
+from . import echo, monitor
 from .interruption import Interrupted, raise_on_sigterm
 from .terminal import safe
 
 __all__ = ["main"]
 
-_COMMANDS = (monitor,)
+_COMMANDS = (monitor, echo)
 
 _DESCRIPTION = """\
 Read Universal Robots arms of every generation, from a real controller, a simulated one or a recording."""

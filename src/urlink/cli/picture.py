@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import groupby
 
 from rich import box
 from rich.console import Console, ConsoleOptions, Group, RenderResult
@@ -59,6 +60,7 @@ class Picture:
         rows.append(Rule(style=border, characters="─"))
         if glance.reading is not None:
             rows += self._body(glance.reading, width >= _NARROW)
+        rows.append(_labelled("stream", self._counters()))
         if glance.message is not None:
             rows.append(_labelled("message", Text(safe(glance.message), _VALUE, overflow="ellipsis", no_wrap=True)))
         title = Text.assemble((f" {safe(glance.robot)} ", "bold"), (f" {safe(glance.address)} ", _LABEL))
@@ -66,26 +68,22 @@ class Picture:
             Group(*rows), title=title, title_align="left", border_style=border, box=box.ROUNDED, width=width
         )
 
-    def _header(self) -> Table:
-        glance, stats = self._glance, self._glance.stats
-        left = Text.assemble((f" {glance.status.value} ", _STATUS[glance.status]))
+    def _header(self) -> Text:
+        glance = self._glance
+        text = Text.assemble((f" {glance.status.value} ", _STATUS[glance.status]))
         if glance.is_fresh and glance.reading is not None:
-            left.append("  – Hz" if glance.rate is None else f"  {glance.rate:.1f} Hz", "bold")
-            left.append("  age ", _LABEL).append(age_text(glance.reading.age))
-        right = Text()
-        counters = (
-            ("received", stats.received),
-            ("dropped", stats.dropped),
-            ("failed", stats.failed),
-            ("reconnects", stats.reconnects),
-        )
-        for name, count in counters:
-            right.append(f"  {name} ", _LABEL).append(f"{count}", "bold yellow" if count and name != "received" else "")
-        row = Table.grid(expand=True)
-        row.add_column()
-        row.add_column(justify="right")
-        row.add_row(left, right)
-        return row
+            text.append("   – Hz" if glance.rate is None else f"   {glance.rate:.1f} Hz", "bold")
+            text.append("   age ", _LABEL).append(age_text(glance.reading.age))
+        return text
+
+    def _counters(self) -> Text:
+        stats = self._glance.stats
+        text = Text(no_wrap=True, overflow="ellipsis")
+        text.append("received ", _LABEL).append(f"{stats.received}")
+        losses = (("dropped", stats.dropped), ("failed", stats.failed), ("reconnects", stats.reconnects))
+        for name, count in losses:
+            text.append(f"   {name} ", _LABEL).append(f"{count}", "bold yellow" if count else "")
+        return text
 
     def _warning(self) -> Text:
         glance = self._glance
@@ -114,8 +112,9 @@ class Picture:
             rows.append(_labelled("outputs", _bits(reading.digital_outputs, shade)))
         if reading.analog:
             analog = Text(no_wrap=True, overflow="ellipsis")
-            for one in reading.analog:
-                analog.append(f"{one.name} ", _LABEL).append(f"{one.value:.2f} {one.unit}   ", shade(_VALUE))
+            for place, group in groupby(reading.analog, key=lambda one: one.place):
+                analog.append(f"{place} ", _LABEL)
+                analog.append("  ".join(f"{one.value:.2f} {one.unit}" for one in group) + "   ", shade(_VALUE))
             rows.append(_labelled("analog", analog))
         return rows
 

@@ -18,9 +18,9 @@ __all__ = ["Analog", "Reading", "read"]
 
 @dataclass(frozen=True)
 class Analog:
-    """One analogue input or output."""
+    """One analogue input or output; `place` is "in", "tool" or "out"."""
 
-    name: str
+    place: str
     value: float
     unit: str
 
@@ -142,23 +142,23 @@ def _analog(board: MasterboardData | None, tool: ToolData | None) -> tuple[Analo
     found = []
     if board is not None:
         found += [
-            _one("AI0", board.analog_input_0, board.analog_input_range_0),
-            _one("AI1", board.analog_input_1, board.analog_input_range_1),
+            _one("in", board.analog_input_0, board.analog_input_range_0),
+            _one("in", board.analog_input_1, board.analog_input_range_1),
         ]
     if tool is not None:
         found += [
-            _one("AI2 tool", tool.analog_input_2, tool.analog_input_range_2),
-            _one("AI3 tool", tool.analog_input_3, tool.analog_input_range_3),
+            _one("tool", tool.analog_input_2, tool.analog_input_range_2),
+            _one("tool", tool.analog_input_3, tool.analog_input_range_3),
         ]
     if board is not None:
         found += [
-            _one("AO0", board.analog_output_0, board.analog_output_domain_0),
-            _one("AO1", board.analog_output_1, board.analog_output_domain_1),
+            _one("out", board.analog_output_0, board.analog_output_domain_0),
+            _one("out", board.analog_output_1, board.analog_output_domain_1),
         ]
     return tuple(found)
 
 
-def _one(name: str, value: float, domain: AnalogDomain) -> Analog:
+def _one(place: str, value: float, domain: AnalogDomain) -> Analog:
     if domain == AnalogDomain.CURRENT:
-        return Analog(name, value * 1000.0, "mA")
-    return Analog(name, value, "V" if domain == AnalogDomain.VOLTAGE else "?")
+        return Analog(place, value * 1000.0, "mA")
+    return Analog(place, value, "V" if domain == AnalogDomain.VOLTAGE else "?")

@@ -95,6 +95,9 @@ class Controller:
         BadValue: the firmware does not go with the model, or `ports` is none of the above.
     """
 
+    arm: Arm
+    modes: Modes
+
     def __init__(
         self,
         model: str | None = None,

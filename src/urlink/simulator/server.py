@@ -258,17 +258,14 @@ class Server:
         if self._is_watched("realtime"):
             self._broadcast("realtime", controller.realtime_packet())
         rate = controller.firmware.rate
-        if cycle * STATE_RATE // rate != (cycle - 1) * STATE_RATE // rate:
-            if self._is_watched("primary") or self._is_watched("secondary"):
-                state = controller.state_package()
-                self._broadcast("primary", state)
-                self._broadcast("secondary", state)
+        is_due = cycle * STATE_RATE // rate != (cycle - 1) * STATE_RATE // rate
+        if is_due and (self._is_watched("primary") or self._is_watched("secondary")):
+            state = controller.state_package()
+            self._broadcast("primary", state)
+            self._broadcast("secondary", state)
 
     def _is_watched(self, kind: str) -> bool:
-        for port in self._of_kind[kind]:
-            if port.clients:
-                return True
-        return False
+        return any(port.clients for port in self._of_kind[kind])
 
     def _broadcast(self, kind: str, packet: bytes) -> None:
         for port in self._of_kind[kind]:
