@@ -225,6 +225,7 @@ class Stream(Feed[T]):
         self._lossless = lossless
         self._lock = threading.Lock()
         self._closing = threading.Event()
+        self._opened = False
         self._over = False
         self._patient = False
         self._error: Exception | None = None
@@ -347,7 +348,7 @@ class Stream(Feed[T]):
         self._start(patient=False)
         if not self._settled.wait(self._timeout + 1.0):
             raise self._error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
-        if self._reader is None and self.failure is not None:
+        if not self._opened and self.failure is not None:
             raise self.failure
 
     def start_quietly(self) -> None:
@@ -362,6 +363,7 @@ class Stream(Feed[T]):
             if self._reader is None:
                 self.failure = self._error = None
                 self._patient = patient
+                self._opened = False
                 self._settled.clear()
                 self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
                 self._reader.start()
@@ -490,7 +492,7 @@ class Stream(Feed[T]):
             if self._closing.is_set():
                 break
             self._error = error
-            if not self._settled.is_set() and not self._patient:
+            if not self._opened and not self._patient:
                 failure = error
                 break
             if self._received > before:
@@ -506,6 +508,7 @@ class Stream(Feed[T]):
         with self._lock:
             self._session = self._session_factory()
             self._connections += 1
+            self._opened = True
             self._window = (time.monotonic(), self._received)
             self._rate = 0.0
         self._tell(ConnectionState.CONNECTED)
