@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -220,7 +221,7 @@ class Controller:
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot; see `Faults.reboot`. Only for the thread that owns the controller."""
         self._next_firmware = firmware or self.firmware
-        self._cycles_down = max(1, round(seconds * self.firmware.rate))
+        self._cycles_down = max(1, math.ceil(seconds * self.firmware.rate))
         self._outbox.clear()
 
     # -- faults by the clock -------------------------------------------------------------------------

@@ -380,9 +380,9 @@ _HAS_TOLERANCES = Since("3.10/5.4")
 def greeting(controller: Controller, kind: str) -> list[bytes]:
     """What a connection begins with, package by package: on the primary and secondary interface.
 
-    Version message, message 12 from 3.3, on the primary interface package 24 from 3.10 and 5.4, as captured on 3.3, 3.10 and
-    5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary interface has no
-    package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
+    Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
+    3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
+    interface has no package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
     """
     firmware = controller.firmware
     on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}

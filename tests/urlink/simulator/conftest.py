@@ -1,0 +1,92 @@
+"""A raw TCP client for the simulated controller: no code of the client side of the library is in it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from urlink.simulator import Controller
+
+PATIENCE = 10.0
+
+
+class Link:
+    """One connection to one port of a controller."""
+
+    def __init__(self, controller: Controller, port: str) -> None:
+        self.socket = socket.create_connection((controller.host, controller.ports[port]), timeout=PATIENCE)
+
+    def exactly(self, count: int) -> bytes:
+        data = b""
+        while len(data) < count:
+            more = self.socket.recv(count - len(data))
+            assert more, f"closed after {len(data)} of {count} bytes"
+            data += more
+        return data
+
+    def packet(self) -> bytes:
+        head = self.exactly(4)
+        return head + self.exactly(int.from_bytes(head, "big") - 4)
+
+    def segment(self) -> bytes:
+        data = self.socket.recv(65536)
+        assert data, "closed"
+        return data
+
+    def until(self, wanted: Callable[[bytes], bool]) -> bytes:
+        """The first packet that is wanted."""
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            packet = self.packet()
+            if wanted(packet):
+                return packet
+        raise AssertionError("the packet did not come")
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendall(data)
+
+    def is_ended(self) -> bool:
+        """Read on until the connection ends. False if it does not."""
+        deadline = time.monotonic() + PATIENCE
+        try:
+            while time.monotonic() < deadline:
+                if not self.socket.recv(65536):
+                    return True
+        except ConnectionError:
+            return True
+        except TimeoutError:
+            return False
+        return False
+
+    def close(self) -> None:
+        self.socket.close()
+
+
+@pytest.fixture
+def connect() -> Iterator[Callable[[Controller, str], Link]]:
+    """Opens connections, and closes them after the test."""
+    with contextlib.ExitStack() as links:
+
+        def connect(controller: Controller, port: str) -> Link:
+            link = Link(controller, port)
+            links.callback(link.close)
+            return link
+
+        yield connect
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], object]], None]:
+    """Waits until something is true, or fails."""
+
+    def eventually(condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, "it did not come true"
+            time.sleep(0.002)
+
+    return eventually

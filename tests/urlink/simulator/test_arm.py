@@ -1,0 +1,279 @@
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue
+from urlink.models import MODELS
+from urlink.schemas.realtime import RealtimeState
+from urlink.simulator import Controller, kinematics
+from urlink.simulator.arm import Arm
+from urlink.simulator.motion import HOME, Demonstration, Setpoint, Still
+from urlink.simulator.twist import geometry, tool_speed
+
+ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
+
+
+def run(controller: Controller, cycles: int) -> list[RealtimeState]:
+    """That many packets, one a cycle."""
+    states = []
+    for _ in range(cycles):
+        controller.step()
+        states.append(RealtimeState.LAYOUTS.decode(controller.realtime_packet(), controller.firmware))
+    return states
+
+
+def column(states: list[RealtimeState], name: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    return np.array([getattr(state, name) for state in states])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
+    controller = Controller(name)
+    controller.arm.tcp = [0.01, -0.02, 0.15, 0.3, -0.2, 0.1]
+    controller.step(500)
+    for state in run(controller, 3):
+        for joints, tool in [(state.q_actual, state.tool_vector_actual), (state.q_target, state.tool_vector_target)]:
+            assert tool == pytest.approx(kinematics.pose(controller.model, joints, controller.arm.tcp), abs=1e-12)
+        jacobian = kinematics.jacobian(controller.model, state.q_actual, controller.arm.tcp)
+        assert state.tcp_speed_actual == pytest.approx(jacobian @ state.qd_actual, abs=1e-12)
+        jacobian = kinematics.jacobian(controller.model, state.q_target, controller.arm.tcp)
+        assert state.tcp_speed_target == pytest.approx(jacobian @ state.qd_target, abs=1e-12)
+        elbow = kinematics.frames(controller.model, state.q_actual)[2][:3, 3]
+        assert state.elbow_position == pytest.approx(elbow, abs=1e-12)
+
+
+@pytest.mark.property
+@given(st.sampled_from(sorted(MODELS)), ANGLES, ANGLES, ANGLES)
+def test_the_tool_speed_in_closed_form_is_that_of_the_jacobian(
+    name: str, q: list[float], qd: list[float], tcp: list[float]
+) -> None:
+    model = MODELS[name]
+    speed = tool_speed(geometry(model), q, qd, kinematics.pose(model, q, tcp).tolist())
+    assert speed == pytest.approx(kinematics.jacobian(model, q, tcp) @ qd, abs=1e-9)
+
+
+@pytest.mark.parametrize(("name", "firmware"), [("UR5e", "5.11"), ("UR10", "3.14"), ("UR5", "1.8")])
+def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> None:
+    controller = Controller(name, firmware)
+    # Past the ramp, and for long enough that every joint turns back once.
+    states = run(controller, 14 * controller.firmware.rate)
+    dt = 1.0 / controller.firmware.rate
+    assert np.ptp(column(states, "qd_target"), axis=0).min() > 0.1
+
+    def central(name: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        values = column(states, name)
+        return (values[2:] - values[:-2]) / (2.0 * dt)
+
+    assert np.abs(central("q_target") - column(states, "qd_target")[1:-1]).max() < 1e-4
+    assert np.abs(central("qd_target") - column(states, "qdd_target")[1:-1]).max() < 0.02
+    # The sensors are noisy; over a tenth of a second the noise on the position is a thousandth of this.
+    tenth = controller.firmware.rate // 10
+    q, qd = column(states, "q_actual"), column(states, "qd_actual")
+    mean = np.array([qd[i : i + tenth].mean(axis=0) for i in range(len(qd) - tenth)])
+    moved = (q[tenth:] - q[:-tenth]) / (tenth * dt)
+    assert np.abs(moved - mean).max() < 4e-3
+    if not controller.firmware.is_cb2:
+        tool = central("tool_vector_target")[:, :3]
+        assert np.abs(tool - column(states, "tcp_speed_target")[1:-1, :3]).max() < 1e-4
+    if controller.firmware >= (3, 5):
+        # Noise on the elbow is that of two joints.
+        elbow = column(states, "elbow_position")
+        mean = np.array(
+            [column(states, "elbow_velocity")[i : i + tenth].mean(axis=0) for i in range(0, len(qd) - tenth, tenth)]
+        )
+        moved = ((elbow[tenth:] - elbow[:-tenth]) / (tenth * dt))[::tenth]
+        assert np.abs(moved - mean[: len(moved)]).max() < 4e-3
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_demonstration_is_gentle(name: str) -> None:
+    model = MODELS[name]
+    motion = Demonstration()
+    steps = [motion.advance(0.008) for _ in range(4000)]
+    q, qd, qdd = (np.array(each) for each in zip(*steps, strict=True))
+    assert np.abs(qd[0]).max() < 1e-3
+    assert q[0] == pytest.approx(HOME, abs=1e-4)
+    assert 0.3 < np.abs(qd).max() <= 0.45
+    assert np.abs(qdd).max() <= 0.7
+    assert (np.abs(qd) < 0.5 * model.max_speed).all()
+    assert (q > model.position_limits[:, 0] + 1.0).all()
+    assert (q < model.position_limits[:, 1] - 1.0).all()
+    for row in q[::40]:
+        # Never near a singular posture, and never into the floor.
+        assert np.linalg.cond(kinematics.jacobian(model, row)) < 40.0
+        assert kinematics.frames(model, row)[1:, 2, 3].min() > 0.05
+
+
+def test_the_demonstration_comes_from_wherever_the_arm_stands() -> None:
+    motion = Demonstration()
+    start = [1.0, -1.0, 1.0, -2.0, -1.0, 3.0]
+    motion.start(start)
+    steps = [motion.advance(0.002) for _ in range(10000)]
+    assert steps[0].q == pytest.approx(start, abs=1e-5)
+    speeds = np.array([step.qd for step in steps])
+    assert np.abs(speeds[0]).max() < 1e-3
+    assert np.abs(speeds).max() <= 0.4501
+    assert np.abs(np.diff(speeds, axis=0)).max() < 0.002
+
+
+@pytest.mark.parametrize(("name", "firmware"), [("UR20", "5.14"), ("UR5", "1.8")])
+@pytest.mark.parametrize("fault", ["protective_stop", "emergency_stop", "power_off"])
+def test_a_stop_is_a_brake_path_and_not_a_freeze(name: str, firmware: str, fault: str) -> None:
+    controller = Controller(name, firmware)
+    controller.step(3 * controller.firmware.rate)
+    states = run(controller, 1)
+    getattr(controller.faults, fault)()
+    states += run(controller, controller.firmware.rate)
+    speeds, dt = column(states, "qd_target"), 1.0 / controller.firmware.rate
+    assert np.abs(speeds[0]).max() > 0.2
+    assert not speeds[-1].any()
+    assert np.abs(np.diff(speeds, axis=0)).max() <= 0.3 * controller.model.max_acceleration.max() * dt
+    moved = np.diff(column(states, "q_target"), axis=0) / dt
+    assert np.abs(moved - (speeds[1:] + speeds[:-1]) / 2.0).max() < 0.03
+    # It stands within a quarter of a second, but not at once.
+    standing = next(i for i, row in enumerate(speeds) if not row.any())
+    assert 0.02 < standing * dt < 0.25
+    after = column(states, "q_target")[standing:]
+    assert (after == after[0]).all()
+
+
+def test_after_a_protective_stop_the_motion_goes_on_from_rest() -> None:
+    controller = Controller("UR5e", "5.11")
+    controller.step(1500)
+    controller.faults.protective_stop()
+    before = run(controller, 500)[-1]
+    controller.faults.clear()
+    states = run(controller, 3000)
+    assert states[0].q_target == pytest.approx(before.q_target, abs=1e-5)
+    assert np.abs(np.diff(column(states, "qd_target"), axis=0)).max() < 0.01
+    assert np.abs(column(states, "qd_target")).max() > 0.2
+
+
+def test_another_motion_can_be_followed() -> None:
+    class Wave:
+        is_program = True
+
+        def __init__(self) -> None:
+            self.time = 0.0
+            self.begin = [0.0] * 6
+
+        def start(self, q: list[float]) -> None:  # type: ignore[override, unused-ignore]
+            self.time, self.begin = 0.0, list(q)
+
+        def advance(self, seconds: float) -> Setpoint:
+            self.time += seconds
+            turn = 0.1 * (1.0 - math.cos(self.time))
+            speed, change = 0.1 * math.sin(self.time), 0.1 * math.cos(self.time)
+            return Setpoint([self.begin[0] + turn, *self.begin[1:]], [speed] + [0.0] * 5, [change] + [0.0] * 5)
+
+    controller = Controller("UR5e")
+    controller.step(1500)
+    controller.arm.follow(Wave())  # type: ignore[arg-type, unused-ignore]
+    states = run(controller, 1000)
+    assert np.abs(np.diff(column(states, "qd_target"), axis=0)).max() < 0.03
+    assert not column(states, "qd_target")[-1, 1:].any()
+    assert states[-1].qd_target[0] > 0.05
+
+
+def test_an_arm_without_program_stands_still() -> None:
+    controller = Controller("UR5e", "5.11", motion=Still())
+    states = run(controller, 50)
+    assert not column(states, "qd_actual").any()
+    assert states[-1].program_state is not None
+    assert states[-1].program_state.name == "STOPPED"
+    assert states[-1].speed_scaling == 0.0
+    noise = column(states, "q_actual") - column(states, "q_target")
+    assert 0.0 < np.abs(noise).max() < 1e-4
+
+
+def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
+    controller = Controller("UR5e", "5.11", motion=Still())
+    empty = run(controller, 1)[0]
+    assert empty.M_target == pytest.approx(kinematics.gravity_torque(controller.model, empty.q_target))
+    assert empty.M_target[1] < -15.0
+    assert (np.sign(empty.I_target[1:3]) == np.sign(empty.M_target[1:3])).all()
+    assert np.abs(empty.I_actual - empty.I_target).max() < 0.1
+    # The tool points down: gravity goes along its z axis.
+    assert empty.tool_accelerometer == pytest.approx([0.0, 0.0, kinematics.GRAVITY], abs=0.1)
+    controller.arm.payload = 4.0
+    loaded = run(controller, 1)[0]
+    assert loaded.M_target[1] < empty.M_target[1] - 5.0
+    assert loaded.I_actual[1] < empty.I_actual[1] - 0.5
+    assert loaded.payload_mass == 4.0
+
+
+def test_moments_grow_with_acceleration() -> None:
+    controller = Controller("UR5e", "5.11")
+    states = run(controller, 1000)
+    for state in states[::100]:
+        held = kinematics.gravity_torque(controller.model, state.q_target)
+        extra = state.M_target - held
+        assert (np.sign(extra[[0, 1, 4]]) == np.sign(state.qdd_target[[0, 1, 4]])).all()
+
+
+def test_temperatures_rise_slowly() -> None:
+    controller = Controller("UR5", "3.14")
+    cold = run(controller, 1)[0].motor_temperatures
+    controller.step(60 * 125)
+    warmer = run(controller, 1)[0].motor_temperatures
+    controller.step(600 * 125)
+    warm = run(controller, 1)[0].motor_temperatures
+    assert (cold == 24.0).all()
+    assert (cold <= warmer).all()
+    assert (warmer < warm).all()
+    assert warm.max() < 45.0
+
+
+def test_without_power_there_is_no_current() -> None:
+    controller = Controller("UR5e", "5.11")
+    controller.step(100)
+    controller.faults.power_off()
+    state = run(controller, 500)[-1]
+    assert not state.I_actual.any()
+    assert not state.M_target.any()
+    assert state.V_robot == 0.0
+    assert state.I_robot == 0.0
+    assert (state.q_actual == state.q_target).all()
+
+
+def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
+    def last(seed: int, looks: int) -> tuple[bytes, bytes]:
+        controller = Controller("UR10e", "5.11", seed=seed)
+        controller.schedule("protective_stop@1", "clear@1.5")
+        for cycle in range(1500):
+            controller.step()
+            if looks and cycle % looks == 0:
+                controller.realtime_packet()
+        return controller.realtime_packet(), controller.state_package(first=True)
+
+    assert last(7, 0) == last(7, 1) == last(7, 13)
+    assert last(7, 0)[0] != last(8, 0)[0]
+
+
+def test_a_tcp_is_six_finite_numbers() -> None:
+    arm = Arm(MODELS["UR5e"], Still())
+    for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
+        with pytest.raises(BadValue, match="six finite numbers"):
+            arm.tcp = wrong
+
+
+def test_signals_are_checked() -> None:
+    signals = Controller().signals
+    signals.set_digital_input(17, True)
+    signals.set_digital_input(0, True)
+    signals.set_digital_input(0, False)
+    assert signals.digital_inputs == 1 << 17
+    signals.set_analog_output(1, 0.02)
+    assert signals.analog_outputs == [0.004, 0.02]
+    with pytest.raises(BadValue, match="0 to 17"):
+        signals.set_digital_output(18, True)
+    with pytest.raises(BadValue, match="0 to 3"):
+        signals.set_analog_input(4, 1.0)
+    with pytest.raises(BadValue, match="0 and 1"):
+        signals.set_analog_output(0, math.inf)

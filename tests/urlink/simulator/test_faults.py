@@ -1,0 +1,399 @@
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue
+from urlink.firmware import Firmware
+from urlink.schemas.enums import RobotMode, SafetyMode
+from urlink.schemas.realtime import RealtimeState
+from urlink.schemas.robot_message import SafetyModeMessage, VersionMessage
+from urlink.simulator import Controller, ScheduledFault, parse_fault
+from urlink.simulator.faults import FAULTS
+from urlink.simulator.tampering import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
+
+Connect = Callable[[Controller, str], Any]
+Eventually = Callable[[Callable[[], object]], None]
+
+
+def sub_packages(state: bytes) -> list[tuple[int, int]]:
+    """Type and size of each."""
+    found = []
+    offset = 5
+    while offset < len(state):
+        size = int.from_bytes(state[offset : offset + 4], "big")
+        found.append((state[offset + 4], size))
+        offset += size
+    assert offset == len(state) == int.from_bytes(state[:4], "big")
+    return found
+
+
+def time_of(packet: bytes) -> float:
+    (time,) = struct.unpack_from(">d", packet, 4)
+    return float(time)
+
+
+# -- faults as text ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("protective_stop@5", ScheduledFault("protective_stop", (), 5.0)),
+        ("reboot@1e1", ScheduledFault("reboot", (), 10.0)),
+        ("reboot=5.12@10", ScheduledFault("reboot", (Firmware(5, 12),), 10.0)),
+        ("stall=2.5@0", ScheduledFault("stall", (2.5,), 0.0)),
+        ("split=1460@1", ScheduledFault("split", ((1460,),), 1.0)),
+        ("split=100+200@1", ScheduledFault("split", ((100, 200),), 1.0)),
+        ("merge=3@1", ScheduledFault("merge", (3,), 1.0)),
+        ("garbage=16@1", ScheduledFault("garbage", (16,), 1.0)),
+        ("append=8@1", ScheduledFault("append", (8,), 1.0)),
+        ("cut@0.5", ScheduledFault("cut", (), 0.5)),
+        ("cut=realtime@0.5", ScheduledFault("cut", ("realtime",), 0.5)),
+        ("unknown_package=42@1", ScheduledFault("unknown_package", (42,), 1.0)),
+    ],
+)
+def test_faults_are_read_from_text(text: str, fault: ScheduledFault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("protective_stop", "no time"),
+        ("", "no time"),
+        ("protective_stop@soon", "'soon' is not a number of seconds"),
+        ("protective_stop@-1", "'-1' is not a number of seconds"),
+        ("protective_stop@inf", "'inf' is not a number of seconds"),
+        ("protective_stop@nan", "'nan' is not a number of seconds"),
+        ("fire@1", "no fault is called 'fire'; there are protective_stop"),
+        ("protective_stop=3@1", "takes no argument"),
+        ("stall@1", "needs seconds"),
+        ("stall=x@1", "'x' does not do as seconds"),
+        ("stall=-1@1", "'-1' does not do as seconds"),
+        ("split=@1", "'' does not do as sizes"),
+        ("split=0@1", "'0' does not do as sizes"),
+        ("merge=0@1", "'0' does not do as packets"),
+        ("reboot=new@1", "'new' does not do as the firmware"),
+        ("cut=rtde@1", "'rtde' does not do as the port"),
+        ("unknown_package=256@1", "'256' does not do as the type"),
+    ],
+)
+def test_what_cannot_be_read_says_why(text: str, complaint: str) -> None:
+    with pytest.raises(BadValue, match=complaint):
+        parse_fault(text)
+
+
+@pytest.mark.property
+@given(st.text() | st.builds("{}={}@{}".format, st.sampled_from(sorted(FAULTS)), st.text(), st.text()))
+def test_any_text_is_a_fault_or_a_clear_error(text: str) -> None:
+    try:
+        fault = parse_fault(text)
+    except BadValue as error:
+        told = str(error)
+    else:
+        told = ""
+        assert fault.name in FAULTS
+    assert told == "" or told.startswith(repr(text))
+
+
+def test_every_fault_on_the_list_is_a_method() -> None:
+    for name in FAULTS:
+        assert callable(getattr(Controller().faults, name))
+
+
+def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
+    controller = Controller("UR5e", "5.11")
+    controller.schedule("clear@0.2", "protective_stop@0.1")
+    modes = []
+    for cycles in (49, 1, 49, 1):
+        controller.step(cycles)
+        modes.append(controller.modes.safety_mode)
+    stop = SafetyMode.PROTECTIVE_STOP
+    assert modes == [SafetyMode.NORMAL, stop, stop, SafetyMode.NORMAL]
+
+
+def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled() -> None:
+    controller = Controller("UR5e", "5.11")
+    with pytest.raises(BadValue, match=r"does not run firmware 3\.14"):
+        controller.schedule("reboot=3.14@1")
+    with pytest.raises(BadValue, match=r"does not run firmware 3\.14"):
+        controller.faults.reboot("3.14")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda faults: faults.split(0),
+        lambda faults: faults.split([]),
+        lambda faults: faults.merge(0),
+        lambda faults: faults.garbage(0),
+        lambda faults: faults.append(-1),
+        lambda faults: faults.stall(-1.0),
+        lambda faults: faults.stall(1.0, "rtde"),
+        lambda faults: faults.reboot(downtime=float("nan")),
+        lambda faults: faults.unknown_package(256),
+        lambda faults: faults.unknown_package(42, port="realtime"),
+        lambda faults: faults.unknown_sub_package(-1),
+    ],
+)
+def test_wrong_arguments_are_refused(wrong: Callable[[Any], None]) -> None:
+    with pytest.raises(BadValue):
+        wrong(Controller().faults)
+
+
+# -- bytes ---------------------------------------------------------------------------------------
+
+
+def test_a_tail_is_what_a_newer_release_would_append() -> None:
+    controller = Controller("UR5e", "5.11")
+    packet, state = controller.realtime_packet(), controller.state_package()
+    grown = with_tail(packet, b"12345678")
+    assert grown[4:] == packet[4:] + b"12345678"
+    assert int.from_bytes(grown[:4], "big") == len(grown) == 1228
+    assert RealtimeState.LAYOUTS.decode(grown).tail == b"12345678"
+    grown = with_tails(state, b"abc")
+    assert sub_packages(grown) == [(kind, size + 3) for kind, size in sub_packages(state)]
+    assert grown.endswith(b"abc")
+
+
+def test_an_unknown_sub_package_comes_last() -> None:
+    state = Controller("UR5e", "5.11").state_package()
+    grown = with_sub_package(state, 77, b"new")
+    assert sub_packages(grown) == [*sub_packages(state), (77, 8)]
+    assert grown.endswith(b"new")
+
+
+def test_garbage_inside_does_not_say_so() -> None:
+    assert with_garbage_inside(b"\0\0\0\x08abcd", b"??") == b"\0\0\0\x08??abcd"
+
+
+@pytest.mark.property
+@given(
+    st.lists(st.binary(max_size=50), max_size=20),
+    st.lists(st.integers(1, 40), max_size=4),
+    st.integers(1, 5),
+)
+def test_segments_lose_and_change_nothing(packets: list[bytes], sizes: list[int], count: int) -> None:
+    segmenter = Segmenter(sizes, count)
+    segments = [segment for packet in packets for segment in segmenter.put(packet)]
+    if sizes:
+        assert [len(segment) for segment in segments] == [sizes[i % len(sizes)] for i in range(len(segments))]
+    else:
+        assert len(segments) == len(packets) // count
+    assert b"".join(segments) + segmenter.rest() == b"".join(packets)
+    assert segmenter.rest() == b""
+
+
+# -- on the wire ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def controller() -> Any:
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+
+
+def test_garbage_comes_once_and_before_a_packet(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "realtime")
+    link.packet()
+    controller.faults.garbage(b"\xff\xff\xff\xffgarbage", "realtime")
+    while (head := link.exactly(4)) != b"\xff\xff\xff\xff":
+        assert head == b"\x00\x00\x04\xc4"
+        link.exactly(1216)
+    assert link.exactly(7) == b"garbage"
+    assert [len(link.packet()) for _ in range(5)] == [1220] * 5
+
+
+def test_garbage_inside_shifts_what_follows(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "realtime")
+    link.packet()
+    controller.faults.garbage(b"garbage!", "realtime", inside=True)
+    assert b"garbage!" in link.until(lambda packet: b"garbage!" in packet)
+    # The packet said nothing of its growth: its last eight bytes come where the next one should begin.
+    link.exactly(8)
+    assert len(link.packet()) == 1220
+
+
+def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
+    sent = []
+    for _ in range(2):
+        with Controller("UR5e", "5.11", seed=5) as controller:
+            link = connect(controller, "primary")
+            link.until(lambda package: package[4] == 16)
+            controller.faults.garbage(64)
+            data = b""
+            while len(data) < 780:
+                data += link.segment()
+            sent.append(data[:64])
+    assert sent[0] == sent[1] != bytes(64)
+
+
+def test_appended_bytes_are_told_in_every_size(controller: Controller, connect: Connect) -> None:
+    realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
+    controller.faults.append(b"appended", None)
+    packet = realtime.until(lambda packet: len(packet) == 1228)
+    assert RealtimeState.LAYOUTS.decode(packet).tail == b"appended"
+    state = primary.until(lambda package: package[4] == 16 and package.endswith(b"appended"))
+    assert len(sub_packages(state)) in (11, 13)
+    # Who connects now gets a version message as ever and a grown first state.
+    late = connect(controller, "secondary")
+    assert VersionMessage.LAYOUTS.decode(late.packet()).build_date == "01-01-2024, 00:00:00"
+    first = late.until(lambda package: package[4] == 16)
+    assert len(first) == 1386 + 13 * 8
+    controller.faults.heal()
+    realtime.until(lambda packet: len(packet) == 1220)
+
+
+def test_unknown_packages_and_sub_packages(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "primary")
+    link.until(lambda package: package[4] == 16)
+    controller.faults.unknown_package(42, b"what is this?")
+    assert link.until(lambda package: package[4] == 42)[5:] == b"what is this?"
+    controller.faults.unknown_sub_package(99, b"new")
+    state = link.until(lambda package: package[4] == 16 and package.endswith(b"new"))
+    assert sub_packages(state)[-1] == (99, 8)
+    assert sub_packages(link.until(lambda package: package[4] == 16))[-1] == (99, 8)
+    controller.faults.heal()
+    link.until(lambda package: package[4] == 16 and not package.endswith(b"new"))
+
+
+def test_split_packets_arrive_in_parts_and_whole_in_the_end(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "realtime")
+    controller.faults.split((700, 100), "realtime")
+    # What is short of a segment is held back: of a packet of 1220 bytes, 800 come and 420 wait for the next cycle. So
+    # between cycles the stream has never stopped at the border of a packet, save once in 20 packets.
+    sizes = []
+    received = 0
+    for _ in range(30):
+        received += len(link.segment())
+        sizes.append(received % 1220)
+    assert sum(1 for size in sizes if size) > 20
+    link.exactly(-received % 1220)
+    assert [len(link.packet()) for _ in range(10)] == [1220] * 10
+    controller.faults.heal()
+    assert [len(link.packet()) for _ in range(10)] == [1220] * 10
+
+
+def test_merged_packets_arrive_together(controller: Controller, connect: Connect) -> None:
+    controller.faults.merge(4, "realtime")
+    link = connect(controller, "realtime")
+    segments = [len(link.segment()) for _ in range(5)]
+    # A slow reader may find more than one segment, but never a part of one.
+    assert all(size % (4 * 1220) == 0 for size in segments)
+
+
+def test_a_stall_is_silent_and_stays_connected(controller: Controller, connect: Connect) -> None:
+    link, other = connect(controller, "realtime"), connect(controller, "realtime_readonly")
+    times = [time_of(link.packet())]
+    controller.faults.stall(0.4, "realtime")
+    # Whatever was on its way is read off first; then nothing comes until the time is over.
+    late = connect(controller, "realtime")
+    times += [time_of(link.packet()) for _ in range(60)]
+    gap = max(after - before for before, after in itertools.pairwise(times))
+    assert 0.38 < gap < 0.8
+    assert time_of(late.packet()) > times[0] + 0.38
+    times = [time_of(other.packet()) for _ in range(100)]
+    assert max(after - before for before, after in itertools.pairwise(times)) < 0.1
+
+
+def test_heal_ends_a_stall(controller: Controller, connect: Connect) -> None:
+    controller.faults.stall(3600.0)
+    late = connect(controller, "primary")
+    controller.faults.heal()
+    assert VersionMessage.LAYOUTS.decode(late.packet()).major == 5
+
+
+def test_cut_connections_can_be_made_again(controller: Controller, connect: Connect) -> None:
+    link, other = connect(controller, "realtime"), connect(controller, "primary")
+    link.packet()
+    other.packet()
+    controller.faults.cut("realtime")
+    with pytest.raises(ConnectionResetError):
+        link.until(lambda packet: False)
+    assert len(connect(controller, "realtime").packet()) == 1220
+    other.packet()
+    controller.faults.cut()
+    assert other.is_ended()
+
+
+def test_a_reboot_refuses_and_comes_back_with_other_firmware(
+    controller: Controller, connect: Connect, eventually: Eventually
+) -> None:
+    link = connect(controller, "realtime")
+    ports = controller.ports
+    link.until(lambda packet: time_of(packet) > 0.1)
+    controller.faults.reboot("5.4", downtime=0.3)
+    assert link.is_ended()
+    for port in ports:
+        with pytest.raises(ConnectionRefusedError):
+            connect(controller, port)
+    eventually(lambda: controller.is_up)
+    assert controller.ports == ports
+
+    def back() -> bool:
+        try:
+            connect(controller, "realtime_readonly")
+        except ConnectionRefusedError:
+            return False
+        return True
+
+    eventually(back)
+    packet = connect(controller, "realtime").packet()
+    assert len(packet) == 1116
+    assert time_of(packet) < 1.0
+    assert VersionMessage.LAYOUTS.decode(connect(controller, "primary").packet()).minor == 4
+
+
+def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
+    controller = Controller("UR10", "3.14")
+    controller.step(500)
+    before = controller.arm.setpoint.q
+    controller.faults.reboot("3.5", downtime=0.5)
+    ups = []
+    for cycles in (62, 1):
+        controller.step(cycles)
+        ups.append(controller.is_up)
+    assert ups == [False, True]
+    assert controller.time == 0.0
+    assert str(controller.firmware) == "3.5"
+    assert controller.arm.setpoint.q == pytest.approx(before)
+    assert len(controller.realtime_packet()) == 1108
+    controller.step(10)
+    assert controller.time == 0.08
+    assert controller.cycle == 573
+
+
+def test_faults_of_the_arm_show_on_the_wire(controller: Controller, connect: Connect) -> None:
+    realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
+    primary.until(lambda package: package[4] == 16)
+    controller.faults.protective_stop()
+    change = primary.until(lambda package: package[4] == 20 and package[14] == 5)
+    assert SafetyModeMessage.LAYOUTS.decode(change).safety_mode == SafetyMode.PROTECTIVE_STOP
+    stopped = realtime.until(
+        lambda packet: RealtimeState.LAYOUTS.decode(packet).safety_mode == SafetyMode.PROTECTIVE_STOP
+    )
+    assert RealtimeState.LAYOUTS.decode(stopped).robot_mode == RobotMode.RUNNING
+    controller.faults.emergency_stop()
+    realtime.until(lambda packet: RealtimeState.LAYOUTS.decode(packet).robot_mode == RobotMode.POWER_OFF)
+
+
+def test_messages_are_for_the_primary_interface_alone(controller: Controller, connect: Connect) -> None:
+    primary, secondary = connect(controller, "primary"), connect(controller, "secondary")
+    # A head has two messages; the stop makes two more.
+    controller.faults.protective_stop()
+    primary.until(lambda package: package[4] == 20 and package[14] == 5)
+    states = 0
+    kinds = []
+    while states < 4:
+        package = secondary.packet()
+        kinds.append((package[4], package[14] if package[4] == 20 else 0))
+        states += package[4] == 16
+    assert kinds[:2] == [(20, 3), (20, 12)]
+    assert set(kinds[2:]) == {(16, 0)}

@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue, LocalError
+from linkcore.packet import State
+from urlink.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
+from urlink.models import MODELS, UnknownModel
+from urlink.schemas.enums import JointMode, RobotMode, RobotModeCB2, SafetyMode
+from urlink.schemas.realtime import RealtimeState
+from urlink.schemas.robot_message import (
+    NO_TIMESTAMP,
+    SafetyComplianceTolerances,
+    SafetyModeMessage,
+    UnnamedMessage12,
+    VersionMessage,
+)
+from urlink.schemas.robot_state import (
+    SUB_PACKAGES,
+    CartesianInfo,
+    ConfigurationData,
+    ForceModeData,
+    JointData,
+    KinematicsInfo,
+    MasterboardData,
+    RobotModeData,
+    RobotState,
+    SubPackage,
+)
+from urlink.simulator import Controller, kinematics
+from urlink.simulator.packets import _CHANGING, _UNCHANGING, Form, _realtime
+
+
+def suits(release: Release, name: str) -> bool:
+    if release.since.is_e_series:
+        return MODELS[name].generation == "e"
+    return MODELS[name].generation == "CB" and not (name == "UR3" and release.since.is_cb2)
+
+
+COMBINATIONS = [
+    pytest.param(release, name, id=f"{name}-{release.since}")
+    for release in RELEASES
+    for name in MODELS
+    if suits(release, name)
+]
+
+
+def parts(state: bytes) -> dict[int, bytes]:
+    """Type of each sub-package -> its bytes, in the order in which they come."""
+    assert int.from_bytes(state[:4], "big") == len(state)
+    assert state[4] == 16
+    found = {}
+    offset = 5
+    while offset < len(state):
+        size = int.from_bytes(state[offset : offset + 4], "big")
+        assert 5 <= size <= len(state) - offset
+        found[state[offset + 4]] = state[offset : offset + size]
+        offset += size
+    return found
+
+
+def decoded(part: bytes, firmware: Firmware) -> SubPackage:
+    for cls in SUB_PACKAGES[part[4]]:
+        for layout in cls.LAYOUTS.all:
+            if layout.size == len(part):
+                state: SubPackage = cls.LAYOUTS.decode(part, firmware)
+                return state
+    raise AssertionError(f"no layout of {len(part)} bytes for sub-package {part[4]}")
+
+
+@pytest.mark.parametrize(("release", "name"), COMBINATIONS)
+def test_packets_of_every_firmware_and_model_have_the_sizes_of_the_table(release: Release, name: str) -> None:
+    controller = Controller(name, release.since)
+    controller.step(40)
+
+    packet = controller.realtime_packet()
+    assert len(packet) == release.realtime
+    state = RealtimeState.LAYOUTS.decode(packet)
+    assert state.tail == b""
+    assert state.time == 40 / release.since.rate
+    mode = RobotModeCB2.RUNNING if release.since.is_cb2 else RobotMode.RUNNING
+    assert state.robot_mode == (None if release.since < (1, 6) else mode)
+
+    first, later = controller.state_package(first=True), controller.state_package()
+    assert {kind: len(part) for kind, part in parts(first).items()} == release.state
+    assert list(parts(first)) == list(release.state)
+    assert len(first) == release.first_state_size
+    assert list(parts(later)) == [kind for kind in release.state if kind not in release.first_state_only]
+    assert len(later) == release.state_size
+    subs = [decoded(part, release.since) for part in parts(first).values()]
+    assert all(sub.tail == b"" for sub in subs)
+    found = infer(RobotState(*subs))
+    # Rows of the same state sizes are told apart by the real-time packet alone.
+    assert found is not None
+    assert release_of(found).state_size == release.state_size
+
+
+@pytest.mark.parametrize(("release", "name"), COMBINATIONS)
+def test_forms_give_the_bytes_of_the_slow_encoder(release: Release, name: str) -> None:
+    controller = Controller(name, release.since)
+    controller.signals.set_digital_output(3, True)
+    controller.signals.set_digital_input(16, True)
+    controller.step(77)
+    layout = RealtimeState.LAYOUTS.of(release.since)
+    assert controller.realtime_packet() == layout.encode(_realtime(controller))
+    for kind, part in parts(controller.state_package(first=True)).items():
+        fields = (_CHANGING | _UNCHANGING)[kind](controller)
+        cls: type[State] = type(decoded(part, release.since))
+        known = {key: value for key, value in fields.items() if key in cls.FIELDS}
+        assert part == cls.LAYOUTS.of(release.since).encode(known), cls.__name__
+
+
+def test_a_form_refuses_a_layout_with_text() -> None:
+    with pytest.raises(AssertionError, match="VersionMessage is of no fixed size"):
+        Form(VersionMessage.LAYOUTS.of("5.11"))
+
+
+def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
+    controller = Controller("UR10e", "5.11")
+    controller.arm.tcp = [0.0, 0.01, 0.1, 0.1, 0.2, 0.3]
+    controller.signals.digital_inputs = 0x10102
+    controller.signals.digital_outputs = 0x20001
+    controller.signals.set_analog_input(1, 3.5)
+    controller.step(700)
+    now = RealtimeState.LAYOUTS.decode(controller.realtime_packet())
+    subs = {
+        type(sub): sub
+        for sub in (decoded(p, controller.firmware) for p in parts(controller.state_package(True)).values())
+    }
+
+    mode, joints = subs[RobotModeData], subs[JointData]
+    assert isinstance(mode, RobotModeData)
+    assert isinstance(joints, JointData)
+    assert mode.timestamp == 1_400_000
+    assert now.time == 1.4
+    assert mode.is_program_running
+    assert not mode.is_protective_stopped
+    assert (joints.q_actual == now.q_actual).all()
+    assert (joints.q_target == now.q_target).all()
+    assert (joints.qd_actual == now.qd_actual).all()
+    assert joints.I_actual == pytest.approx(now.I_actual, rel=1e-6)
+    assert joints.joint_modes == now.joint_modes == (JointMode.RUNNING,) * 6
+
+    cartesian = subs[CartesianInfo]
+    assert isinstance(cartesian, CartesianInfo)
+    pose = [cartesian.X, cartesian.Y, cartesian.Z, cartesian.Rx, cartesian.Ry, cartesian.Rz]
+    assert pose == now.tool_vector_actual.tolist()
+    assert pose == pytest.approx(kinematics.pose(controller.model, now.q_actual, controller.arm.tcp), abs=1e-12)
+    assert cartesian.tcp_offset_Rz == 0.3
+
+    board = subs[MasterboardData]
+    assert isinstance(board, MasterboardData)
+    assert board.digital_input_bits == now.digital_input_bits == 0x10102
+    assert board.digital_output_bits == now.digital_output_bits == 0x20001
+    assert board.analog_input_1 == 3.5
+    assert board.safety_mode == now.safety_mode == now.safety_status == SafetyMode.NORMAL
+
+    force = subs[ForceModeData]
+    assert isinstance(force, ForceModeData)
+    determinant = np.linalg.det(kinematics.jacobian(controller.model, now.q_target))
+    assert force.robot_dexterity == pytest.approx(determinant**2)
+
+
+def test_the_first_state_tells_geometry_and_limits() -> None:
+    controller = Controller("UR20", "5.25")
+    subs = [decoded(part, NEWEST) for part in parts(controller.state_package(first=True)).values()]
+    (chain,) = (sub for sub in subs if isinstance(sub, KinematicsInfo))
+    (limits,) = (sub for sub in subs if isinstance(sub, ConfigurationData))
+    assert (chain.dh_a == controller.model.dh_a).all()
+    assert (chain.dh_d == controller.model.dh_d).all()
+    assert (limits.dh_alpha == controller.model.dh_alpha).all()
+    assert limits.robot_type == 7
+    assert (limits.joint_max_speed > controller.model.max_speed).all()
+    assert (limits.joint_max_limit > limits.joint_min_limit).all()
+
+
+def heads(controller: Controller, port: str) -> list[tuple[int, int]]:
+    return [(len(package), package[4]) for package in controller.greeting(port)]
+
+
+def test_a_connection_begins_as_captured() -> None:
+    # The sizes of the real bytes of 3.3 and 3.10, of a simulated 5.4, and of the secondary port of 5.12.
+    assert heads(Controller("UR5", "3.3.1.60"), "secondary") == [(56, 20), (24, 20), (1306, 16)]
+    assert heads(Controller("UR10", "3.10"), "primary") == [(55, 20), (24, 20), (181, 24), (1352, 16)]
+    assert heads(Controller("UR5e", "5.8"), "primary") == [(55, 20), (24, 20), (181, 24), (1386, 16)]
+    assert heads(Controller("UR5e", "5.12"), "secondary_readonly") == [(55, 20), (24, 20), (1386, 16)]
+    assert heads(Controller("UR5e", "5.3"), "primary") == [(55, 20), (24, 20), (1384, 16)]
+    assert [kind for _, kind in heads(Controller("UR5", "1.8"), "primary")] == [20, 16]
+    assert heads(Controller("UR5e", "5.12"), "realtime") == []
+
+
+def test_the_version_message_names_the_firmware() -> None:
+    newer = VersionMessage.LAYOUTS.decode(Controller("UR3e", "5.11.2.1042").greeting("primary")[0])
+    assert newer.timestamp == NO_TIMESTAMP
+    assert (newer.project_name, newer.major, newer.minor, newer.bugfix, newer.build) == ("URControl", 5, 11, 2, 1042)
+    older = VersionMessage.LAYOUTS.decode(Controller("UR5", "3.2.19293").greeting("primary")[0])
+    assert (older.major, older.minor, older.svn_revision) == (3, 2, 19293)
+
+
+def test_message_12_and_the_tolerances_are_those_captured() -> None:
+    packages = Controller("UR5e", "5.8").greeting("primary")
+    assert packages[1].hex() == "0000001814fffffffffffffffffe0c000000000000000001"
+    assert UnnamedMessage12.LAYOUTS.decode(packages[1]).third == 1
+    tolerances = SafetyComplianceTolerances.LAYOUTS.decode(packages[2]).tolerances
+    assert tolerances[:4].tolist() == [0.15, 25.0, 0.0, 2.0]
+
+
+def test_the_primary_interface_tells_of_a_stop() -> None:
+    controller = Controller("UR5e", "5.11")
+    controller.faults.protective_stop()
+    controller.advance()
+    report, change = controller.take_messages()
+    assert (report[4], report[14]) == (20, 6)
+    assert SafetyModeMessage.LAYOUTS.decode(change).safety_mode == SafetyMode.PROTECTIVE_STOP
+    controller.advance()
+    assert controller.take_messages() == []
+    controller.faults.clear()
+    controller.advance()
+    (change,) = controller.take_messages()
+    assert SafetyModeMessage.LAYOUTS.decode(change).safety_mode == SafetyMode.NORMAL
+
+
+def test_cb2_has_no_safety_mode_message() -> None:
+    controller = Controller("UR5", "1.8")
+    controller.faults.emergency_stop()
+    controller.advance()
+    (report,) = controller.take_messages()
+    assert report[14] == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "firmware"),
+    [("UR5e", "3.14"), ("UR5e", "1.8"), ("UR20", "3.5"), ("UR5", "5.0"), ("UR10", "5.11"), ("UR3", "1.8")],
+)
+def test_firmware_that_a_model_does_not_run_is_refused(name: str, firmware: str) -> None:
+    with pytest.raises(BadValue, match=f"{name} does not run firmware {firmware}"):
+        Controller(name, firmware)
+
+
+def test_what_goes_without_saying() -> None:
+    assert Controller("UR5e").firmware == NEWEST
+    assert Controller("UR3").firmware == (3, 14, 0, 0)
+    assert Controller().model.name == "UR5e"
+    assert Controller(firmware="1.8").model.name == "UR5"
+    assert Controller("ur16E", "5.9").model.name == "UR16e"
+
+
+def test_wrong_arguments_are_local_errors() -> None:
+    with pytest.raises(UnknownModel):
+        Controller("UR6")
+    with pytest.raises(LocalError, match=r"firmware 2\.0"):
+        Controller("UR5", "2.0")
+    with pytest.raises(BadValue, match="ports are"):
+        Controller(ports={"rtde": 0})

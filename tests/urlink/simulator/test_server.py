@@ -1,0 +1,293 @@
+from __future__ import annotations
+
+import itertools
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from linkcore.errors import BadAddress, BadValue, LocalError
+from urlink.schemas.realtime import RealtimeState
+from urlink.schemas.robot_message import VersionMessage
+from urlink.simulator import PORTS, Controller
+from urlink.simulator.server import LONGEST_LINE
+
+Connect = Callable[[Controller, str], Any]
+Eventually = Callable[[Callable[[], object]], None]
+
+
+def times(link: Any, count: int) -> list[float]:
+    return [RealtimeState.LAYOUTS.decode(link.packet()).time for _ in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("name", "firmware", "period"), [("UR5e", "5.11", 0.002), ("UR10", "3.14", 0.008), ("UR5", "1.6", 0.008)]
+)
+def test_real_time_packets_come_one_a_cycle(name: str, firmware: str, period: float, connect: Connect) -> None:
+    with Controller(name, firmware) as controller:
+        link = connect(controller, "realtime")
+        begin, first = time.monotonic(), times(link, 1)[0]
+        stamps = times(link, 100)
+        elapsed = time.monotonic() - begin
+    for before, after in itertools.pairwise([first, *stamps]):
+        assert after - before == pytest.approx(period, abs=1e-9)
+    assert elapsed > 100 * period - 0.05
+
+
+def test_the_clock_does_not_drift(connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        link = connect(controller, "realtime")
+        offsets = []
+        for stamp in iter(lambda: times(link, 1)[0], None):
+            offsets.append(time.monotonic() - stamp)
+            if stamp > 1.5:
+                break
+    # A packet can be late; the earliest of the first and of the last are on the same grid.
+    assert min(offsets[-200:]) == pytest.approx(min(offsets[:200]), abs=2e-3)
+
+
+@pytest.mark.parametrize("port", ["primary", "primary_readonly", "secondary", "secondary_readonly"])
+def test_packages_come_with_a_head_and_ten_times_a_second(port: str, connect: Connect) -> None:
+    with Controller("UR5", "3.10") as controller:
+        link = connect(controller, port)
+        head = [(len(package), package[4]) for package in (link.packet() for _ in range(4))]
+        tolerances = [(181, 24)] if port.startswith("primary") else [(682, 16)]
+        assert sorted(head) == sorted([(55, 20), (24, 20), *tolerances, (1352, 16)])
+        assert head[:2] == [(55, 20), (24, 20)]
+        stamps = []
+        for _ in range(8):
+            package = link.packet()
+            assert (len(package), package[4]) == (682, 16)
+            stamps.append(int.from_bytes(package[10:18], "big"))
+    # 12.5 cycles of 8 ms lie between two states, so it is 12 and 13 in turn.
+    gaps = [after - before for before, after in itertools.pairwise(stamps)]
+    assert set(gaps) == {96_000, 104_000}
+    assert sum(gaps[:6]) == 600_000
+
+
+def test_all_clients_of_a_port_get_the_same_bytes(connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        links = [connect(controller, port) for port in ["realtime"] * 10 + ["realtime_readonly"] * 10]
+        begun = [link.packet() for link in links]
+        last = max(begun, key=lambda packet: float(RealtimeState.LAYOUTS.decode(packet).time))
+
+        def catch_up(link: Any, packet: bytes) -> list[bytes]:
+            if packet != last:
+                assert link.until(lambda packet: packet == last) == last
+            return [link.packet() for _ in range(20)]
+
+        streams = [catch_up(link, packet) for link, packet in zip(links, begun, strict=True)]
+        assert len(set(streams[0])) == 20
+        assert all(stream == streams[0] for stream in streams)
+        assert controller.counters.connections == 20
+
+
+def test_a_client_that_does_not_read_is_dropped_and_delays_nobody(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11", output_limit=20_000) as controller:
+        reader, sleeper = connect(controller, "realtime"), connect(controller, "realtime")
+        sleeper.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stamps: list[float] = []
+
+        def dropped() -> bool:
+            stamps.extend(times(reader, 25))
+            return controller.counters.dropped == 1
+
+        eventually(dropped)
+        assert sleeper.is_ended()
+        gaps = [after - before for before, after in itertools.pairwise(stamps)]
+        assert max(gaps) == pytest.approx(0.002, abs=1e-9)
+        assert len(reader.packet()) == 1220
+
+
+def test_clients_may_come_and_go_at_any_time(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        steady = connect(controller, "realtime")
+        for port in itertools.islice(itertools.cycle(PORTS), 60):
+            link = connect(controller, port)
+            link.close()
+        eventually(lambda: controller.counters.connections == 61)
+        assert len(steady.packet()) == 1220
+        assert controller.counters.dropped == 0
+
+
+def test_lines_that_clients_send_are_kept(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        for port in ("primary", "secondary", "realtime"):
+            connect(controller, port).send(f"popup({port})\n".encode())
+        eventually(lambda: len(controller.received) == 3)
+        assert sorted(controller.received) == [
+            ("primary", "popup(primary)"),
+            ("realtime", "popup(realtime)"),
+            ("secondary", "popup(secondary)"),
+        ]
+        controller.received.clear()
+        link = connect(controller, "secondary")
+        for part in (b"de", b"f f():\n  text", b'msg("\xff")\r\nend', b"\n"):
+            link.send(part)
+        eventually(lambda: len(controller.received) == 3)
+        assert [text for _, text in controller.received] == ["def f():", '  textmsg("\\xff")', "end"]
+
+
+def test_text_without_end_is_thrown_away(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        link = connect(controller, "primary")
+        link.send(b"x" * (3 * LONGEST_LINE) + b"\nset_digital_out(0, True)\n")
+        eventually(lambda: len(controller.received) == 1)
+        assert controller.received.pop() == ("primary", "set_digital_out(0, True)")
+        assert controller.counters.refused_bytes == 3 * LONGEST_LINE
+
+
+def test_text_to_read_only_ports_has_no_effect(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        connect(controller, "realtime_readonly").send(b"stopj(2)\n")
+        eventually(lambda: controller.counters.refused_bytes == 9)
+        assert not controller.received
+
+
+def test_what_clients_send_is_bounded(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        connect(controller, "primary").send(b"a\n" * 5000 + b"last\n")
+        eventually(lambda: controller.received and controller.received[-1] == ("primary", "last"))
+        assert len(controller.received) == 1000
+
+
+def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
+    before = threading.active_count()
+    controller = Controller("UR5e", "5.11").start()
+    links = [connect(controller, port) for port in PORTS]
+    for link in links:
+        link.packet()
+    assert threading.active_count() == before + 1
+    host, ports = controller.host, controller.ports
+    begin = time.monotonic()
+    controller.close()
+    controller.close()
+    assert time.monotonic() - begin < 2.0
+    assert threading.active_count() == before
+    assert all(link.is_ended() for link in links)
+    for number in ports.values():
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection((host, number), timeout=5)
+    assert controller.ports == {}
+
+
+def test_a_closed_controller_can_be_started_again(connect: Connect) -> None:
+    controller = Controller("UR5e", "5.11")
+    for _ in range(2):
+        with controller as same:
+            assert same is controller
+            assert controller.start() is controller
+            assert len(connect(controller, "realtime").packet()) == 1220
+    controller.step()
+
+
+def test_stepping_and_serving_exclude_each_other() -> None:
+    with Controller("UR5e") as controller, pytest.raises(LocalError, match="cannot be stepped"):
+        controller.step()
+
+
+def test_only_the_ports_asked_for_are_served(connect: Connect) -> None:
+    with Controller("UR5e", "5.11", ports={"realtime": 0}) as controller:
+        assert list(controller.ports) == ["realtime"]
+        assert len(connect(controller, "realtime").packet()) == 1220
+        taken = controller.ports["realtime"]
+        with pytest.raises(BadAddress, match=f":{taken} for primary"):
+            Controller("UR5e", ports={"secondary": 0, "primary": taken}).start()
+
+
+def test_standard_ports_are_those_of_a_real_controller() -> None:
+    try:
+        controller = Controller(ports="standard").start()
+    except BadAddress as error:
+        pytest.skip(str(error))
+    with controller:
+        assert controller.ports == PORTS
+
+
+def test_a_host_that_is_not_ours_is_a_clear_error() -> None:
+    with pytest.raises(BadAddress, match=r"cannot listen on 192\.0\.2\.1:0"):
+        Controller(host="192.0.2.1").start()
+
+
+def test_twenty_controllers_live_together(connect: Connect) -> None:
+    controllers = [Controller("UR5", "3.14") for _ in range(20)]
+    try:
+        for controller in controllers:
+            controller.start()
+        links = [connect(controller, "realtime") for controller in controllers]
+        for link in links:
+            stamps = times(link, 60)
+            gaps = [after - before for before, after in itertools.pairwise(stamps)]
+            assert gaps == pytest.approx([0.008] * 59, abs=1e-9)
+    finally:
+        for controller in controllers:
+            controller.close()
+
+
+def test_an_error_in_a_call_comes_back_and_harms_nothing(connect: Connect) -> None:
+    def fail() -> None:
+        raise BadValue("no")
+
+    with Controller("UR5e", "5.11") as controller:
+        with pytest.raises(BadValue, match="no"):
+            controller.call(fail)
+        assert len(connect(controller, "realtime").packet()) == 1220
+
+
+def test_calls_run_in_the_one_thread_of_the_controller() -> None:
+    seen: list[threading.Thread] = []
+
+    def look() -> None:
+        seen.append(threading.current_thread())
+        # From within, a call is just made.
+        controller.call(lambda: seen.append(threading.current_thread()))
+
+    with Controller("UR5e") as controller:
+        controller.call(look)
+    assert seen[0] is seen[1] is not threading.current_thread()
+
+
+def test_nothing_is_computed_while_nobody_looks(monkeypatch: pytest.MonkeyPatch, connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        looks: list[str] = []
+        for name in ("realtime_packet", "state_package"):
+            made = getattr(controller, name)
+
+            def look(*args: bool, name: str = name, made: Callable[..., bytes] = made) -> bytes:
+                looks.append(name)
+                return made(*args)
+
+            monkeypatch.setattr(controller, name, look)
+        link = connect(controller, "secondary")
+        for _ in range(6):
+            link.packet()
+        assert set(looks) == {"state_package"}
+
+
+def test_the_simulator_is_not_imported_with_the_package() -> None:
+    code = "import sys, urlink; print(sorted(name for name in sys.modules if 'urlink.simulator' in name))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_stepping_needs_no_server() -> None:
+    code = (
+        "import sys, threading; from urlink.simulator import Controller\n"
+        "controller = Controller(); controller.step(10)\n"
+        "print(len(controller.realtime_packet()), threading.active_count(), 'urlink.simulator.server' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1220", "1", "False"]
+
+
+def test_an_older_head_has_the_version_message_alone(connect: Connect) -> None:
+    with Controller("UR5", "1.8") as controller:
+        link = connect(controller, "primary")
+        version = VersionMessage.LAYOUTS.decode(link.packet())
+        assert (version.major, version.minor) == (1, 8)
+        assert [len(link.packet()) for _ in range(2)] == [1254, 560]
