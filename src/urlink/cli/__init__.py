@@ -13,13 +13,13 @@ from collections.abc import Iterator, Sequence
 
 from linkcore.errors import LinkError
 
-from . import echo, monitor
+from . import dissect, echo, hz, info, monitor, record, replay, sim
 from .interruption import Interrupted, raise_on_sigterm
 from .terminal import safe
 
 __all__ = ["main"]
 
-_COMMANDS = (monitor, echo)
+_COMMANDS = (monitor, echo, hz, info, record, replay, dissect, sim)
 
 _DESCRIPTION = """\
 Read Universal Robots arms of every generation, from a real controller, a simulated one or a recording."""
@@ -42,7 +42,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status and never raises."""
     parser = _parser()
     try:
-        args = parser.parse_args(argv)
+        args, extra = parser.parse_known_args(argv)
+        # argparse gives up on FIELDs that stand after an option.
+        if extra and hasattr(args, "fields") and not any(each.startswith("-") for each in extra):
+            args.fields += extra
+        elif extra:
+            args.usage_error(f"unrecognized arguments: {' '.join(extra)}")
     except SystemExit as exit_:  # argparse has said what is wrong, or has shown the help
         return int(exit_.code or 0)
     for stream in (sys.stdout, sys.stderr):
@@ -125,4 +130,3 @@ def _logging(verbose: int) -> Iterator[None]:
             logger.removeHandler(handler)
             logger.setLevel(old_level)
             logger.propagate = old_propagate
-

@@ -55,12 +55,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         RemoteError: nobody is there, or no state ever came.
     """
-    with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
+    with connect(args.address, timeout=args.connect_timeout) as robot:
         glances = watch(robot, args.interface)
         next(glances)  # connects, so that what fails there is said before anything is painted
         show, pause = _painter(args.plain)
         until = None if args.duration is None else time.monotonic() + args.duration
-        with show as draw:
+        with Interruption() as interruption, show as draw:
             while True:
                 glance = next(glances)
                 over = glance.status is Status.ENDED or (until is not None and time.monotonic() >= until)
@@ -182,5 +182,6 @@ def _pictures() -> Iterator[_Draw]:
     from .picture import Picture
 
     # The last picture stays on the screen, where it can be read and copied.
-    with Live(console=Console(), auto_refresh=False, vertical_overflow="crop") as live:
+    console, to_terminal = Console(), sys.stderr.isatty()
+    with Live(console=console, auto_refresh=False, vertical_overflow="crop", redirect_stderr=to_terminal) as live:
         yield lambda glance: live.update(Picture(glance), refresh=True)

@@ -64,9 +64,7 @@ class Picture:
         if glance.message is not None:
             rows.append(_labelled("message", Text(safe(glance.message), _VALUE, overflow="ellipsis", no_wrap=True)))
         title = Text.assemble((f" {safe(glance.robot)} ", "bold"), (f" {safe(glance.address)} ", _LABEL))
-        yield Panel(
-            Group(*rows), title=title, title_align="left", border_style=border, box=box.ROUNDED, width=width
-        )
+        yield Panel(Group(*rows), title=title, title_align="left", border_style=border, box=box.ROUNDED, width=width)
 
     def _header(self) -> Text:
         glance = self._glance

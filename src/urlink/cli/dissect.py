@@ -1,0 +1,315 @@
+"""`urlink dissect`: every byte of a packet with its meaning."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import BadRecording, PacketError
+from linkcore.layout import Row
+from linkcore.packet import State
+from linkcore.recording import Kind, Recording
+
+from ..decode import INTERFACES, Interface, decode
+from ..firmware import Firmware, release_of
+from ..protocols.primary import PackageDecoder
+from ..schemas.headers import PACKAGE
+from ..schemas.robot_message import VersionMessage
+from ..schemas.robot_state import RobotState
+from .options import Subparsers, add_command, positive_int
+from .stretches import Stretch, cut, guess_interface
+from .terminal import safe, strict_json
+from .values import as_text, plain
+
+__all__ = ["Piece", "add_parser", "dissect"]
+
+_DESCRIPTION = """\
+Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
+
+FILE holds raw bytes, as cut from a network capture, or is a recording. Robot states are shown sub-package
+by sub-package. Bytes that no known layout explains are shown as `tail`, packets that cannot be decoded with
+the reason, bytes outside packets and packets that are cut off as what they are: nothing is hidden.
+
+Offsets count from the beginning of the file's bytes; in a recording from the first byte of the connection.
+The layout of a packet is worked out from its size; --firmware fixes it."""
+
+_EXAMPLES = (
+    "urlink dissect packet.bin",
+    "urlink dissect run.urlog --interface primary --count 1",
+    "urlink dissect packet.bin --interface realtime --firmware 3.4 --json",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "dissect", "show the bytes of packets, field by field", _DESCRIPTION, _EXAMPLES)
+    parser.add_argument("file", metavar="FILE", help="raw bytes, or a recording")
+    parser.add_argument("--interface", choices=INTERFACES, help="interface that the bytes come from (guessed)")
+    parser.add_argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent them (guessed)")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each packet or stretch")
+    parser.set_defaults(run=run)
+
+
+def _firmware(text: str) -> Firmware:
+    try:
+        firmware = Firmware.parse(text)
+        release_of(firmware)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return firmware
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the file.
+
+    Raises:
+        BadRecording: no such file, or there is nothing in it that could be shown.
+    """
+    shown = decoded = 0
+    for number, piece in enumerate(_pieces(args), 1):
+        shown += 1
+        decoded += piece.error is None
+        if args.json:
+            print(strict_json({"number": number, **piece.as_json()}))
+        else:
+            print("\n".join(piece.lines(number)), end="\n\n")
+        if shown == args.count:
+            break
+    if not shown:
+        raise BadRecording(f"{args.file} holds no bytes" + (f" of {args.interface}" if args.interface else ""))
+    return 0 if decoded else 1
+
+
+def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
+    for interface, data in _sources(Path(args.file), args.interface):
+        yield from dissect(data, interface, args.firmware)
+
+
+def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
+    """The bytes in a file, connection by connection, and the interface that each came over."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BadRecording(f"cannot read {path}: {error.strerror}") from error
+    if data.startswith(b"LINKREC1"):
+        yield from _recorded(Recording(path), wanted)
+        return
+    interface = wanted or guess_interface(data)
+    if interface is None and data:
+        raise BadRecording(f"no packet of any interface is in {path}; --interface shows it all the same")
+    if interface is not None and data:
+        yield interface, data
+
+
+def _recorded(recording: Recording, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
+    if wanted is not None:
+        recording.channel(wanted)  # says at once what there is instead
+    for number, info in recording.channels.items():
+        name = info["name"]
+        if name not in INTERFACES or wanted not in (None, name):
+            continue
+        data = bytearray()
+        for record in recording:
+            if record.channel != number:
+                continue
+            if record.kind is Kind.BYTES:
+                data += record.payload
+            elif record.kind is Kind.EVENT and json.loads(record.payload).get("state") == "lost" and data:
+                yield name, bytes(data)
+                data.clear()
+        if data:
+            yield name, bytes(data)
+
+
+@dataclass
+class Piece:
+    """A packet, a sub-package, or a stretch of bytes that is neither.
+
+    Attributes:
+        offset: of its first byte.
+        data: its bytes.
+        title: class of the packet, or what the bytes are.
+        layout: first firmware that sends this layout; None where there is none.
+        rows: the fields, with offsets that count from the piece.
+        parts: the sub-packages.
+        error: why it could not be decoded, or could not whole; None where it could.
+    """
+
+    offset: int
+    data: bytes
+    title: str
+    layout: str | None = None
+    rows: list[Row] = field(default_factory=list)
+    parts: list[Piece] = field(default_factory=list)
+    error: str | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        answer: dict[str, Any] = {
+            "offset": self.offset,
+            "size": len(self.data),
+            "type": self.title,
+            "layout_since": self.layout,
+            "error": self.error,
+        }
+        if self.rows:
+            answer["fields"] = [
+                {
+                    "offset": self.offset + row.offset,
+                    "hex": row.data.hex(),
+                    "name": row.name,
+                    "value": plain(row.value),
+                    "unit": row.unit,
+                    "meaning": row.doc,
+                }
+                for row in self.rows
+            ]
+        if self.parts:
+            answer["packages"] = [part.as_json() for part in self.parts]
+        if not self.rows and not self.parts:
+            answer["hex"] = self.data.hex()
+        return answer
+
+    def lines(self, number: int | None = None) -> Iterator[str]:
+        """For people."""
+        layout = f", layout of firmware {self.layout} and later" if self.layout is not None else ""
+        count = "" if number is None else f"#{number} "
+        yield f"{count}{self.title}: {len(self.data)} bytes at {self.offset}{layout}"
+        if self.error is not None:
+            yield f"  !! {safe(self.error)}"
+        for row in self.rows:
+            yield from _row_lines(row, self.offset)
+        for part in self.parts:
+            yield from (f"  {line}" for line in part.lines())
+        if not self.rows and not self.parts:
+            yield from _dump(self.data, self.offset)
+
+
+def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Iterator[Piece]:
+    """Every byte of `data`, in order."""
+    said = firmware
+    for stretch in cut(data, interface):
+        if not stretch.is_packet:
+            yield _stray(stretch, interface, said)
+        elif interface == "realtime":
+            yield _realtime(stretch, firmware)
+        else:
+            piece, state = _package(stretch.data, stretch.offset, said)
+            if isinstance(state, VersionMessage) and firmware is None:
+                # From here on the controller has said which layouts it sends.
+                said = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
+            yield piece
+
+
+def _stray(stretch: Stretch, interface: Interface, firmware: Firmware | None) -> Piece:
+    """Bytes that are no whole packet."""
+    if stretch.expected is None:
+        return Piece(stretch.offset, stretch.data, "no packet", error="these bytes belong to no packet")
+    cut_off = f"cut off: expected {stretch.expected} bytes, got {len(stretch.data)}"
+    if interface != "realtime" and stretch.data[4] == 16:
+        piece = _robot_state(stretch.data, stretch.offset, firmware)
+        piece.error = cut_off
+        return piece
+    return Piece(stretch.offset, stretch.data, "beginning of a packet", error=cut_off)
+
+
+def _realtime(stretch: Stretch, firmware: Firmware | None) -> Piece:
+    try:
+        (state,) = decode(stretch.data, "realtime", firmware)
+    except PacketError as error:
+        return Piece(stretch.offset, stretch.data, "RealtimeState", error=str(error))
+    return _decoded(state, stretch.data, stretch.offset)
+
+
+def _package(data: bytes, offset: int, firmware: Firmware | None) -> tuple[Piece, State | None]:
+    if data[4] == 16:
+        return _robot_state(data, offset, firmware), None
+    try:
+        state = PackageDecoder(firmware).decode(data)
+    except PacketError as error:
+        return Piece(offset, data, f"package of type {data[4]}", error=str(error)), None
+    return _decoded(state, data, offset), state
+
+
+def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
+    """A robot state, each sub-package by itself, so that a bad one does not hide the others."""
+    piece = Piece(offset, data, RobotState.__name__)
+    decoder = PackageDecoder(firmware)
+    piece.rows = list(_header(data))
+    at = 5
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 4], "big")
+        if len(data) - at < 5 or not 5 <= size <= len(data) - at:
+            cut_off = f"no whole sub-package: expected {size} bytes, got {len(data) - at}"
+            piece.parts.append(Piece(offset + at, data[at:], "rest", error=cut_off))
+            break
+        part = data[at : at + size]
+        try:
+            # As the only one of a robot state.
+            state = decoder.decode(PACKAGE.build({"size": 5 + size, "type": 16}) + part)
+        except PacketError as error:
+            piece.parts.append(Piece(offset + at, part, f"sub-package of type {part[4]}", error=str(error)))
+        else:
+            assert isinstance(state, RobotState)
+            piece.parts.append(_decoded(state.packages[0], part, offset + at))
+        at += size
+    broken = sum(part.error is not None for part in piece.parts)
+    if broken:
+        piece.error = f"{broken} of {len(piece.parts)} sub-packages could not be decoded"
+    return piece
+
+
+def _header(data: bytes) -> Iterator[Row]:
+    yield Row(0, data[:4], "size", int.from_bytes(data[:4], "big"), "B", "header")
+    yield Row(4, data[4:5], "type", data[4], "", "header")
+
+
+def _decoded(state: State, data: bytes, offset: int) -> Piece:
+    layout = state._layout
+    first = None if layout.first == (0, 0) else ".".join(map(str, layout.first))
+    return Piece(offset, data, type(state).__name__, first, list(layout.dissect(data)))
+
+
+def _row_lines(row: Row, start: int) -> Iterator[str]:
+    values = _elements(row)
+    if values is None:
+        text = "" if row.value is None else f"{row.value:#x}" if row.unit == "bits" else as_text(row.value)
+        yield from _field_lines(start + row.offset, row.data, row.name, text, row.unit, row.doc)
+        return
+    width = len(row.data) // len(values)
+    for number, value in enumerate(values):
+        at = number * width
+        name, part = f"{row.name}[{number}]", row.data[at : at + width]
+        # The meaning of a vector is said once.
+        yield from _field_lines(
+            start + row.offset + at, part, name, as_text(value), row.unit, "" if number else row.doc
+        )
+
+
+def _elements(row: Row) -> Sequence[Any] | None:
+    if isinstance(row.value, (np.ndarray, tuple, list)) and len(row.value) and len(row.data) % len(row.value) == 0:
+        return list(row.value)
+    return None
+
+
+def _field_lines(offset: int, data: bytes, name: str, value: str, unit: str, doc: str) -> Iterator[str]:
+    chunks = [data[at : at + 8].hex(" ") for at in range(0, len(data), 8)] or [""]
+    quantity = value if unit in ("", "1", "bits") else f"{value} {unit}"
+    line = f"  {offset:6}  {chunks[0]:23}  {name:26}  {quantity:28}"
+    yield f"{line}  {doc}".rstrip()
+    for number, chunk in enumerate(chunks[1:], 1):
+        yield f"  {offset + 8 * number:6}  {chunk}"
+
+
+def _dump(data: bytes, start: int) -> Iterator[str]:
+    for at in range(0, len(data), 16):
+        part = data[at : at + 16]
+        text = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in part)
+        yield f"  {start + at:6}  {part.hex(' '):47}  {text}"

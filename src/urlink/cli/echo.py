@@ -1,0 +1,120 @@
+"""`urlink echo`: packets as lines."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from linkcore.packet import State
+
+from ..decode import INTERFACES
+from ..robot import Robot, connect
+from ..schemas.realtime import RealtimeState
+from ..schemas.robot_state import RobotState
+from .fields import KINDS, NoSuchField, getter
+from .options import Subparsers, add_address, add_command, positive_int, seconds
+from .tap import Tap
+from .terminal import strict_json
+from .values import as_json, as_line, as_text, plain
+
+__all__ = ["add_options", "add_parser", "echo", "kind_of", "shower"]
+
+_DESCRIPTION = """\
+Print packets, one line each: every packet, in order.
+
+Without a FIELD a line has all of them. Of the real-time interface a field is named as it is, q_actual; of
+robot states (--interface primary) it stands in a sub-package, joint_data.q_actual. --type chooses
+sub-packages, messages or other packages by their class. A field that the controller does not send is "-",
+in JSON null. Packets that this output is too slow for are dropped, and counted on stderr at the end."""
+
+_EXAMPLES = (
+    "urlink echo 192.168.56.101 q_actual tcp_force",
+    "urlink echo sim:// --json --count 1",
+    "urlink echo 192.168.56.101 --interface primary joint_data.T_motor robot_mode_data.robot_mode",
+    "urlink echo 192.168.56.101 --type RobotMessage",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "echo", "print packets, one line each", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What to print, and how."""
+    parser.add_argument("fields", metavar="FIELD", nargs="*", help="print only these fields")
+    parser.add_argument(
+        "--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"
+    )
+    parser.add_argument(
+        "--type", metavar="CLASS", choices=KINDS, help="class of packet: RobotModeData, TextMessage, State for all, ..."
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print until told to stop."""
+    interface, kind = kind_of(args)
+    show = shower(args, kind)
+    with connect(args.address, timeout=args.connect_timeout) as robot:
+        echo(robot, interface, kind, show, args)
+    return 0
+
+
+def kind_of(args: argparse.Namespace) -> tuple[str, type[State]]:
+    """The interface to read and the class of packet to print."""
+    interface = args.interface
+    if args.type is None:
+        interface = interface or "realtime"
+        return interface, RealtimeState if interface == "realtime" else RobotState
+    kind = KINDS[args.type]
+    if interface is None:
+        interface = "realtime" if kind is RealtimeState else "primary"
+    if (interface == "realtime") != (kind is RealtimeState) and kind is not State:
+        args.usage_error(f"{args.type} does not come on the {interface} interface")
+    return interface, kind
+
+
+def shower(args: argparse.Namespace, kind: type[State]) -> Callable[[State], str]:
+    """What makes a line of a packet."""
+    try:
+        getters = {path: getter(kind, path) for path in args.fields}
+    except NoSuchField as error:
+        args.usage_error(str(error))
+    if args.json and getters:
+        return lambda packet: strict_json(_picked(packet, getters))
+    if args.json:
+        return lambda packet: strict_json(as_json(packet))
+    if getters:
+        return lambda packet: " ".join(f"{path}={as_text(get(packet))}" for path, get in getters.items())
+    return as_line
+
+
+def _picked(packet: State, getters: dict[str, Callable[[Any], Any]]) -> dict[str, Any]:
+    received = packet.received
+    head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
+    return head | {path: plain(get(packet)) for path, get in getters.items()}
+
+
+def echo(
+    robot: Robot, interface: str, kind: type[State], show: Callable[[State], str], args: argparse.Namespace
+) -> None:
+    """Print the packets of one class on one interface.
+
+    Raises:
+        RemoteError: the stream could not be opened, gave up, or was silent for longer than `--timeout`.
+    """
+    with Tap(getattr(robot, interface), kind) as tap:
+        packets: Iterable[State] = tap.packets(args.timeout)
+        for packet in itertools.islice(packets, args.count):
+            print(show(packet))
+            # A line is worth having at once, in a pipe too.
+            sys.stdout.flush()

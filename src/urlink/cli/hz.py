@@ -1,0 +1,95 @@
+"""`urlink hz`: how regularly packets come."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections import deque
+
+from linkcore.errors import LinkTimeout
+from linkcore.statistics import StreamStatistics
+
+from ..decode import INTERFACES
+from ..robot import connect
+from ..schemas.realtime import RealtimeState
+from ..schemas.robot_state import RobotState
+from .options import Subparsers, add_address, add_command, add_interface, positive_int, seconds
+from .tap import Tap
+
+__all__ = ["add_parser", "line"]
+
+_DESCRIPTION = """\
+Measure how regularly states come, by the times at which their bytes arrived here.
+
+One line a second: the rate, the shortest, mean and longest period and its standard deviation over the last
+--window periods, and what the stream has counted since the start. States that arrive in one segment have a
+period of zero between them. On e-Series the real-time interface sends 500 states a second, on CB2 and CB3
+125, the primary and secondary interface 10."""
+
+_EXAMPLES = (
+    "urlink hz 192.168.56.101",
+    "urlink hz sim:// --duration 10 --window 5000",
+    "urlink hz 192.168.56.101 --interface primary",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "hz", "measure how regularly states come", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    add_interface(parser, INTERFACES)
+    parser.add_argument("--window", type=positive_int, default=1000, metavar="N", help="periods to look back on (1000)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure until the time is up, or a recording is over.
+
+    Raises:
+        RemoteError: nobody is there, or no state ever came.
+    """
+    kind = RealtimeState if args.interface == "realtime" else RobotState
+    periods: deque[float] = deque(maxlen=args.window)
+    last: float | None = None
+    fresh = 0
+    with connect(args.address, timeout=args.connect_timeout) as robot:
+        stream = getattr(robot, args.interface)
+        with Tap(stream, kind) as tap:
+            start = time.monotonic()
+            until = math.inf if args.duration is None else start + args.duration
+            due = min(start + 1.0, until)
+            is_over = False
+            while not is_over:
+                packets = tap.take(max(due - time.monotonic(), 0.0))
+                for packet in packets or ():
+                    arrived = packet.received.monotonic
+                    if last is not None:
+                        periods.append(arrived - last)
+                    last = arrived
+                    fresh += 1
+                now = time.monotonic()
+                is_over = packets is None or now >= until
+                if now >= due or is_over:
+                    print(line(periods, fresh, stream.stats), flush=True)
+                    due, fresh = min(due + 1.0, until), 0
+    if last is None:
+        raise LinkTimeout(f"{args.address}: no state came on the {args.interface} interface")
+    return 0
+
+
+def line(periods: deque[float], fresh: int, stats: StreamStatistics) -> str:
+    """One line about the last periods; `fresh` is how many states have come since the line before."""
+    counters = f"received {stats.received} dropped {stats.dropped} failed {stats.failed} reconnects {stats.reconnects}"
+    if not fresh:
+        return f"no new states | {counters}"
+    if not periods:
+        return f"one state so far | {counters}"
+    mean = sum(periods) / len(periods)
+    spread = math.sqrt(sum((period - mean) ** 2 for period in periods) / len(periods))
+    rate = f"{1.0 / mean:.2f} Hz" if mean > 0.0 else "- Hz"
+    return (
+        f"{rate} | period min {min(periods) * 1e3:.3f} mean {mean * 1e3:.3f} max {max(periods) * 1e3:.3f} "
+        f"std {spread * 1e3:.3f} ms | window {len(periods)} | {counters}"
+    )

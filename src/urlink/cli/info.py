@@ -1,0 +1,95 @@
+"""`urlink info`: who is there, and what is known of it."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
+from ..firmware import release_of
+from ..robot import Robot, connect
+from ..schemas.robot_state import SUB_PACKAGES
+from .options import Subparsers, add_address, add_command
+from .terminal import safe, strict_json
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Ask a controller who it is: firmware and arm, and what this library knows of that firmware.
+
+What is on the wire comes from the row of the firmware table that holds for it; `evidence` says what backs
+that row. Where a controller does not send its version, the firmware is the oldest that sends packages of the
+same sizes, and is said to be inferred."""
+
+_EXAMPLES = (
+    "urlink info 192.168.56.101",
+    "urlink info 'sim://ur10?firmware=3.4'",
+    "urlink info replay:///tmp/run.urlog --json",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "info", "tell which controller is there", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask, and print the answer."""
+    with connect(args.address, timeout=args.connect_timeout) as robot:
+        answer = _facts(robot)
+    if args.json:
+        print(strict_json(answer))
+        return 0
+    source = "said by the controller" if answer["firmware_is_said"] else "inferred from the sizes of its packages"
+    sizes = answer["sizes"]
+    parts = "  ".join(f"{name} {size}" for name, size in sizes["sub_packages"].items())
+    print(f"address     {safe(answer['address'])}")
+    print(f"firmware    {answer['firmware']} ({source})")
+    print(f"model       {safe(answer['model'] or 'not said by the controller')}")
+    print(f"real-time   {sizes['realtime']} bytes, {answer['realtime_rate']} Hz")
+    print(f"state       {sizes['first_state']} bytes, the first of a connection; then {sizes['state']} bytes, 10 Hz")
+    print(f"            {parts}")
+    print(f"table row   firmware {answer['release']} and later")
+    print(f"evidence    {answer['evidence']}")
+    if answer["ports"]:
+        print("ports       " + "  ".join(f"{name} {port}" for name, port in answer["ports"].items()))
+    return 0
+
+
+def _facts(robot: Robot) -> dict[str, Any]:
+    identity = robot.identity
+    release = release_of(identity.firmware)
+    return {
+        "address": robot.address,
+        "firmware": str(identity.firmware),
+        "firmware_is_said": identity.said_so,
+        "model": identity.model,
+        "realtime_rate": identity.firmware.rate,
+        "release": str(release.since),
+        "evidence": release.evidence,
+        "sizes": {
+            "realtime": release.realtime,
+            "first_state": release.first_state_size,
+            "state": release.state_size,
+            "sub_packages": {_name(kind, size): size for kind, size in release.state.items()},
+        },
+        "ports": _ports(robot),
+    }
+
+
+def _name(kind: int, size: int) -> str:
+    """Of a sub-package; where a number has two meanings, by its size."""
+    for part in SUB_PACKAGES[kind]:
+        if size >= min(layout.size for layout in part.LAYOUTS.all):
+            return part.__name__
+    return str(kind)
+
+
+def _ports(robot: Robot) -> dict[str, int]:
+    place = parse_address(robot.address)
+    if isinstance(place, SimulatorAddress) and robot.controller is not None:
+        return dict(robot.controller.ports)
+    return {} if isinstance(place, RecordingAddress) or not isinstance(place, RobotAddress) else dict(place.ports)

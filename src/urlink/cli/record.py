@@ -1,0 +1,79 @@
+"""`urlink record`: keep what a robot sends."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from linkcore.recording import Recording
+from linkcore.stream import ConnectionState
+
+from ..decode import INTERFACES
+from ..robot import connect
+from .interruption import Interruption
+from .options import Subparsers, add_address, add_command, positive_int, seconds
+from .summary import summarise
+from .tap import tell
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
+
+Every byte is kept, whether this library understands it or not, and lost connections are noted and made
+again. Ctrl-C or SIGTERM ends the recording in order; so does --duration or --count. After a crash the file
+is still readable up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use
+it as an address: replay:///path/to/file."""
+
+_EXAMPLES = (
+    "urlink record 192.168.56.101 run.urlog",
+    "urlink record sim:// run.urlog --interface realtime --duration 10",
+    "urlink record 192.168.56.101 run.urlog --interface primary --interface secondary --count 100",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "record", "record what a robot sends", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    parser.add_argument("file", metavar="FILE", help="file to make; it must not exist yet")
+    parser.add_argument(
+        "--interface",
+        action="append",
+        choices=INTERFACES,
+        help="interface to record, can be given again (realtime and primary)",
+    )
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.add_argument(
+        "--count", type=positive_int, metavar="N", help="end when N packets have come on each interface (never)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until told to stop, and say what is in the file.
+
+    Raises:
+        BadRecording: the file exists, or cannot be made.
+        RemoteError: nobody is there, or a stream gave up.
+    """
+    interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
+    with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
+        streams = [getattr(robot, name) for name in interfaces]
+        with robot.record(args.file, interfaces):
+            tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
+            until = None if args.duration is None else time.monotonic() + args.duration
+            while until is None or time.monotonic() < until:
+                left = 0.05 if until is None else min(0.05, max(until - time.monotonic(), 0.0))
+                if interruption.wait(left):
+                    break
+                if args.count is not None and all(stream.stats.received >= args.count for stream in streams):
+                    break
+                for stream in streams:
+                    if stream.failure is not None:
+                        raise stream.failure
+                if all(stream.connection is ConnectionState.CLOSED for stream in streams):
+                    break  # a recording, recorded to its end
+    print(summarise(Recording(args.file)).as_text())
+    interruption.raise_if_any()
+    return 0

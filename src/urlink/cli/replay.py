@@ -1,0 +1,77 @@
+"""`urlink replay`: what is in a recording, or the recording played."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from urllib.parse import quote
+
+from linkcore.recording import Recording
+
+from ..robot import connect
+from .echo import add_options, echo, kind_of, shower
+from .options import Subparsers, add_command
+from .summary import summarise
+from .terminal import strict_json
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Say what is in a recording; with --rate, play it.
+
+Without --rate: interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether the file was
+closed in order. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
+at the times at which they came, made faster by the rate; `--rate max` prints them at once.
+
+A recording is an address as well: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it, and so does
+every other command that takes one."""
+
+_EXAMPLES = (
+    "urlink replay run.urlog",
+    "urlink replay run.urlog --rate 1 q_actual tcp_force",
+    "urlink replay run.urlog --rate max --interface primary --json > states.jsonl",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "replay", "tell what is in a recording, or play it", _DESCRIPTION, _EXAMPLES)
+    parser.add_argument("file", metavar="FILE", help="a recording")
+    add_options(parser)
+    parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
+    parser.set_defaults(run=run)
+
+
+def _rate(text: str) -> str:
+    if text == "max":
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max")
+    return text
+
+
+def run(args: argparse.Namespace) -> int:
+    """Summarise, or play.
+
+    Raises:
+        BadRecording: no such file, or it is none, or it holds no such interface.
+    """
+    if args.rate is None:
+        for name in ("fields", "interface", "type", "count", "timeout"):
+            if getattr(args, name):
+                args.usage_error("what to print can be chosen only when the recording is played, with --rate")
+        summary = summarise(Recording(args.file))
+        print(strict_json(summary.as_json()) if args.json else summary.as_text())
+        return 0
+    interface, kind = kind_of(args)
+    show = shower(args, kind)
+    recording = Recording(args.file)
+    recording.channel(interface)  # says at once what there is instead
+    address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate}"
+    with connect(address) as robot:
+        echo(robot, interface, kind, show, args)
+    return 0

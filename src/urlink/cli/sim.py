@@ -1,0 +1,90 @@
+"""`urlink sim`: a controller in software, in the foreground."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from ..address import PORTS
+from .interruption import Interruption
+from .options import Subparsers, add_command, seconds
+from .tap import tell
+
+__all__ = ["add_parser", "address_of"]
+
+_DESCRIPTION = """\
+Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
+
+It serves the primary, secondary and real-time interface and their read-only twins to any number of clients,
+in the wire format of the firmware, while the arm follows a gentle motion. With --ports standard the ports
+are those of a real controller, so that any other program finds them.
+
+Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
+"""
+
+_EXAMPLES = (
+    "urlink sim",
+    "urlink sim --model UR10 --firmware 3.4 --ports standard",
+    "urlink sim --fault protective_stop@5 --fault clear@8 --fault reboot=5.12@15",
+    "urlink sim --duration 60 --fault garbage=100@2 --fault stall=3@10",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "sim", "run a simulated controller", _DESCRIPTION + _faults(), _EXAMPLES)
+    parser.add_argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (UR5e)")
+    parser.add_argument("--firmware", metavar="X.Y", help="controller software (the newest that suits the arm)")
+    parser.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
+    parser.add_argument(
+        "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or any that are free (free)"
+    )
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="FAULT", help="let something go wrong; can be given again"
+    )
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.set_defaults(run=run)
+
+
+def _faults() -> str:
+    from ..simulator.faults import FAULTS
+
+    lines = []
+    for name, argument in FAULTS.items():
+        if argument is None:
+            lines.append(f"  {name}")
+        else:
+            _, meaning, optional = argument
+            lines.append(f"  {name}{'[=...]' if optional else '=...'}".ljust(28) + meaning)
+    return "\n".join(lines)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until told to stop.
+
+    Raises:
+        LocalError: no such model, firmware or fault, or the ports are taken.
+    """
+    from ..simulator import Controller, parse_fault
+
+    faults = [parse_fault(text) for text in args.fault]
+    controller = Controller(args.model, args.firmware, host=args.host, ports=args.ports)
+    controller.schedule(*faults)
+    with Interruption() as interruption, controller:
+        until = None if args.duration is None else time.monotonic() + args.duration
+        tell(f"{controller.model.name}, firmware {controller.firmware}; Ctrl-C ends it; connect to")
+        print(address_of(controller.host, controller.ports), flush=True)
+        while until is None or time.monotonic() < until:
+            if interruption.wait(1.0 if until is None else min(1.0, until - time.monotonic())):
+                break
+    interruption.raise_if_any()
+    return 0
+
+
+def address_of(host: str, ports: dict[str, int]) -> str:
+    """The address by which the ports are reached."""
+    # From this machine a server that listens everywhere is reached here.
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(host, host)
+    host = f"[{host}]" if ":" in host else host
+    options = "&".join(f"{name}={port}" for name, port in ports.items() if PORTS.get(name) != port)
+    return f"ur://{host}?{options}" if options else host

@@ -1,0 +1,80 @@
+"""Bytes cut at the borders of packets, with what lies between them: nothing is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from linkcore.errors import WrongPeer
+from linkcore.framing import Border, Framer
+
+from ..decode import Interface
+from ..protocols.primary import PackageBorder
+from ..protocols.realtime import RealtimeBorder
+
+__all__ = ["Stretch", "cut", "guess_interface"]
+
+_BORDERS: dict[Interface, Callable[[], Border]] = {"primary": PackageBorder, "realtime": RealtimeBorder}
+
+
+class Stretch(NamedTuple):
+    """A part of a stream of bytes.
+
+    Attributes:
+        offset: in the stream.
+        data: the bytes.
+        is_packet: a whole packet; otherwise bytes that belong to none.
+        expected: size of the packet that begins here and is cut off, or None.
+    """
+
+    offset: int
+    data: bytes
+    is_packet: bool
+    expected: int | None = None
+
+
+class _Frames(Framer):
+    """A framer that goes on whatever comes: somebody wants to see it."""
+
+    patience = 1 << 62
+
+    def _lose(self, buffer: bytes, at: int) -> None:
+        self._any = True  # so that nobody is suspected of being another interface
+        super()._lose(buffer, at)
+
+
+def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
+    """Every byte of `data`, in order, as whole packets and what is between, before and after them."""
+    border = _BORDERS["realtime" if interface == "realtime" else "primary"]()
+    framer = _Frames(border)
+    at = 0
+    for frame in framer.feed(data):
+        start = data.index(frame, at)
+        if start > at:
+            yield Stretch(at, data[at:start], is_packet=False)
+        yield Stretch(start, frame, is_packet=True)
+        at = start + len(frame)
+    rest = len(data) - len(framer.rest)
+    if rest > at:
+        yield Stretch(at, data[at:rest], is_packet=False)
+    if framer.rest:
+        size = border.size_at(framer.rest, 0) if len(framer.rest) >= border.header else 0
+        whole = size if size > len(framer.rest) else None
+        yield Stretch(rest, framer.rest, is_packet=False, expected=whole)
+
+
+def guess_interface(data: bytes) -> Interface | None:
+    """The interface whose packets fill most of `data`; None where no packet of any is in it."""
+    found = {interface: _filled(data, interface) for interface in _BORDERS}
+    # The primary interface wins where both are possible: it knows its packets by more than their size.
+    best = max(found, key=lambda interface: found[interface])
+    return best if found[best] else None
+
+
+def _filled(data: bytes, interface: Interface) -> int:
+    """Bytes of whole packets, or of the one that `data` is the beginning of."""
+    try:
+        Framer(_BORDERS[interface]()).feed(data)
+    except WrongPeer:
+        return 0
+    return sum(len(each.data) for each in cut(data, interface) if each.is_packet or each.expected is not None)

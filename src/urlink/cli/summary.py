@@ -1,0 +1,195 @@
+"""What is in a recording, channel by channel."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from linkcore.errors import PacketError, WrongPeer
+from linkcore.recording import Kind, Record, Recording
+
+from ..protocols.primary import PrimaryProtocol
+from ..protocols.realtime import RealtimeProtocol
+from .terminal import safe
+
+__all__ = ["Channel", "Summary", "summarise"]
+
+#: A gap is a silence of so many usual periods, but of this many seconds at least.
+_GAP_PERIODS, _GAP_SECONDS = 5, 0.05
+
+
+@dataclass
+class Channel:
+    """One interface in a recording.
+
+    Attributes:
+        name: of the interface; address, firmware and model are what the recorder said of the robot.
+        bytes: received.
+        packets: decoded, by class; `failed` could not be.
+        skipped: bytes that belong to no packet; `unfinished` those of packets that were cut off.
+        connections: made while recording; `lost` says what ended them.
+        started: wall time of the first bytes, seconds since 1970; None where there are none.
+        duration: seconds from the first bytes to the last.
+        gaps: seconds of each silence that was much longer than usual.
+    """
+
+    name: str
+    address: str | None
+    firmware: str | None
+    model: str | None
+    bytes: int = 0
+    packets: dict[str, int] = field(default_factory=dict)
+    failed: int = 0
+    skipped: int = 0
+    unfinished: int = 0
+    connections: int = 0
+    lost: list[str] = field(default_factory=list)
+    started: float | None = None
+    duration: float = 0.0
+    gaps: list[float] = field(default_factory=list)
+
+
+@dataclass
+class Summary:
+    """A recording.
+
+    Attributes:
+        path: the file; `size` in bytes.
+        is_complete: it was closed in good order.
+        left_out: bytes at its end that cannot be read.
+        duration: seconds from the first bytes to the last, over all channels.
+        channels: in the order in which they were recorded.
+    """
+
+    path: str
+    size: int
+    is_complete: bool
+    left_out: int
+    duration: float
+    channels: list[Channel]
+
+    def as_json(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return asdict(self)
+
+    def as_text(self) -> str:
+        """For people."""
+        state = "complete" if self.is_complete else "not closed in order, as after a crash"
+        if self.left_out:
+            state += f"; {self.left_out} bytes at the end are damaged or unfinished and left out"
+        lines = [f"{safe(self.path)}: {self.duration:.1f} s, {self.size} bytes, {state}"]
+        for channel in self.channels:
+            lines += _channel_lines(channel)
+        return "\n".join(lines)
+
+
+def _channel_lines(channel: Channel) -> list[str]:
+    robot = f"{channel.model or 'unknown arm'}, firmware {channel.firmware or 'unknown'}, {channel.address or '-'}"
+    lines = [f"{safe(channel.name)}: {safe(robot)}"]
+    if channel.started is None:
+        return [*lines, "  no bytes"]
+    clock = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(channel.started))
+    lines.append(f"  from {clock} for {channel.duration:.3f} s, {channel.bytes} bytes")
+    packets = ", ".join(f"{count} {name}" for name, count in channel.packets.items()) or "no packets"
+    count = sum(channel.packets.values())
+    rate = f", {(count - 1) / channel.duration:.1f} packets/s" if channel.duration > 0 and count > 1 else ""
+    lines.append(f"  {packets}{rate}")
+    if channel.gaps:
+        lines.append(f"  {len(channel.gaps)} gaps, the longest {max(channel.gaps):.3f} s")
+    else:
+        lines.append("  no gaps")
+    if channel.failed or channel.skipped or channel.unfinished:
+        lines.append(
+            f"  {channel.failed} packets not decoded, {channel.skipped} bytes outside packets, "
+            f"{channel.unfinished} bytes of unfinished packets"
+        )
+    if channel.connections > 1 or channel.lost:
+        reasons = "".join(f"\n    {safe(reason)}" for reason in channel.lost)
+        lines.append(f"  {channel.connections} connections, lost {len(channel.lost)} times{reasons}")
+    return lines
+
+
+def summarise(recording: Recording) -> Summary:
+    """Read a recording from beginning to end."""
+    readers = {number: _Reader(info) for number, info in recording.channels.items()}
+    for record in recording:
+        reader = readers.get(record.channel)
+        if reader is not None:
+            reader.take(record)
+    for reader in readers.values():
+        reader.finish()
+    starts = [reader.first for reader in readers.values() if reader.first is not None]
+    ends = [reader.last for reader in readers.values() if reader.first is not None]
+    return Summary(
+        path=str(recording.path),
+        size=recording.path.stat().st_size,
+        is_complete=recording.is_complete,
+        left_out=recording.left_out,
+        duration=max(ends) - min(starts) if starts else 0.0,
+        channels=[reader.channel for reader in readers.values()],
+    )
+
+
+class _Reader:
+    """Counts one channel."""
+
+    def __init__(self, info: dict[str, Any]) -> None:
+        said = {key: None if info.get(key) is None else str(info[key]) for key in ("address", "firmware", "model")}
+        self.channel = Channel(info["name"], said["address"], said["firmware"], said["model"])
+        self.first: float | None = None
+        self.last = 0.0
+        self._periods: list[float] = []
+        self._session = self._new_session()
+
+    def _new_session(self) -> PrimaryProtocol | RealtimeProtocol:
+        return RealtimeProtocol() if self.channel.name == "realtime" else PrimaryProtocol()
+
+    def take(self, record: Record) -> None:
+        if record.kind is Kind.EVENT:
+            event = json.loads(record.payload)
+            if event.get("state") == "connected":
+                self.channel.connections += 1
+            elif event.get("state") == "lost":
+                self.channel.lost.append(str(event.get("error")))
+                self._end_session()
+        elif record.kind is Kind.BYTES:
+            channel = self.channel
+            if self.first is None:
+                self.first, channel.started = record.stamp.monotonic, record.stamp.wall
+            else:
+                self._periods.append(record.stamp.monotonic - self.last)
+            self.last = record.stamp.monotonic
+            channel.bytes += len(record.payload)
+            self._decode(record.payload)
+
+    def _decode(self, data: bytes) -> None:
+        channel = self.channel
+        try:
+            frames = self._session.framer.feed(data)
+        except WrongPeer:
+            channel.skipped += len(data)
+            return
+        for frame in frames:
+            try:
+                name = type(self._session.decode(frame)).__name__
+            except PacketError:
+                channel.failed += 1
+            else:
+                channel.packets[name] = channel.packets.get(name, 0) + 1
+
+    def _end_session(self) -> None:
+        framer = self._session.framer
+        self.channel.skipped += framer.skipped
+        self.channel.unfinished += len(framer.rest)
+        self._session = self._new_session()
+
+    def finish(self) -> None:
+        self._end_session()
+        if self.first is not None:
+            self.channel.duration = self.last - self.first
+        if self._periods:
+            usual = sorted(self._periods)[len(self._periods) // 2]
+            longest = max(usual * _GAP_PERIODS, _GAP_SECONDS)
+            self.channel.gaps = [period for period in self._periods if period > longest]

@@ -1,0 +1,90 @@
+"""A stream tapped for a command: every packet, in order, and what was lost said at the end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from linkcore.errors import LinkTimeout
+from linkcore.packet import State
+from linkcore.policy import drop_oldest
+from linkcore.stream import ConnectionEvent, ConnectionState, Stream
+
+from .terminal import safe
+
+__all__ = ["Tap", "tell"]
+
+#: Packets that wait at most: half a minute of the fastest interface.
+_ROOM = 16384
+
+
+def tell(text: str) -> None:
+    """One line on stderr."""
+    print(f"urlink: {safe(text)}", file=sys.stderr)
+
+
+class Tap:
+    """The packets of class `kind` on a stream; a context manager.
+
+    Raises:
+        RemoteError: the stream could not be opened.
+    """
+
+    def __init__(self, stream: Stream[Any], kind: type) -> None:
+        self._stream = stream
+        self._kind = kind
+        # What is not read from a wire in time is gone, so there is much room; a recording can wait.
+        self._inbox = stream.open_inbox(kind, stream.default_policy(State, drop_oldest(_ROOM)))
+        self._connection = stream.subscribe(_tell_connection, ConnectionEvent)
+
+    def take(self, timeout: float | None = None) -> Sequence[Any] | None:
+        """The next packets, or none within `timeout` seconds; None when no more will come.
+
+        Raises:
+            RemoteError: the stream gave up.
+        """
+        packet = self._inbox.next(timeout)
+        if packet is not None:
+            return list(self._stream.expand(self._kind, packet))
+        if self._inbox.ended or self._inbox.closed:
+            if self._stream.failure is not None:
+                raise self._stream.failure
+            return None
+        return ()
+
+    def packets(self, silence: float | None = None) -> Iterator[Any]:
+        """Each packet, until no more will come.
+
+        Raises:
+            LinkTimeout: none came for `silence` seconds.
+            RemoteError: the stream gave up.
+        """
+        while True:
+            packets = self.take(silence)
+            if packets is None:
+                return
+            yield from packets
+            if not packets:
+                raise LinkTimeout(f"no {self._kind.__name__} from {self._stream.name} within {silence:g} s")
+
+    def __enter__(self) -> Tap:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._connection.close()  # before it tells of the connection that is given up on purpose
+        # What waits when the command ends was not too late.
+        dropped = self._inbox.dropped
+        self._stream.close_inbox(self._inbox)
+        stats = self._stream.stats
+        if dropped:
+            tell(f"{dropped} packets were dropped: the output was too slow for them")
+        if stats.failed:
+            tell(f"{stats.failed} packets could not be decoded")
+        if stats.skipped:
+            tell(f"{stats.skipped} bytes belonged to no packet")
+
+
+def _tell_connection(event: ConnectionEvent) -> None:
+    if event.state is ConnectionState.LOST:
+        tell(f"{event.stream}: connection lost: {event.error}; trying again")

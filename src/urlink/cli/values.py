@@ -1,0 +1,72 @@
+"""Packets and their fields as text and as JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from linkcore.packet import State
+from linkcore.shapes import OpenInt
+
+from ..schemas.robot_message import OtherPackage
+from ..schemas.robot_state import RobotState, UnknownSubPackage, snake_case
+from .terminal import safe
+
+__all__ = ["as_json", "as_line", "as_text", "plain"]
+
+
+def plain(value: Any) -> Any:
+    """A field's value as JSON has it: codes by name, bytes in hex."""
+    if isinstance(value, State):
+        return _content(value)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (tuple, list)):
+        return [plain(element) for element in value]
+    if isinstance(value, OpenInt):
+        return value.name
+    return value.hex() if isinstance(value, (bytes, bytearray)) else value
+
+
+def as_json(packet: State) -> dict[str, Any]:
+    """A packet as a JSON object: its type, when it arrived (seconds since 1970), its fields."""
+    received = packet.received
+    head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
+    return head | _content(packet)
+
+
+def _content(packet: State) -> dict[str, Any]:
+    if isinstance(packet, RobotState):
+        known = [part for part in packet if not isinstance(part, UnknownSubPackage)]
+        content: dict[str, Any] = {snake_case(type(part).__name__): _content(part) for part in known}
+        unknown = [_content(part) for part in packet if isinstance(part, UnknownSubPackage)]
+        # There can be several, so they cannot go by their name.
+        return content | {"unknown_sub_packages": unknown} if unknown else content
+    content = packet.to_dict()
+    if isinstance(packet, (UnknownSubPackage, OtherPackage)):
+        content = {"package_type": int(packet.type), **content}
+    if packet.tail:
+        content["tail"] = packet.tail.hex()
+    return content
+
+
+def as_text(value: Any) -> str:
+    """A field's value for one line; what came over the wire is made safe."""
+    if value is None:
+        return "-"
+    if isinstance(value, OpenInt):
+        return str(value.name)
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.6g}"
+    if isinstance(value, (np.ndarray, tuple, list)):
+        return "[" + ", ".join(map(as_text, value)) + "]"
+    if isinstance(value, (bytes, bytearray)):
+        return value.hex()
+    return safe(repr(value)) if isinstance(value, str) else safe(str(value))
+
+
+def as_line(packet: State) -> str:
+    """A packet on one line, its unknown tail too."""
+    tail = f" tail={packet.tail.hex()}" if packet.tail else ""
+    return safe(str(packet)) + tail
