@@ -302,7 +302,7 @@ class Layouts:
             return decode(data, stamp)
         fits = self.fitting(len(data), version)
         best = fits[0]
-        if (best.size == len(data) or not self.blocks) and not best.has_text:
+        if not self.blocks and not best.has_text:
             if len(self._decoders) < 256:  # lengths come from the wire: keep no more than a few
                 self._decoders[key] = best.decode
             return best.decode(data, stamp)

@@ -15,6 +15,7 @@ from linkcore.policy import Policy, block, drop_oldest, latest
 from linkcore.stream import Chunk, ConnectionEvent, ConnectionState, Stream, Traffic
 from linkcore.transport import Finished
 from tests.linkcore.script import BAD, Count, CountSession, ScriptedTransport, counts
+from tests.waiting import until
 
 AT_ONCE = Backoff(first=0, most=0)
 
@@ -35,14 +36,6 @@ def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
 def adds_up(stream: Stream[Count]) -> None:
     stats = stream.stats
     assert stats.received == stats.delivered + stats.dropped + stats.failed
-
-
-def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
-    """Wait for what another thread brings about."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.001)
 
 
 def test_nothing_starts_before_it_is_used(stream: Stream[Count], transport: ScriptedTransport) -> None:

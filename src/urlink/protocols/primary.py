@@ -189,7 +189,7 @@ class PackageDecoder:
                 actual=error.actual,
                 offset=at,
             ) from None
-        if (best.size == len(data) or not cls.LAYOUTS.blocks) and len(self._known) < 256:
+        if not cls.LAYOUTS.blocks and len(self._known) < 256:
             self._known[kind, len(data)] = best.decode
         return state
 

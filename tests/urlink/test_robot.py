@@ -1,0 +1,388 @@
+"""A robot as users hold it, against the simulated controller: every generation, every fault."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.statistics import StreamStatistics
+from tests.waiting import until
+from urlink import (
+    Backoff,
+    ConnectionEvent,
+    ConnectionState,
+    JointData,
+    KinematicsInfo,
+    RealtimeState,
+    RobotMessage,
+    RobotMode,
+    RobotModeCB2,
+    RobotModeData,
+    RobotState,
+    SafetyMode,
+    VersionMessage,
+)
+from urlink.firmware import RELEASES, Firmware, release_of
+from urlink.models import MODELS
+from urlink.simulator import Controller
+
+QUICK = Backoff(first=0.01, most=0.1)
+
+
+def connect(controller: Controller, **options: object) -> urlink.Robot:
+    ports = "&".join(f"{name}={number}" for name, number in controller.ports.items())
+    return urlink.connect(f"ur://{controller.host}?{ports}", backoff=QUICK, **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+    assert threading.active_count() == 1
+
+
+@pytest.fixture
+def robot(controller: Controller) -> Iterator[urlink.Robot]:
+    with connect(controller) as robot:
+        yield robot
+        for stream in (robot.realtime, robot.primary, robot.secondary):
+            adds_up(stream.stats)
+
+
+def adds_up(stats: StreamStatistics) -> None:
+    assert stats.received == stats.delivered + stats.dropped + stats.failed
+
+
+@pytest.mark.parametrize("row", RELEASES, ids=lambda row: str(row.since))
+def test_every_firmware_is_read_live(row: urlink.firmware.Release) -> None:
+    with Controller(None, row.since) as controller, connect(controller) as robot:
+        assert robot.firmware[:2] == row.since[:2]
+        assert robot.identity.said_so
+        realtime = robot.realtime.wait(5)
+        assert len(bytes(realtime)) == row.realtime
+        assert realtime.tail == b""
+        assert realtime.robot_mode in (RobotMode.RUNNING, RobotModeCB2.RUNNING, None)
+        first = robot.primary.wait(5)
+        assert first.sizes == dict(row.state)
+        later = robot.primary.wait(5)
+        assert set(first.sizes) - set(later.sizes) == row.first_state_only
+        joints = later.joint_data
+        assert joints is not None
+        np.testing.assert_allclose(joints.q_actual, realtime.q_actual, atol=0.5)
+        if 6 in row.state:
+            assert robot.model == controller.model.name
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_says_who_it_is(name: str) -> None:
+    with Controller(name) as controller, connect(controller) as robot:
+        assert robot.model == name
+        kinematics = robot.primary.of(KinematicsInfo).wait(5)
+        np.testing.assert_array_equal(kinematics.dh_a, controller.model.dh_a)
+
+
+def test_in_one_line() -> None:
+    with urlink.connect("sim://ur10?firmware=3.4") as robot:
+        assert (robot.model, robot.firmware) == ("UR10", Firmware(3, 4))
+        for count, state in enumerate(robot.realtime):
+            assert isinstance(state, RealtimeState)
+            if count == 3:
+                break
+        assert robot.controller is not None
+        assert robot.controller.is_serving
+    assert not robot.controller.is_serving
+    assert threading.active_count() == 1
+
+
+def test_streams_open_when_first_used(controller: Controller, robot: urlink.Robot) -> None:
+    assert controller.counters.connections == 1  # connect() asked who it is
+    robot.realtime.wait(5)
+    until(lambda: controller.counters.connections == 2)
+    assert robot.primary.connection is ConnectionState.IDLE
+
+
+def test_read_only_twins(controller: Controller) -> None:
+    only = {name: port for name, port in controller.ports.items() if name.endswith("readonly")}
+    ports = "&".join([f"{name}={number}" for name, number in only.items()])
+    with urlink.connect(f"ur://{controller.host}?{ports}", read_only=True) as robot:
+        assert robot.realtime.wait(5).q_actual.shape == (6,)
+        assert robot.primary.wait(5).joint_data is not None
+
+
+def test_primary_by_type(controller: Controller, robot: urlink.Robot) -> None:
+    modes: list[RobotModeData] = []
+    messages: list[RobotMessage] = []
+    # In this order: the first subscription opens the connection, which begins with the version message.
+    robot.primary.of(RobotMessage).subscribe(messages.append)
+    robot.primary.subscribe(modes.append, RobotModeData)
+    until(lambda: len(modes) > 2)
+    assert isinstance(messages[0], VersionMessage)
+    assert messages[0].build_date
+    assert modes[-1].robot_mode is RobotMode.RUNNING
+    assert robot.primary.of(JointData).latest is not None
+    assert robot.primary.of(KinematicsInfo).latest is not None  # came once, with the first state
+    assert isinstance(robot.primary.latest, RobotState)
+    assert isinstance(robot.primary.of(RobotMessage).latest, RobotMessage)
+
+
+def test_secondary_has_states(robot: urlink.Robot) -> None:
+    assert robot.secondary.wait(5).joint_data is not None
+
+
+def test_several_robots_in_one_process() -> None:
+    with urlink.connect("sim://ur3e?firmware=5.4") as one, urlink.connect("sim://ur10?firmware=3.10") as two:
+        assert len(bytes(one.realtime.wait(5))) == 1116
+        assert len(bytes(two.realtime.wait(5))) == 1116
+        assert (one.model, two.model) == ("UR3e", "UR10")
+
+
+def test_close_is_idempotent_and_quick(controller: Controller) -> None:
+    robot = connect(controller)
+    for _ in robot.realtime:
+        break
+    robot.primary.subscribe(lambda state: None)
+    began = time.monotonic()
+    robot.close()
+    robot.close()
+    assert time.monotonic() - began < 2.5
+    with pytest.raises(urlink.Closed):
+        robot.realtime.wait(1)
+
+
+def test_nobody_there() -> None:
+    with Controller() as controller:
+        ports = dict(controller.ports)
+    query = "&".join(f"{name}={number}" for name, number in ports.items())
+    with pytest.raises(urlink.ConnectFailed, match="refused"):
+        urlink.connect(f"ur://127.0.0.1?{query}", timeout=2)
+
+
+def test_bad_arguments() -> None:
+    with pytest.raises(urlink.BadValue, match="timeout"):
+        urlink.connect("sim://", timeout=0)
+    with pytest.raises(urlink.BadAddress):
+        urlink.connect("ftp://robot")
+
+
+# -- faults: the stream comes back by itself, and the counters add up ------------------------------
+
+
+class Watch:
+    """A subscriber that keeps what it saw, and waits for more."""
+
+    def __init__(self, robot: urlink.Robot) -> None:
+        self.stream = robot.realtime
+        self.states: list[RealtimeState] = []
+        self.events: list[ConnectionEvent] = []
+        robot.realtime.subscribe(self.events.append, ConnectionEvent)
+        self.subscription = robot.realtime.subscribe(self.states.append, policy=urlink.block)
+        self.goes_on()
+
+    def goes_on(self, condition: Callable[[RealtimeState], object] = lambda state: True) -> None:
+        """Wait until new packets come, of which one meets the condition."""
+        seen = len(self.states)
+        until(lambda: any(condition(state) for state in self.states[seen:]), 15)
+        adds_up(self.stream.stats)
+        assert self.subscription.stats.dropped == self.subscription.stats.failed == 0
+
+
+@pytest.fixture
+def watch(robot: urlink.Robot) -> Watch:
+    return Watch(robot)
+
+
+def test_fault_protective_stop(controller: Controller, watch: Watch) -> None:
+    controller.faults.protective_stop()
+    watch.goes_on(lambda state: state.safety_mode is SafetyMode.PROTECTIVE_STOP)
+    watch.goes_on(lambda state: not state.qd_target.any())
+    controller.faults.clear()
+    watch.goes_on(lambda state: state.safety_mode is SafetyMode.NORMAL and state.qd_target.any())
+    assert watch.stream.stats.reconnects == 0
+
+
+def test_fault_emergency_stop(controller: Controller, watch: Watch) -> None:
+    controller.faults.emergency_stop()
+    watch.goes_on(lambda state: state.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP)
+    watch.goes_on(lambda state: state.robot_mode is RobotMode.POWER_OFF)
+    controller.faults.clear()
+    controller.faults.power_on()
+    watch.goes_on(lambda state: state.robot_mode is RobotMode.RUNNING)
+    assert watch.stream.stats.reconnects == 0
+
+
+def test_fault_power_off(controller: Controller, watch: Watch) -> None:
+    controller.faults.power_off()
+    watch.goes_on(lambda state: state.robot_mode is RobotMode.POWER_OFF)
+    controller.faults.power_on()
+    watch.goes_on(lambda state: state.robot_mode is RobotMode.RUNNING)
+
+
+def test_fault_cut(controller: Controller, watch: Watch) -> None:
+    controller.faults.cut()
+    until(lambda: watch.stream.stats.reconnects == 1)
+    watch.goes_on()
+    assert [event.state for event in watch.events if event.state is ConnectionState.LOST]
+    assert watch.stream.stats.skipped < len(bytes(watch.states[0]))
+
+
+def test_fault_reboot_into_another_firmware(controller: Controller, robot: urlink.Robot, watch: Watch) -> None:
+    modes: list[RobotModeData] = []
+    robot.primary.subscribe(modes.append, RobotModeData)
+    before = robot.realtime.latest
+    assert before is not None
+    controller.faults.reboot(firmware="5.4", downtime=0.05)
+    size = release_of(Firmware(5, 4)).realtime
+    watch.goes_on(lambda state: len(bytes(state)) == size)
+    assert robot.firmware == Firmware(5, 4)
+    assert watch.states[-1].payload_mass is None
+    assert watch.states[0].payload_mass is not None
+    seen = len(modes)
+    until(lambda: len(modes) > seen)
+    adds_up(robot.primary.stats)
+
+
+def test_fault_stall_is_noticed_and_ends(controller: Controller) -> None:
+    with connect(controller, silence=0.1) as robot:
+        watch = Watch(robot)
+        late = threading.Event()
+        robot.realtime.subscribe(lambda state: None, deadline=0.05, on_deadline=lambda age: late.set())
+        controller.faults.stall(0.5)
+        assert late.wait(10)
+        until(lambda: robot.realtime.connection is not ConnectionState.CONNECTED or robot.realtime.latest is None)
+        watch.goes_on()
+        lost = [event.error for event in watch.events if event.state is ConnectionState.LOST]
+        assert isinstance(lost[0], urlink.LinkTimeout)
+
+
+@pytest.mark.parametrize("sizes", [[1], [700, 1, 3], [1460]])
+def test_fault_split(controller: Controller, watch: Watch, sizes: list[int]) -> None:
+    controller.faults.split(sizes)
+    watch.goes_on()
+    watch.goes_on()
+    controller.faults.heal()
+    watch.goes_on()
+    stats = watch.stream.stats
+    assert (stats.skipped, stats.failed, stats.reconnects) == (0, 0, 0)
+    in_order([state.time for state in watch.states])
+
+
+def test_fault_merge(controller: Controller, watch: Watch) -> None:
+    controller.faults.merge(16)
+    watch.goes_on()
+    watch.goes_on()
+    controller.faults.heal()
+    watch.goes_on()
+    stats = watch.stream.stats
+    assert (stats.skipped, stats.failed, stats.reconnects) == (0, 0, 0)
+    in_order([state.time for state in watch.states])
+
+
+def in_order(times: list[float]) -> None:
+    """Every cycle once: none lost, none doubled."""
+    steps = np.round(np.diff(times) * 500).astype(int)
+    assert set(steps.tolist()) == {1}
+
+
+@pytest.mark.parametrize("garbage", [b"\x00", b"\xff" * 560, b"\x00\x00\x04\xc4", 4000], ids=repr)
+def test_fault_garbage_between_packets(controller: Controller, watch: Watch, garbage: bytes | int) -> None:
+    controller.faults.garbage(garbage)
+    watch.goes_on(lambda state: watch.stream.stats.resyncs)
+    stats = watch.stream.stats
+    assert stats.reconnects == stats.failed == 0
+    assert stats.skipped >= (garbage if isinstance(garbage, int) else len(garbage))
+
+
+def test_fault_garbage_inside_a_packet(controller: Controller, watch: Watch) -> None:
+    controller.faults.garbage(b"\xde\xad\xbe\xef", inside=True)
+    watch.goes_on(lambda state: watch.stream.stats.resyncs)
+    assert watch.stream.stats.reconnects == 0
+
+
+def test_fault_garbage_on_the_primary_interface(controller: Controller, robot: urlink.Robot) -> None:
+    states: list[RobotState] = []
+    robot.primary.subscribe(states.append, policy=urlink.block)
+    until(lambda: states)
+    for inside in (False, True):
+        controller.faults.garbage(300, inside=inside)
+        seen, resyncs = len(states), robot.primary.stats.resyncs
+        until(lambda seen=seen, resyncs=resyncs: robot.primary.stats.resyncs > resyncs and len(states) > seen)  # type: ignore[misc]
+    adds_up(robot.primary.stats)
+    assert robot.primary.stats.reconnects == 0
+
+
+def test_fault_appended_bytes_are_kept_as_tails(controller: Controller, robot: urlink.Robot) -> None:
+    controller.faults.append(b"\x01" * 16)
+    state = robot.realtime.wait(5)
+    assert state.tail == b"\x01" * 16
+    assert state.payload_inertia is not None
+    whole = robot.primary.wait(5)
+    # The configuration grew by 4 bytes in 5.25, so that much of its tail is known.
+    tails = {len(package.tail) for package in whole if not isinstance(package, urlink.ConfigurationData)}
+    assert tails == {16}
+    assert whole.robot_mode_data is not None
+    assert whole.robot_mode_data.robot_mode is RobotMode.RUNNING
+
+
+def test_fault_unknown_packages(controller: Controller, robot: urlink.Robot) -> None:
+    others: list[urlink.OtherPackage] = []
+    robot.primary.of(urlink.OtherPackage).subscribe(others.append)
+    robot.primary.wait(5)
+    controller.faults.unknown_package(99, b"something new")
+    controller.faults.unknown_sub_package(77, b"a new part")
+    until(lambda: others)
+    assert (others[0].type, others[0].payload) == (99, b"something new")
+    state = robot.primary.wait(5)
+    unknown = [package for package in state if isinstance(package, urlink.UnknownSubPackage)]
+    assert (unknown[0].type, unknown[0].payload) == (77, b"a new part")
+    assert robot.primary.stats.failed == 0
+
+
+def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink.Robot, tmp_path: object) -> None:
+    """What a user does with a bug report: record it, and replay it without the robot."""
+    path = f"{tmp_path}/fault.urlog"
+    with robot.record(path, ["realtime"]):
+        watch = Watch(robot)
+        controller.faults.cut()
+        until(lambda: robot.realtime.stats.reconnects == 1)
+        watch.goes_on()
+    with urlink.connect(f"replay://{path}?rate=max") as replayed:
+        assert (replayed.firmware, replayed.model) == (robot.firmware, robot.model)
+        states = list(replayed.realtime)
+        assert replayed.realtime.stats.reconnects == 1
+    seen, recorded = list(map(bytes, watch.states)), list(map(bytes, states))
+    begin = recorded.index(seen[0])  # the recorder was there first
+    assert recorded[begin : begin + len(seen)] == seen
+
+
+@pytest.mark.slow
+def test_twenty_robots_lose_nothing() -> None:
+    """Twenty controllers at 125 Hz and their twenty clients, all in this process."""
+    controllers = [Controller("UR5", "3.4") for _ in range(20)]
+    robots: list[urlink.Robot] = []
+    try:
+        for controller in controllers:
+            controller.start()
+            robots.append(connect(controller))
+        seen: list[list[float]] = [[] for _ in robots]
+        for robot, times in zip(robots, seen, strict=True):
+            robot.realtime.subscribe(lambda state, times=times: times.append(state.time), policy=urlink.block)  # type: ignore[misc]
+        until(lambda: all(len(times) >= 250 for times in seen), 30)
+        for robot, times, controller in zip(robots, seen, controllers, strict=True):
+            robot.realtime.close()
+            stats = robot.realtime.stats
+            adds_up(stats)
+            assert (stats.failed, stats.skipped, stats.reconnects) == (0, 0, 0)
+            assert controller.counters.dropped == 0
+            steps = np.round(np.diff(times) * 125).astype(int)
+            # A cycle that the simulator itself skipped, being late, was never sent.
+            assert (steps.sum() - len(steps)) <= controller.counters.skipped
+    finally:
+        for robot in robots:
+            robot.close()
+        for controller in controllers:
+            controller.close()
