@@ -94,8 +94,8 @@ def test_in_one_line() -> None:
             if count == 3:
                 break
         assert robot.controller is not None
-        assert robot.controller.is_serving
-    assert not robot.controller.is_serving
+        assert robot.controller.ports
+    assert robot.controller.ports == {}
     assert threading.active_count() == 1
 
 
@@ -355,8 +355,9 @@ def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink
         states = list(replayed.realtime)
         assert replayed.realtime.stats.reconnects == 1
     seen, recorded = list(map(bytes, watch.states)), list(map(bytes, states))
-    begin = recorded.index(seen[0])  # the recorder was there first
-    assert recorded[begin : begin + len(seen)] == seen
+    begin = recorded.index(seen[0])  # the recorder was there first, and went first
+    assert len(recorded) > begin + 10
+    assert recorded[begin:] == seen[: len(recorded) - begin]
 
 
 @pytest.mark.slow
