@@ -26,7 +26,9 @@ def test_version_is_read(text: str | Version, version: Version) -> None:
     assert parse_version(text) == version
 
 
-@pytest.mark.parametrize("text", ["", "5", "5.", ".5", "5.x", "5.-1", "v5.1", "5,1", "5.1.", "５.１", "5.1234567890", "5 .1"])
+@pytest.mark.parametrize(
+    "text", ["", "5", "5.", ".5", "5.x", "5.-1", "v5.1", "5,1", "5.1.", "５.１", "5.1234567890", "5 .1"]
+)
 def test_what_is_no_version_says_so(text: str) -> None:
     with pytest.raises(BadVersion, match="is not a version") as caught:
         parse_version(text)
