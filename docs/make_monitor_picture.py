@@ -2,8 +2,11 @@
 
 import argparse
 import itertools
+import re
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeVar
 
 from rich.console import Console
 from rich.terminal_theme import TerminalTheme
@@ -11,6 +14,8 @@ from rich.terminal_theme import TerminalTheme
 import urlink
 from urlink.cli.monitor import watch
 from urlink.cli.picture import WIDTH, Picture
+
+T = TypeVar("T")
 
 _THEME = TerminalTheme(
     background=(22, 27, 34),
@@ -51,11 +56,12 @@ def main() -> None:
             console = Console(record=True, width=WIDTH, file=nowhere, force_terminal=True)
             console.print(Picture(glance))
     args.output.parent.mkdir(exist_ok=True)
-    title = f"urlink monitor {args.address}"
-    args.output.write_text(console.export_svg(title=title, theme=_THEME, unique_id="monitor"))
+    svg = console.export_svg(title=f"urlink monitor {args.address}", theme=_THEME, unique_id="monitor")
+    # A picture in a document loads no fonts, and should not ask anybody for one.
+    args.output.write_text(re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL))
 
 
-def _every(items, seconds):  # type: ignore[no-untyped-def]
+def _every(items: Iterator[T], seconds: float) -> Iterator[T]:
     for item in items:
         yield item
         time.sleep(seconds)

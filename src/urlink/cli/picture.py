@@ -26,7 +26,7 @@ WIDTH = 100
 _NARROW = 92
 _JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _TURN = 2 * math.pi
-_BAR = 21
+_BAR = 31
 
 _LABEL = "bright_black"
 _VALUE = "default"
@@ -55,8 +55,6 @@ class Picture:
         width = min(options.max_width, WIDTH)
         border = _BORDER.get(glance.status, "yellow")
         rows: list[Table | Text | Rule] = [self._header()]
-        if not glance.is_fresh:
-            rows.append(self._warning())
         rows.append(Rule(style=border, characters="─"))
         if glance.reading is not None:
             rows += self._body(glance.reading, width >= _NARROW)
@@ -68,32 +66,36 @@ class Picture:
 
     def _header(self) -> Text:
         glance = self._glance
-        text = Text.assemble((f" {glance.status.value} ", _STATUS[glance.status]))
+        text = Text(no_wrap=True, overflow="ellipsis")
+        text.append(f" {glance.status.value} ", _STATUS[glance.status])
         if glance.is_fresh and glance.reading is not None:
             text.append("   – Hz" if glance.rate is None else f"   {glance.rate:.1f} Hz", "bold")
             text.append("   age ", _LABEL).append(age_text(glance.reading.age))
+            return text
+        if glance.status is Status.ENDED:
+            warning = "the recording is over; these are its last values"
+        elif glance.reading is None:
+            warning = "no state has come yet"
+        else:
+            warning = f"OLD DATA, {age_text(glance.reading.age)}"
+        text.append(f"  {warning}", "bold red" if glance.status is Status.LOST else "bold yellow")
+        if glance.trouble is not None and glance.status is not Status.ENDED:
+            text.append(f"  {safe(glance.trouble)}", _LABEL)
         return text
 
     def _counters(self) -> Text:
         stats = self._glance.stats
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append("received ", _LABEL).append(f"{stats.received}")
-        losses = (("dropped", stats.dropped), ("failed", stats.failed), ("reconnects", stats.reconnects))
+        losses = (
+            ("dropped", stats.dropped),
+            ("failed", stats.failed),
+            ("reconnects", stats.reconnects),
+            ("skipped", stats.skipped),
+        )
         for name, count in losses:
             text.append(f"   {name} ", _LABEL).append(f"{count}", "bold yellow" if count else "")
         return text
-
-    def _warning(self) -> Text:
-        glance = self._glance
-        if glance.status is Status.ENDED:
-            text = "the recording is over; these are its last values"
-        elif glance.reading is None:
-            text = "no state has come yet"
-        else:
-            text = f"OLD DATA: what is shown is {age_text(glance.reading.age)} old"
-        if glance.trouble is not None and glance.status is not Status.ENDED:
-            text += f" ({safe(glance.trouble)})"
-        return Text(text, "bold red" if glance.status is Status.LOST else "bold yellow", overflow="fold")
 
     def _body(self, reading: Reading, has_room: bool) -> list[Table | Text | Rule]:
         # Old values are dim from end to end, whatever they say.
@@ -183,7 +185,8 @@ def _tool(reading: Reading, shade: Callable[[str], str]) -> Table:
     )
     for name, vector, units, digits in lines:
         if vector is not None:
-            cells = [f"{value:.{digits}f}" for value in vector]
+            # Of fixed width, so that signs do not make the columns move.
+            cells = [f"{value:9.{digits}f}" for value in vector]
             table.add_row(name, *cells[:3], units[0], *cells[3:], units[1])
     return table
 
