@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ from urlink import models
 from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
 
 from .arm import Arm
-from .faults import Faults, ScheduledFault, parse_fault
+from .faults import FAULTS, Faults, ScheduledFault, parse_fault
 from .modes import Modes
 from .motion import Demonstration, Motion
 from .packets import Packets, greeting, safety_messages
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from .server import Server
 
 __all__ = ["Controller", "Counters"]
+
+_log = logging.getLogger("urlink.simulator")
 
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
@@ -234,6 +237,8 @@ class Controller:
         """
         parsed = [parse_fault(fault) if isinstance(fault, str) else fault for fault in faults]
         for fault in parsed:
+            if fault.name not in FAULTS:
+                raise BadValue(f"no fault is called {fault.name!r}; there are {', '.join(FAULTS)}")
             if fault.name == "reboot" and fault.arguments and fault.arguments[0] is not None:
                 self.suited(fault.arguments[0])
 
@@ -243,8 +248,21 @@ class Controller:
         self.call(schedule)
 
     def _happen(self) -> None:
-        while self._schedule and self._schedule[0].at * self.firmware.rate <= self.cycle:
-            self._schedule.pop(0).happen(self.faults)
+        while self._schedule and self._cycle_of(self._schedule[0]) <= self.cycle:
+            fault = self._schedule.pop(0)
+            try:
+                fault.happen(self.faults)
+            except LocalError as error:
+                # Made by hand, with arguments that its method does not take; the controller goes on without it.
+                _log.warning("%s did not happen: %s", fault, error)
+
+    def _cycle_of(self, fault: ScheduledFault) -> int:
+        return math.ceil(fault.at * self.firmware.rate)
+
+    @property
+    def next_fault(self) -> int | None:
+        """The cycle in which the next scheduled fault happens."""
+        return self._cycle_of(self._schedule[0]) if self._schedule else None
 
     # -- packets -------------------------------------------------------------------------------------
 

@@ -232,7 +232,9 @@ class Server:
         if not self._controller.is_up or self._is_watched("realtime"):
             return done + 1
         rate = self._controller.firmware.rate
-        return -(-(done * STATE_RATE // rate + 1) * rate // STATE_RATE)
+        state = -(-(done * STATE_RATE // rate + 1) * rate // STATE_RATE)
+        fault = self._controller.next_fault
+        return state if fault is None else max(done + 1, min(state, fault))
 
     def _settle(self) -> None:
         """Bring ports and connections into the state that controller and faults ask for."""

@@ -119,6 +119,26 @@ def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
     assert modes == [SafetyMode.NORMAL, stop, stop, SafetyMode.NORMAL]
 
 
+def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    controller = Controller("UR5e", "5.11")
+    controller.schedule(ScheduledFault("cut", ("rtde",), 0.01), "protective_stop@0.02")
+    controller.step(10)
+    assert "no port is called 'rtde'" in caplog.text
+    assert controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
+    with pytest.raises(BadValue, match="no fault is called 'call'"):
+        controller.schedule(ScheduledFault("call", (), 0.01))
+
+
+def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> None:
+    # The clock wakes ten times a second for these ports, and for what is scheduled between.
+    with Controller("UR5e", "5.11") as controller:
+        link = connect(controller, "primary")
+        controller.schedule("protective_stop@0.55")
+        change = link.until(lambda package: package[4] == 20 and package[14] == 5)
+        assert int.from_bytes(change[5:13], "big") == 550_000
+        assert controller.cycle < 300
+
+
 def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled() -> None:
     controller = Controller("UR5e", "5.11")
     with pytest.raises(BadValue, match=r"does not run firmware 3\.14"):

@@ -176,6 +176,21 @@ def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
     assert controller.ports == {}
 
 
+def test_a_controller_can_be_closed_while_it_is_down_or_stalled(connect: Connect) -> None:
+    before = threading.active_count()
+    disturbances: list[Callable[[Any], None]] = [lambda f: f.reboot(downtime=60.0), lambda f: f.stall(60.0)]
+    for disturb in disturbances:
+        with Controller("UR5e", "5.11") as controller:
+            links = [connect(controller, "primary")]
+            disturb(controller.faults)
+            if controller.is_up:
+                links.append(connect(controller, "primary"))
+            begin = time.monotonic()
+        assert time.monotonic() - begin < 2.0
+        assert threading.active_count() == before
+        assert all(link.is_ended() for link in links)
+
+
 def test_a_closed_controller_can_be_started_again(connect: Connect) -> None:
     controller = Controller("UR5e", "5.11")
     for _ in range(2):
