@@ -120,12 +120,14 @@ class RealtimeProtocol:
         return RealtimeState.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
 
     def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[RealtimeState]:
-        """The states of many packets, which on one connection are all of one length; faster than singly.
+        """The states of many packets; where they are all of one length, faster than singly.
 
         Raises:
             PacketError: shorter than every layout.
         """
-        return RealtimeState.LAYOUTS.fitting(len(frames[0]))[0].decode_all(frames, stamp) if frames else []
+        if len({*map(len, frames)}) != 1:  # none, or the border was lost and found with another length
+            return [self.decode(frame, stamp) for frame in frames]
+        return RealtimeState.LAYOUTS.fitting(len(frames[0]))[0].decode_all(frames, stamp)
 
 
 def decode_realtime(frame: bytes, version: Version | None, stamp: Stamp | None = None) -> RealtimeState:
