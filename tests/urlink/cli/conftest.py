@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import urlink.cli
+from linkcore.recording import Kind, RecordingWriter
+from linkcore.stamp import Stamp
+from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
+from urlink.cli.sim import address_of
+from urlink.schemas.robot_state import MasterboardData, ToolData
+from urlink.simulator import Controller
+
+#: Clears the screen, renames the window, colours by C1, deletes, turns the direction of writing, ends the line.
+HOSTILE = "safe\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202egnp\u2066\u2028\r\nsecond"
+#: None of these may reach a terminal; a newline only where a line of ours ends.
+FORBIDDEN = "\x1b\x07\x9b\x7f\u202e\u2066\u2028\r"
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command line in this process: exit status, stdout, stderr."""
+
+    def run(*argv: str) -> tuple[int, str, str]:
+        status = urlink.cli.main(argv)
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def controller() -> Iterator[Controller]:
+    """A simulated e-Series controller on free ports."""
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+
+
+@pytest.fixture(scope="session")
+def address(controller: Controller) -> str:
+    return address_of(controller.host, controller.ports)
+
+
+@pytest.fixture(scope="session")
+def old_address() -> Iterator[str]:
+    """A simulated CB2 controller: no safety mode, no program state, no outputs in real time."""
+    with Controller("UR5", "1.8") as controller:
+        yield address_of(controller.host, controller.ports)
+
+
+@pytest.fixture
+def silent_address(tmp_path: Path) -> str:
+    """A recording whose robot never sent anything."""
+    return f"replay://{write(tmp_path / 'silent.urlog', {'realtime': [], 'primary': []})}"
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Half a second of both interfaces, with one gap, a number that is none, and hostile text."""
+    realtime = [
+        bytes(RealtimeState("5.11", time=number / 100, q_actual=[number, -1.5, 0.0, float("nan"), 0.0, 3.0]))
+        for number in range(20)
+    ]
+    primary = [
+        bytes(VersionMessage("5.11", project_name="URControl", major=5, minor=11, build_date="01-01-2024, 00:00:00")),
+        bytes(TextMessage(text=HOSTILE)),
+        bytes(
+            RobotState(
+                RobotModeData("5.11", robot_mode=7, is_program_running=True),
+                JointData("5.11", q_actual=[0.0, -1.5, 0.0, 0.0, 0.0, float("inf")], joint_modes=[253] * 6),
+                MasterboardData("5.11", digital_input_bits=5, analog_output_0=0.004, safety_mode=1),
+                ToolData("5.11", analog_input_range_2=1, analog_input_2=2.5),
+            )
+        ),
+    ]
+    return write(tmp_path / "run one.urlog", {"realtime": realtime, "primary": primary}, gap_after=10)
+
+
+def write(
+    path: Path,
+    channels: dict[str, Sequence[bytes]],
+    *,
+    gap_after: int | None = None,
+    info: dict[str, Any] | None = None,
+) -> Path:
+    """A recording of these chunks, 10 ms apart."""
+    writer = RecordingWriter(path)
+    said = {"address": "made", "firmware": "5.11", "model": "UR5e"} | (info or {})
+    for name, chunks in channels.items():
+        channel = writer.add_channel({"name": name, **said})
+        at = 1000.0
+        for number, chunk in enumerate(chunks):
+            if number == gap_after:
+                at += 0.3
+            writer.write(Kind.BYTES, channel, Stamp(at, 1.7e9 + at), chunk)
+            at += 0.01
+    writer.close()
+    return path
+
+
+def strict(text: str) -> Any:
+    """JSON as the standard has it: without NaN and Infinity."""
+
+    def refuse(name: str) -> Any:
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def assert_harmless(*texts: str) -> None:
+    for text in texts:
+        found = [character for character in FORBIDDEN if character in text]
+        assert not found, f"{found} reached the terminal"
+
+
+@pytest.fixture
+def spawn() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start the command in a process of its own; ended with the test, if it has not ended by then."""
+    started: list[subprocess.Popen[str]] = []
+
+    def spawn(*argv: str, **options: Any) -> subprocess.Popen[str]:
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
+        process = subprocess.Popen([sys.executable, "-m", "urlink.cli", *argv], text=True, **pipes)
+        started.append(process)
+        return process
+
+    yield spawn
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()

@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from .conftest import Run, write
+
+COMMANDS = ("monitor", "echo", "hz", "info", "record", "replay", "dissect", "sim")
+Spawn = Callable[..., "subprocess.Popen[str]"]
+
+
+def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
+    status, out, err = run("--help")
+    assert (status, err) == (0, "")
+    for command in COMMANDS:
+        assert f"\n    {command} " in out
+    assert "130" in out
+    assert "replay://" in out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    examples = out.partition("examples:\n")[2].splitlines()
+    assert len(examples) >= 3
+    assert all(example.startswith(f"  urlink {command}") for example in examples)
+    assert max(map(len, out.splitlines())) <= 115
+
+
+def test_version(run: Run) -> None:
+    status, out, _ = run("--version")
+    assert status == 0
+    assert out.startswith("urlink ")
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        (),
+        ("nonsense",),
+        ("monitor",),
+        ("monitor", "sim://", "--duration", "0"),
+        ("monitor", "sim://", "--duration", "soon"),
+        ("monitor", "sim://", "--interface", "secondary"),
+        ("monitor", "sim://", "surplus"),
+        ("echo", "sim://", "--count", "0"),
+        ("echo", "sim://", "--no-such-option"),
+        ("hz", "sim://", "--window", "1.5"),
+        ("dissect", "x", "--firmware", "2.0"),
+        ("replay", "x", "--rate", "-1"),
+    ],
+)
+def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
+    status, out, err = run(*argv)
+    assert (status, out) == (2, "")
+    assert err.startswith("usage: urlink")
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (("info", "a b"), "is no address"),
+        (("info", "ftp://x"), "unknown kind"),
+        (("monitor", "ur://127.0.0.1?primary=1&secondary=1"), "connection refused"),
+        (("echo", "replay:///no/such/file"), "cannot read /no/such/file"),
+        (("replay", "/no/such/file"), "cannot read /no/such/file"),
+        (("replay", __file__), "is not a recording"),
+        (("dissect", "/no/such/file"), "cannot read /no/such/file"),
+        (("sim", "--model", "UR7"), "no arm is called 'UR7'"),
+        (("sim", "--fault", "earthquake@1"), "no fault is called 'earthquake'"),
+        (("record", "ur://127.0.0.1?primary=1&secondary=1", "/tmp/x.urlog"), "connection refused"),
+    ],
+)
+def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...], said: str) -> None:
+    status, out, err = run(*argv)
+    assert (status, out) == (1, "")
+    assert err.startswith("urlink: ")
+    assert said in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+
+
+def test_text_of_errors_is_harmless(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "x\x1b[2J\u202ey"
+    status, _, err = run("replay", str(path))
+    assert status == 1
+    assert "x\\x1b[2J\\u202ey" in err
+
+
+def test_verbose_logs_to_stderr(run: Run, address: str) -> None:
+    status, out, err = run("echo", address, "time", "--count", "1", "-vv")
+    assert status == 0
+    assert out.count("\n") == 1
+    status, _, quiet = run("echo", address, "time", "--count", "1")
+    assert (status, quiet) == (0, "")
+    assert err == "" or " linkcore." in err
+
+
+def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
+    bad = bytes.fromhex("000001f4") + bytes(496)
+    path = write(tmp_path / "bad.urlog", {"realtime": [bad, bad]})
+    status, out, err = run("replay", str(path), "--rate", "max")
+    assert (status, out) == (0, "")
+    assert "WARNING linkcore.stream" in err
+    assert "bad packet" in err
+    assert err.endswith("urlink: 2 packets could not be decoded\n")
+
+
+def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
+    process = spawn("echo", address, "q_actual")
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert process.stdout.readline().startswith("q_actual=[")
+    process.stdout.close()
+    assert process.wait(20) == 0
+    assert process.stderr.read() == ""
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("command", ["echo", "hz", "monitor"])
+def test_signals_end_quietly(spawn: Spawn, address: str, command: str, number: int, status: int) -> None:
+    process = spawn(command, address)
+    assert process.stdout is not None
+    assert process.stdout.readline()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == status
+    assert err == ""

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import json
+import sys
+import unicodedata
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from urlink.cli.terminal import safe, strict_json
+
+from .conftest import HOSTILE, assert_harmless, strict
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain text, 20 °C", "plain text, 20 °C"),
+        ("\x1b[31mred", "\\x1b[31mred"),
+        ("\x9b31m", "\\x9b31m"),
+        ("abc\u202edef", "abc\\u202edef"),
+        ("two\nlines\t", "two\\nlines\\t"),
+        ("\x7f\ud800\ufeff", "\\x7f\\ud800\\ufeff"),
+        ("日本 é", "日本 é"),
+    ],
+)
+def test_safe_text(text: str, shown: str) -> None:
+    assert safe(text) == shown
+
+
+@pytest.mark.property
+@given(st.text(st.characters(min_codepoint=0, max_codepoint=sys.maxunicode)))
+def test_nothing_that_steers_a_terminal_is_left(text: str) -> None:
+    assert all(character == " " or unicodedata.category(character)[0] not in "CZ" for character in safe(text))
+
+
+def test_json_is_strict_and_harmless() -> None:
+    value = {"a": [1.5, float("nan"), (float("-inf"),)], "b": {"c": HOSTILE}, "d": None, "e": True}
+    text = strict_json(value)
+    assert_harmless(text)
+    assert "\n" not in text
+    assert text.isascii()
+    assert strict(text) == {"a": [1.5, None, [None]], "b": {"c": HOSTILE}, "d": None, "e": True}
+
+
+@pytest.mark.property
+@given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda inner: st.lists(inner)))
+def test_json_of_anything(value: object) -> None:
+    text = strict_json(value)
+    assert text.isprintable()
+    strict(text)
+
+
+def test_finite_numbers_are_kept_exactly() -> None:
+    assert json.loads(strict_json([0.1, -1e-300, 2**53])) == [0.1, -1e-300, 2**53]
