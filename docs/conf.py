@@ -1,12 +1,23 @@
+import sys
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "urlink"
 author = "The urlink maintainers"
 copyright = "The urlink maintainers"
 release = version = installed_version("urlink")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "compatibility",
+    "figures",
+    "layouts",
+]
+exclude_patterns = ["_build", "_extensions"]
 
 html_theme = "furo"
 html_title = f"urlink {release}"
@@ -16,3 +27,5 @@ myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence", "deflist"]
 
 autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"

@@ -1,0 +1,57 @@
+"""What the extensions of these pages share: tables as docutils nodes, and releases in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from docutils import nodes
+
+from urlink.firmware import RELEASES
+
+__all__ = ["spans", "table"]
+
+
+def spans(numbers: Sequence[int]) -> str:
+    """Rows of the firmware table as text: "3.5 to 3.9, 5.0 to 5.3"."""
+    texts: list[str] = []
+    begin = None
+    for number in sorted(numbers):
+        begin = number if begin is None else begin
+        later = RELEASES[number + 1].since if number + 1 < len(RELEASES) else None
+        first = RELEASES[begin].since
+        if later is not None and later.major == first.major:
+            if number + 1 in numbers:
+                continue
+            last = f"{later.major}.{later.minor - 1}"
+            texts.append(str(first) if last == str(first) else f"{first} to {last}")
+        else:
+            texts.append(f"{first} on")
+        begin = None
+    return ", ".join(texts)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], code: Sequence[int] = ()) -> nodes.table:
+    """A table of plain text; the columns whose numbers are in `code` are set as code."""
+    group = nodes.tgroup(cols=len(head))
+    group += [nodes.colspec(colwidth=1) for _ in head]
+    group += nodes.thead("", _row([[nodes.Text(text)] for text in head]))
+    body = nodes.tbody()
+    for row in rows:
+        cells: list[list[nodes.Node]] = []
+        for number, text in enumerate(row):
+            is_code = number in code and bool(text)
+            cells.append([nodes.literal(text, text) if is_code else nodes.Text(text)])
+        body += _row(cells)
+    group += body
+    # A width of "auto" lets the browser fit the columns to their text.
+    made = nodes.table("", group, classes=["colwidths-auto"])
+    # Wide ones scroll in a box of their own instead of leaving the page.
+    made["classes"].append("docutils")
+    return made
+
+
+def _row(cells: Sequence[Sequence[nodes.Node]]) -> nodes.row:
+    row = nodes.row()
+    for cell in cells:
+        row += nodes.entry("", nodes.paragraph("", "", *cell))
+    return row

@@ -1,0 +1,182 @@
+"""The directive `layouts`: tables of a packet's fields, generated from its schema.
+
+    ```{layouts} RobotModeData
+    ```
+
+A packet class has one layout for each set of fields that some release sends. Where one layout is the beginning of a
+longer one, the longer one's table shows both: the column `end` says how long a packet is that stops there. With the
+option `firmware` there is only the layout of that release.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from _tables import spans, table
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.util import logging
+from sphinx.util.docutils import SphinxDirective
+
+import urlink
+from linkcore.errors import PacketError
+from linkcore.layout import Layout, Place
+from linkcore.packet import State
+from linkcore.shapes import Coded, Mask64, Raw, Text
+from urlink.firmware import RELEASES
+from urlink.schemas.robot_message import MESSAGES, PACKAGES
+from urlink.schemas.robot_state import SUB_PACKAGES
+
+_log = logging.getLogger(__name__)
+
+_HEAD = ("offset", "field", "wire type", "n", "bytes", "end", "since", "unit", "meaning")
+
+
+class LayoutsDirective(SphinxDirective):
+    """The layouts of one packet class as tables."""
+
+    required_arguments = 1
+    option_spec: ClassVar[dict[str, Any]] = {"firmware": directives.unchanged_required}
+
+    def run(self) -> list[nodes.Node]:
+        """The class's own sentence, and a table for each layout that no longer one begins with."""
+        name = self.arguments[0]
+        cls: type[State] | None = getattr(urlink, name, None)
+        if cls is None or not hasattr(cls, "LAYOUTS"):
+            raise self.error(f"urlink has no packet class {name}")
+        documented(self.env).setdefault(self.env.docname, set()).add(name)
+        firmware = self.options.get("firmware")
+        chosen = [cls.LAYOUTS.of(firmware)] if firmware is not None else longest(cls)
+        found: list[nodes.Node] = [nodes.paragraph("", (cls.__doc__ or "").partition("\n\n")[0].replace("\n", " "))]
+        for layout in chosen:
+            found.append(nodes.paragraph("", "", nodes.strong("", sizes(cls, layout))))
+            found.append(table(_HEAD, rows(layout), code=(1,)))
+        return found
+
+
+def documented(env: BuildEnvironment) -> dict[str, set[str]]:
+    """Page -> the packet classes whose tables are on it."""
+    pages: dict[str, set[str]] | None = getattr(env, "layouts_documented", None)
+    if pages is None:
+        pages = {}
+        env.layouts_documented = pages  # type: ignore[attr-defined]
+    return pages
+
+
+def longest(cls: type[State]) -> list[Layout]:
+    """The layouts that are not the beginning of a longer one, oldest first."""
+    every = cls.LAYOUTS.all
+    return [one for one in every if not any(one is not other and begins(one, other) for other in every)]
+
+
+def begins(short: Layout, long: Layout) -> bool:
+    """Whether `long` has the fields of `short`, in the same shapes, before its own."""
+    return long.fields[: len(short.fields)] == short.fields and len(long.fields) > len(short.fields)
+
+
+def sizes(cls: type[State], layout: Layout) -> str:
+    """How many bytes of this table which releases send."""
+    parts = []
+    for each in cls.LAYOUTS.all:
+        # A short one that several begin with belongs to the newest of them.
+        home = [other for other in longest(cls) if other is each or begins(each, other)][-1]
+        if home is layout:
+            size = f"{'at least ' if each.has_text else ''}{each.size} bytes"
+            parts.append(size + releases(cls, each) + (", with the optional block" if each.has_block else ""))
+    return "; ".join(parts)
+
+
+def releases(cls: type[State], layout: Layout) -> str:
+    """Which releases send this layout; nothing where no release is known to send another."""
+    if layout.first == (0, 0) and len({each.first for each in cls.LAYOUTS.all}) == 1:
+        return ""
+    numbers = []
+    for number, release in enumerate(RELEASES):
+        try:
+            sent = cls.LAYOUTS.of(release.since, dict.fromkeys(cls.LAYOUTS.blocks, layout.has_block))
+        except PacketError:
+            continue
+        if sent is layout:
+            numbers.append(number)
+    return f" ({spans(numbers)})"
+
+
+def rows(layout: Layout) -> list[tuple[str, ...]]:
+    """The header's rows, then one for each field."""
+    found: list[tuple[str, ...]] = []
+    offset = 0
+    for part in layout.header.subcons:
+        size = part.sizeof()
+        end = offset + size
+        unit, doc = ("B", "bytes of the packet, these included") if part.name == "size" else ("", "type byte")
+        found.append((str(offset), part.name, kind(part.fmtstr[-1], size), "1", str(size), str(end), "", unit, doc))
+        offset = end
+    is_fixed = True
+    for place in layout.places.values():
+        found.append(row(place, is_fixed))
+        is_fixed = is_fixed and place.code is not None
+    return found
+
+
+def row(place: Place, is_fixed: bool) -> tuple[str, ...]:
+    """One field. What follows a text has no fixed offset."""
+    wire = place.wire
+    count = place.count or 1
+    offset, end = str(place.offset), str(place.offset + place.stride * (count - 1) + place.width)
+    if place.stride != place.width:
+        offset = f"{place.offset} + {place.stride} i"
+    since = "" if wire.since.text == "0.0" else wire.since.text.replace("/", " / ")
+    if wire.until is not None:
+        since += f"{' ' if since else ''}until {'.'.join(map(str, wire.until))}"
+    size = str(place.width * count)
+    if place.code is None:
+        size, end = "", ""
+    if not is_fixed:
+        offset, end = "", ""
+    return (offset, wire.name, shape(place), str(count), size, end, since, wire.unit, wire.doc)
+
+
+def shape(place: Place) -> str:
+    """The type on the wire, and what its number stands for."""
+    element = place.element
+    if isinstance(element, Raw):
+        what = "text" if isinstance(element, Text) else "bytes"
+        return f"{what} to the end" if element.prefix is None else f"uint{8 * place.size} length, {what}"
+    if element is Mask64:
+        return "64-bit mask"
+    assert place.code is not None
+    number = kind(place.code, place.width)
+    if isinstance(element, Coded):
+        return f"{number} as {getattr(element.meaning, '__name__', '')}"
+    return number
+
+
+def kind(code: str, width: int) -> str:
+    """numpy's name of a number: `d` of 8 bytes is float64."""
+    letter = "f" if code in "fd" else "u" if code.isupper() else "i"
+    return np.dtype(f"{letter}{width}").name
+
+
+def check(app: Sphinx, env: BuildEnvironment) -> None:
+    """Warn of a packet class that no page shows."""
+    shown = set().union(*documented(env).values())
+    every = {cls.__name__ for group in SUB_PACKAGES.values() for cls in group}
+    every |= {cls.__name__ for cls in (*MESSAGES.values(), *PACKAGES.values())}
+    for name in sorted(every - shown):
+        _log.warning("no page shows the layouts of %s", name)
+
+
+def forget(app: Sphinx, env: BuildEnvironment, docname: str) -> None:
+    """A page is read anew."""
+    documented(env).pop(docname, None)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the directive."""
+    app.add_directive("layouts", LayoutsDirective)
+    app.connect("env-check-consistency", check)
+    app.connect("env-purge-doc", forget)
+    return {"parallel_read_safe": False, "parallel_write_safe": True}
