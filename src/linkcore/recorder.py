@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Mapping
 from typing import Any
 
-from .errors import LinkTimeout
+from .errors import BadRecording, LinkTimeout
 from .policy import block
 from .recording import Kind, RecordingWriter
 from .stream import Chunk, ConnectionEvent, Stream, Traffic
@@ -20,7 +21,8 @@ class Recorder:
     """Records streams into one file, from now until closed; a context manager.
 
     In the receive path it costs one hand-over to a queue; the file is written in its own threads.
-    Nothing is lost: should the disk fall 1024 chunks behind, the stream waits for it.
+    Nothing is lost: should the disk fall 1024 chunks behind, the stream waits for it. Should the disk
+    fail, the streams go on, and `close` says so.
 
     Args:
         path: a file that does not exist yet.
@@ -38,6 +40,8 @@ class Recorder:
         """Record `stream` too; `info` says of it what a reader needs, and has at least "name".
 
         Raises:
+            BadRecording: the disk failed.
+            Closed: the recorder, or the stream, was closed.
             RemoteError: the stream could not be opened.
         """
         writer = self._writer
@@ -56,14 +60,18 @@ class Recorder:
         return subscription
 
     def close(self, timeout: float = 5.0) -> None:
-        """Write what still waits, and close the file; idempotent.
+        """Write what still waits, and close the file, within `timeout` seconds; idempotent.
 
         Raises:
             LinkTimeout: the disk did not take it in time; the file is as after a crash.
+            BadRecording: the disk failed; the file holds what came before.
         """
-        done = [subscription.finish(timeout) for subscription in self._subscriptions]
-        self._subscriptions = []
-        self._writer.close()
+        until = time.monotonic() + timeout
+        subscriptions, self._subscriptions = self._subscriptions, []
+        done = [subscription.finish(max(until - time.monotonic(), 0.0)) for subscription in subscriptions]
+        self._writer.close(complete=all(done))
+        if subscriptions and self._writer.failure is not None:
+            raise BadRecording(self._writer.failure)
         if not all(done):
             raise LinkTimeout(f"{self.path}: not everything was written within {timeout:g} s")
 

@@ -28,7 +28,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .errors import BadRecording, BadValue
+from .errors import BadRecording, BadValue, Closed
 from .stamp import Stamp
 
 __all__ = ["Kind", "Record", "Recording", "RecordingWriter"]
@@ -72,40 +72,82 @@ class RecordingWriter:
             self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115
         except FileExistsError:
             raise BadRecording(f"{self.path} exists; a recording never overwrites one") from None
-        except OSError as error:
-            raise BadRecording(f"cannot write {self.path}: {error.strerror}") from error
+        except (OSError, ValueError) as error:  # ValueError: no operating system has such names
+            raise BadRecording(f"cannot write {self.path}: {_reason(error)}") from error
         self._lock = threading.Lock()
         self._channels = 0
-        self._file.write(_MAGIC)
+        #: What went wrong with the file; nothing is written after it.
+        self.failure: str | None = None
+        try:
+            self._append(_MAGIC)
+        except BadRecording:
+            self._file.close()
+            raise
 
     def add_channel(self, info: Mapping[str, Any]) -> int:
-        """Declare a channel; `info` is JSON-ready and has at least "name". Returns its number."""
+        """Declare a channel; `info` is JSON-ready and has at least "name". Returns its number.
+
+        Raises:
+            BadValue: there are 256 already.
+            BadRecording, Closed: as `write`.
+        """
+        payload = json.dumps(dict(info)).encode()
         with self._lock:
             number = self._channels
+            if number > 255:
+                raise BadValue("a recording holds at most 256 channels")
             self._channels += 1
-        if number > 255:
-            raise BadValue("a recording holds at most 256 channels")
-        self.write(Kind.CHANNEL, number, Stamp.now(), json.dumps(dict(info)).encode())
+        self.write(Kind.CHANNEL, number, Stamp.now(), payload)
         return number
 
     def write(self, kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> None:
-        """Append one record."""
-        body = _HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
-        data = _FRAME.pack(len(body), zlib.crc32(body)) + body
+        """Append one record.
+
+        Raises:
+            BadRecording: the disk did not take it, or an earlier one.
+            Closed: after `close`.
+        """
+        data = _packed(kind, channel, stamp, payload)
         with self._lock:
             if self._file.closed:
-                raise BadRecording(f"{self.path} is closed")
-            written = self._file.write(data)
-            if written != len(data):
-                # A full disk takes half a record: readers stop before it, and so do we.
-                raise BadRecording(f"{self.path}: only {written} of {len(data)} bytes were taken")
+                raise Closed(f"{self.path} is closed")
+            self._append(data)
 
-    def close(self) -> None:
-        """Write the end record and close; idempotent."""
-        if not self._file.closed:
-            self.write(Kind.END, 0, Stamp.now(), b"")
-            with self._lock:
+    def close(self, *, complete: bool = True) -> None:
+        """Close; idempotent. Unless `complete` is False, the end record says that nothing is missing.
+
+        Raises:
+            BadRecording: the disk did not take the end record.
+        """
+        with self._lock:
+            if self._file.closed:
+                return
+            try:
+                if complete and self.failure is None:
+                    self._append(_packed(Kind.END, 0, Stamp.now(), b""))
+            finally:
                 self._file.close()
+
+    def _append(self, data: bytes) -> None:
+        if self.failure is None:
+            try:
+                written = self._file.write(data)
+                if written != len(data):
+                    # A full disk takes half a record: readers stop before it, and so do we.
+                    self.failure = f"{self.path}: only {written} of {len(data)} bytes were taken; is the disk full?"
+            except OSError as error:
+                self.failure = f"cannot write {self.path}: {_reason(error)}"
+        if self.failure is not None:
+            raise BadRecording(self.failure)
+
+
+def _packed(kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> bytes:
+    body = _HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
+    return _FRAME.pack(len(body), zlib.crc32(body)) + body
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 class Recording:
@@ -114,6 +156,8 @@ class Recording:
     Attributes:
         path: the file.
         channels: number of each channel -> what the writer said of it.
+        is_complete: whether it was closed in good order.
+        left_out: bytes at its end that are unfinished or damaged.
 
     Raises:
         BadRecording: no such file, or not a recording.
@@ -124,36 +168,42 @@ class Recording:
         self.channels: dict[int, dict[str, Any]] = {}
         self.is_complete = False
         self.left_out = 0
-        try:
-            with open(self.path, "rb") as file:
-                magic = file.read(len(_MAGIC))
-        except OSError as error:
-            raise BadRecording(f"cannot read {self.path}: {error.strerror}") from error
-        if magic != _MAGIC:
-            raise BadRecording(f"{self.path} is not a recording: it begins with {magic!r}, not {_MAGIC!r}")
         for record in self:
             if record.kind is Kind.CHANNEL:
-                self.channels[record.channel] = self._info(record)
+                self.channels[record.channel] = self._described(record, "name")
+            elif record.kind is Kind.EVENT:
+                self._described(record, "state")  # here, rather than in the middle of a replay
             elif record.kind is Kind.END:
                 self.is_complete = True
 
-    def _info(self, record: Record) -> dict[str, Any]:
+    def _described(self, record: Record, key: str) -> dict[str, Any]:
+        """The JSON object in a record, which holds text under `key`."""
         try:
             info = json.loads(record.payload)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise BadRecording(f"{self.path}: channel {record.channel} is not described in JSON") from error
-        if not isinstance(info, dict) or not isinstance(info.get("name"), str):
-            raise BadRecording(f"{self.path}: channel {record.channel} has no name")
+        if not isinstance(info, dict) or not isinstance(info.get(key), str):
+            raise BadRecording(f"{self.path}: channel {record.channel} has no {key}")
         return info
 
     def __iter__(self) -> Iterator[Record]:
         """The records up to the end, or to the first that is incomplete or damaged.
 
         `left_out` then says how many bytes follow.
+
+        Raises:
+            BadRecording: no such file, or not a recording.
         """
-        with open(self.path, "rb") as file:
+        try:
+            file = open(self.path, "rb")  # noqa: SIM115
+        except (OSError, ValueError) as error:
+            raise BadRecording(f"cannot read {self.path}: {_reason(error)}") from error
+        with file:
+            magic = file.read(len(_MAGIC))
+            if magic != _MAGIC:
+                raise BadRecording(f"{self.path} is not a recording: it begins with {magic!r}, not {_MAGIC!r}")
             size = os.fstat(file.fileno()).st_size
-            at = len(file.read(len(_MAGIC)))
+            at = len(_MAGIC)
             while True:
                 frame = file.read(_FRAME.size)
                 if len(frame) < _FRAME.size:
@@ -169,7 +219,8 @@ class Recording:
                 if kind > Kind.END:
                     continue  # of a later version of the format
                 yield Record(Kind(kind), channel, Stamp(monotonic / 1e9, wall / 1e9), body[_HEAD.size :])
-            self.left_out = size - at
+            # It may have grown meanwhile: a recording can be read while it is being made.
+            self.left_out = max(size - at, 0)
 
     def channel(self, name: str) -> int:
         """Number of the channel called `name`.
