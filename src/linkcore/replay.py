@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 
-from .errors import BadValue, ConnectionLost
+from .errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
 from .recording import Kind, Record, Recording
 from .stamp import Stamp
 from .transport import Finished
@@ -49,7 +49,8 @@ class ReplayTransport:
     """One channel of a recording as a source of bytes.
 
     Chunks come as they were cut, at the recorded times. Their stamps say the recorded wall time, and
-    the present on the monotonic clock. Where the recorded connection was lost, this one is too.
+    the present on the monotonic clock. Where the recorded connection was lost, this one is too, and
+    comes back when that one did.
     """
 
     def __init__(self, recording: Recording, channel: str, clock: ReplayClock) -> None:
@@ -57,12 +58,34 @@ class ReplayTransport:
         self.name = f"{recording.path.name} ({channel})"
         self._clock = clock
         self._records: Iterator[Record] = (record for record in recording if record.channel == number)
+        self._next: Record | None = None  # taken from the records, not yet due
+        self._was_open = False
         self._closed = threading.Event()
 
     def open(self, timeout: float) -> None:
-        """Start, or go on after a lost connection."""
+        """Start, or go on after a lost connection, once the recorded one went on.
+
+        Raises:
+            Finished: it never did.
+            ConnectFailed: as recorded.
+            LinkTimeout: it did not within `timeout` seconds.
+        """
         self._closed.clear()
         self._clock.start()
+        # The first connection is made at once: who opens a channel that was recorded late is not kept waiting.
+        again, self._was_open = self._was_open, True
+        while (record := self._peek()) is not None and record.kind is not Kind.BYTES:
+            state, error = self._event(record)
+            if state in ("connected", "lost"):
+                if again and not self._wait(record.stamp, timeout):
+                    raise LinkTimeout(f"{self.name}: not connected again within {timeout:g} s, as recorded")
+                self._next = None
+                if state == "lost":
+                    raise ConnectFailed(f"{self.name}: as recorded: {error}")
+                return
+            self._next = None
+        if record is None and again:
+            raise Finished
 
     def receive(self) -> tuple[bytes, Stamp]:
         """Wait until the next chunk is due.
@@ -71,19 +94,37 @@ class ReplayTransport:
             Finished: that was all.
             ConnectionLost: as recorded, or closed.
         """
-        for record in self._records:
-            if record.kind is Kind.EVENT:
-                event = json.loads(record.payload)
-                if event["state"] == "lost":
-                    raise ConnectionLost(f"{self.name}: as recorded: {event['error']}")
-            elif record.kind is Kind.BYTES:
-                delay = self._clock.delay(record.stamp)
-                if delay > 0:
-                    self._closed.wait(delay)
+        while (record := self._peek()) is not None:
+            state, error = self._event(record)
+            if record.kind is Kind.BYTES or state == "lost":
+                self._wait(record.stamp)
                 if self._closed.is_set():
                     raise ConnectionLost(f"{self.name}: closed")
+            self._next = None
+            if state == "lost":
+                raise ConnectionLost(f"{self.name}: as recorded: {error}")
+            if record.kind is Kind.BYTES:
                 return record.payload, Stamp(time.monotonic(), record.stamp.wall)
         raise Finished
+
+    def _peek(self) -> Record | None:
+        if self._next is None:
+            self._next = next(self._records, None)
+        return self._next
+
+    @staticmethod
+    def _event(record: Record) -> tuple[str | None, object]:
+        if record.kind is not Kind.EVENT:
+            return None, None
+        event = json.loads(record.payload)
+        return event["state"], event.get("error")
+
+    def _wait(self, stamp: Stamp, most: float = float("inf")) -> bool:
+        """Wait until what was stamped so is due, for `most` seconds; False if it is not due yet."""
+        delay = self._clock.delay(stamp)
+        if delay > 0:
+            self._closed.wait(min(delay, most, threading.TIMEOUT_MAX))
+        return delay <= most
 
     def send(self, data: bytes, timeout: float) -> None:
         """Refuse: nobody is listening in a recording.
