@@ -72,14 +72,9 @@ class TcpTransport:
         """
         self.close()
         try:
-            connection = socket.create_connection((self.host, self.port), timeout)
-        except OSError as error:
+            self._socket = _connected(self.host, self.port, timeout, self.silence)
+        except (OSError, ValueError) as error:
             raise _mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        _set_receive_timeout(connection, self.silence)
-        self._socket = connection
 
     def receive(self) -> tuple[bytes, Stamp]:
         """Wait for bytes; with the moment they came.
@@ -98,7 +93,8 @@ class TcpTransport:
         except OSError as error:
             raise _mapped(error, f"{self.name}", self.silence, ConnectionLost) from error
         if not data:
-            raise ConnectionLost(f"{self.name} closed the connection")
+            by = "closed the connection" if self._socket is connection else "was closed here"
+            raise ConnectionLost(f"{self.name} {by}")
         return data, Stamp(time.monotonic(), time.time())
 
     def send(self, data: bytes, timeout: float) -> None:
@@ -116,9 +112,10 @@ class TcpTransport:
         try:
             while rest:
                 # The socket blocks, for the sake of `receive`: ask whether there is room first.
-                if not select.select([], [connection], [], max(until - time.monotonic(), 0.0))[1]:
+                if not _has_room(connection, max(until - time.monotonic(), 0.0)):
                     raise TimeoutError
-                rest = rest[connection.send(rest, getattr(socket, "MSG_DONTWAIT", 0)) :]
+                with contextlib.suppress(BlockingIOError):  # another thread has just filled it
+                    rest = rest[connection.send(rest, getattr(socket, "MSG_DONTWAIT", 0)) :]
         except OSError as error:
             raise _mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
 
@@ -130,6 +127,48 @@ class TcpTransport:
         with contextlib.suppress(OSError):  # already gone: nobody is waiting on it then
             connection.shutdown(socket.SHUT_RDWR)
         connection.close()
+
+
+def _connected(host: str, port: int, timeout: float, silence: float) -> socket.socket:
+    """A connection to the first address of `host` that answers; `timeout` is for all of them together."""
+    until = time.monotonic() + timeout
+    places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    failure: OSError | None = None
+    for number, (family, kind, protocol, _, address) in enumerate(places):
+        left = (until - time.monotonic()) / (len(places) - number)
+        connection = None
+        try:
+            connection = socket.socket(family, kind, protocol)
+            connection.settimeout(max(left, 1e-3))
+            connection.connect(address)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            _set_receive_timeout(connection, silence)
+        except OSError as error:
+            failure = error
+            if connection is not None:
+                connection.close()
+        except BaseException:
+            if connection is not None:
+                connection.close()
+            raise
+        else:
+            return connection
+    raise failure or OSError(f"{host} has no address")
+
+
+def _has_room(connection: socket.socket, seconds: float) -> bool:
+    """Wait until something can be sent; False when time is up."""
+    number = connection.fileno()
+    if number < 0:
+        raise OSError(errno.EBADF, "closed")
+    if sys.platform == "win32":
+        return bool(select.select([], [connection], [], seconds)[1])
+    # Not select: it takes no descriptors beyond 1023, and a program with many robots has those.
+    poll = select.poll()
+    poll.register(number, select.POLLOUT)
+    return bool(poll.poll(seconds * 1e3))
 
 
 def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
@@ -147,8 +186,10 @@ def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
     )
 
 
-def _mapped(error: OSError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
+def _mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
     """The one place where operating-system errors become the library's own."""
+    if isinstance(error, ValueError):  # a part of the name is too long, or holds what no name may
+        return otherwise(f"{doing}: no such host ({error})")
     if isinstance(error, TimeoutError):
         return LinkTimeout(f"{doing}: nothing within {timeout:g} s")
     if isinstance(error, socket.gaierror):
