@@ -62,10 +62,16 @@ def parse_address(text: str) -> Address:
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
-    if not text.strip() or any(character.isspace() for character in text.strip()):
-        raise BadAddress(f"{text!r} is no address; expected a host, ur://host, sim://model or replay:///file")
-    text = text.strip()
-    parts = urlsplit(text if "://" in text else f"ur://{text}")
+    original, text = text, text.strip()
+    if not text or any(character.isspace() or not character.isprintable() for character in text):
+        hint = "; a space in the name of a file is written %20" if text.startswith("replay:") else ""
+        raise BadAddress(f"{original!r} is no address; expected a host, ur://host, sim://model or replay:///file{hint}")
+    try:
+        parts = urlsplit(text if "://" in text else f"ur://{text}")
+    except ValueError as error:  # half a bracket, or what no host name may hold
+        raise BadAddress(f"{text!r} is no address: {error}") from None
+    if parts.fragment or text.endswith("#"):
+        raise BadAddress(f"{text!r}: nothing is known of #{parts.fragment}; in the name of a file # is written %23")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "ur":
         return _robot(text, parts.hostname, parts.netloc, parts.path, options)
@@ -77,7 +83,7 @@ def parse_address(text: str) -> Address:
 
 
 def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[str, str]) -> RobotAddress:
-    if not host or path not in ("", "/"):
+    if not host or "@" in netloc or path not in ("", "/"):
         raise BadAddress(f"{text!r}: expected a host name or address, as in ur://192.168.56.101")
     if netloc.rpartition("]")[2].count(":") and not netloc.endswith(("]", ":")):
         raise BadAddress(
@@ -88,7 +94,7 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
     for name, value in options.items():
         if name not in ports:
             raise BadAddress(f"{text!r}: unknown option {name!r}; expected one of {', '.join(ports)}")
-        if not value.isdecimal() or not 0 < int(value) < 65536:
+        if not value.isdecimal() or len(value) > 5 or not 0 < int(value) < 65536:
             raise BadAddress(f"{text!r}: {name}={value!r} is not a port; expected 1 to 65535")
         ports[name] = int(value)
     return RobotAddress(host, ports)
