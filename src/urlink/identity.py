@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from linkcore.errors import LinkTimeout, PacketError, WrongPeer
+from linkcore.errors import ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from linkcore.transport import TcpTransport
 
 from .firmware import Firmware, infer
@@ -48,6 +48,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
     transport.open(timeout)
     session = PrimaryProtocol()
     received = b""
+    lost: ConnectionLost | None = None
     state: RobotState | None = None
     configuration: ConfigurationData | None = None
     try:
@@ -56,6 +57,9 @@ def identify(host: str, port: int, timeout: float) -> Identity:
                 data = transport.receive()[0]
             except LinkTimeout:
                 data = b""
+            except ConnectionLost as error:
+                lost = error
+                break
             received = (received + data)[:64]
             for frame in session.framer.feed(data):
                 try:
@@ -73,9 +77,20 @@ def identify(host: str, port: int, timeout: float) -> Identity:
         transport.close()
     firmware = session.firmware or (None if state is None else infer(state))
     if firmware is None:
+        if session.framer.skipped:
+            raise WrongPeer(f"{transport.name} does not talk like a UR controller; it began with {received[:32]!r}")
+        if state is not None:
+            raise WrongPeer(
+                f"{transport.name} talks like a UR controller, but does not say its version, and no firmware that is "
+                f"known sends such states: {dict(state.sizes)}"
+            )
+        if lost is not None:
+            raise lost
         if not received:
             raise LinkTimeout(f"{transport.name} took the connection but sent nothing within {timeout:g} s")
-        raise WrongPeer(f"{transport.name} does not talk like a UR controller; it began with {received[:32]!r}")
+        raise LinkTimeout(
+            f"{transport.name} did not say who it is within {timeout:g} s; it began with {received[:32]!r}"
+        )
     return Identity(firmware, session.firmware is not None, _model_name(configuration, firmware))
 
 
