@@ -1,21 +1,23 @@
 """The bounded queue between the reader thread and one consumer.
 
-Lock-free where it counts: `deque` operations are atomic, and each counter has one writer. The two
-locks are used as binary semaphores, the cheapest way for one thread to wake another.
+The queue itself is `queue.SimpleQueue`, whose hand-over happens in C. What stands here is what it has
+not: a bound, the choice of what happens at the bound, an end, and exact counts. Each counter has one
+writer at a time, so that none needs a lock.
 """
 
 from __future__ import annotations
 
-import contextlib
+import queue
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from .policy import Policy
 
 __all__ = ["Inbox"]
+
+#: Stands last in the queue of an inbox that gets no more.
+_END = object()
 
 
 class Inbox:
@@ -25,6 +27,11 @@ class Inbox:
         policy: what to do when the consumer falls behind.
         wants: which packets it is for; None takes all.
         lost: told of each packet that is dropped.
+
+    Attributes:
+        received: packets offered and wanted.
+        dropped: packets thrown away.
+        closed: nothing more will be taken.
     """
 
     def __init__(
@@ -33,28 +40,23 @@ class Inbox:
         wants: Callable[[Any], bool] | None = None,
         lost: Callable[[Any], None] | None = None,
     ) -> None:
-        self._limit = policy.limit
-        self._evicts = policy.evicts
         self.received = 0
         self.dropped = 0
-        #: No more will come: what waits can still be taken.
-        self.ended = False
-        #: Nothing more will be taken.
-        self.closed: bool = False
+        self.closed = False
+        self._ended = False
+        self._limit = policy.limit
+        self._evicts = policy.evicts
         self._wants = wants
         self._lost = lost
-        self._queue: deque[Any] = deque()
-        self._filled = threading.Lock()
-        self._filled.acquire()
-        self._room = threading.Lock()
-        self._room.acquire()
+        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._room = threading.Semaphore(0)
         self._blocked = False
-        self._closing = threading.Lock()
+        self._dropping = threading.Lock()
 
     @property
     def waiting(self) -> int:
         """Packets in the queue."""
-        return len(self._queue)
+        return max(self._queue.qsize() - self._ended, 0)
 
     # -- the reader's side ---------------------------------------------------------------------
 
@@ -62,97 +64,82 @@ class Inbox:
         """Hand packets over; waits only under the policy `block`."""
         if self._wants is not None:
             items = list(filter(self._wants, items))
-            if not items:
-                return
-        if self.closed:
+        if self._ended or not items:
             return
         self.received += len(items)
-        queue, limit = self._queue, self._limit
+        put, size, limit = self._queue.put, self._queue.qsize, self._limit
         if self._evicts:
-            queue.extend(items)
-            while len(queue) > limit:
-                self._drop_one()
+            for item in items:
+                if size() >= limit:
+                    self._drop_one()
+                put(item)
         else:
             for item in items:
-                while len(queue) >= limit and not self.closed:
-                    self._blocked = True
-                    self._signal(self._filled)
-                    # The timeout covers a consumer that took the last one just before we asked.
-                    self._room.acquire(timeout=0.05)
-                queue.append(item)
-            self._blocked = False
-        self._drop_if_closed()
-        # Last of all: the consumer wants the interpreter now, and the reader is about to let go of it.
-        self._signal(self._filled)
+                while size() >= limit and not self.closed:
+                    self._wait_for_room()
+                put(item)
+        if self.closed:
+            self._drop_all()
+
+    def _wait_for_room(self) -> None:
+        self._blocked = True
+        # The timeout covers a consumer that made room just before this was set.
+        self._room.acquire(timeout=0.05)
+        self._blocked = False
 
     def end(self) -> None:
-        """No more will come."""
-        self.ended = True
-        self._signal(self._filled)
+        """No more will come; what waits can still be taken. Idempotent."""
+        with self._dropping:
+            if not self._ended:
+                self._ended = True
+                self._queue.put(_END)
 
     # -- the consumer's side -------------------------------------------------------------------
 
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait until something may be there, or the inbox has ended; False when time is up."""
-        if timeout is None:
-            return self._filled.acquire()
-        return self._filled.acquire(timeout=max(timeout, 0.0))
+    def next(self, timeout: float | None = None) -> Any | None:
+        """Wait for a packet and take it; None when time is up, or when no more will come.
 
-    def take(self) -> Any | None:
-        """The oldest packet that waits, or None."""
-        if not self._queue:
-            return None
+        `is_over` tells which.
+        """
         try:
-            item = self._queue.popleft()
-        except IndexError:  # evicted this very moment
+            item = self._queue.get(True, timeout)
+        except queue.Empty:
             return None
-        if self._blocked and len(self._queue) <= self._limit // 2:
-            self._signal(self._room)  # not for each one: the two threads would take turns
+        if item is _END:
+            self._queue.put(_END)  # whoever asks again is told again
+            return None
+        if self._blocked and self._queue.qsize() <= self._limit // 2:
+            self._room.release()  # not for each packet: the two threads would take turns
         return item
 
-    def next(self, timeout: float | None = None) -> Any | None:
-        """Wait for a packet and take it; None when time is up, or when no more will come."""
-        until = None if timeout is None else time.monotonic() + timeout
-        while True:
-            item = self.take()
-            if item is not None:
-                return item
-            if self.ended or self.closed:
-                # The last ones may have come between the look and the end.
-                return self.take()
-            if not self.wait(None if until is None else until - time.monotonic()):
-                return self.take()
+    @property
+    def is_over(self) -> bool:
+        """No more will come, and nothing waits."""
+        return self._ended and self.waiting == 0
 
     def close(self) -> None:
         """Drop what waits, take nothing more; idempotent."""
         self.closed = True
+        self.end()
         self._drop_all()
-        self._signal(self._filled)
-        self._signal(self._room)
+        self._room.release()
 
     # ------------------------------------------------------------------------------------------
 
-    def _drop_one(self) -> None:
+    def _drop_one(self) -> bool:
         try:
-            item = self._queue.popleft()
-        except IndexError:  # the consumer was quicker
-            return
+            item = self._queue.get_nowait()
+        except queue.Empty:  # the consumer was quicker
+            return False
+        if item is _END:
+            self._queue.put(_END)
+            return False
         self.dropped += 1
         if self._lost is not None:
             self._lost(item)
-
-    def _drop_if_closed(self) -> None:
-        if self.closed:
-            self._drop_all()
+        return True
 
     def _drop_all(self) -> None:
-        with self._closing:  # the reader and whoever closes may both come here
-            while self._queue:
-                self._drop_one()
-
-    @staticmethod
-    def _signal(semaphore: threading.Lock) -> None:
-        if semaphore.locked():
-            # Two threads may signal at once: once is enough.
-            with contextlib.suppress(RuntimeError):
-                semaphore.release()
+        with self._dropping:  # the reader and whoever closes may both come here
+            while self._drop_one():
+                pass

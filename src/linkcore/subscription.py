@@ -89,34 +89,29 @@ class Subscription:
         self.close()
 
     def _run(self) -> None:
-        inbox, expand, callback = self.inbox, self._expand, self._callback
-        since, late = time.monotonic(), False
-        while not inbox.closed:
-            item = inbox.take()
-            if item is not None:
-                try:
-                    if expand is None:
-                        callback(item)
-                    else:
-                        for part in expand(item):
-                            callback(part)
-                    self._delivered += 1
-                except Exception:
-                    self._failed += 1
-                    self._complain(f"callback of {self.name} raised; its subscription goes on")
-                if self._deadline is not None:
-                    since, late = time.monotonic(), False
-                continue
-            if inbox.ended:
-                if inbox.waiting == 0:
+        take, expand, callback, deadline = self.inbox.next, self._expand, self._callback, self._deadline
+        since, timeout = time.monotonic(), deadline
+        while True:
+            item = take(timeout)
+            if item is None:
+                if self.inbox.is_over:
                     return
-                continue
-            if self._deadline is None or late:
-                inbox.wait()
-            elif not inbox.wait(since + self._deadline - time.monotonic()):
-                # Once for each silence: a flood of calls would tell no more.
-                late = True
+                # Told once for each silence: a flood of calls would tell no more.
+                timeout = None
                 self._miss(time.monotonic() - since)
+                continue
+            try:
+                if expand is None:
+                    callback(item)
+                else:
+                    for part in expand(item):
+                        callback(part)
+                self._delivered += 1
+            except Exception:
+                self._failed += 1
+                self._complain(f"callback of {self.name} raised; its subscription goes on")
+            if deadline is not None:
+                since, timeout = time.monotonic(), deadline
 
     def _miss(self, age: float) -> None:
         self._missed += 1

@@ -356,7 +356,6 @@ def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink
         assert replayed.realtime.stats.reconnects == 1
     seen, recorded = list(map(bytes, watch.states)), list(map(bytes, states))
     begin = recorded.index(seen[0])  # the recorder was there first, and went first
-    assert len(recorded) > begin + 10
     assert recorded[begin:] == seen[: len(recorded) - begin]
 
 
