@@ -1,0 +1,67 @@
+"""Tell of every change of the safety mode and every message of the controller, and of a lost connection.
+
+python examples/watch_safety.py 192.168.56.101
+python examples/watch_safety.py --demonstrate    # the simulator makes a protective stop
+"""
+
+import argparse
+import contextlib
+import time
+from datetime import datetime
+
+import urlink
+from urlink import ConnectionEvent, ConnectionState, MasterboardData, RobotMessage, Stamp
+
+
+class Watch:
+    """Prints what is new."""
+
+    def __init__(self) -> None:
+        self.mode: object = None
+
+    def on_masterboard(self, data: MasterboardData) -> None:
+        # CB2 has a safety state of its own in place of the safety mode.
+        mode = data.safety_mode if data.safety_mode is not None else data.master_safety_state
+        if mode is not None and mode != self.mode:
+            self.mode = mode
+            tell(data.received, f"safety mode: {mode.name}")
+
+    def on_message(self, message: RobotMessage) -> None:
+        tell(message.received, str(message))
+
+    def on_connection(self, event: ConnectionEvent) -> None:
+        if event.state is ConnectionState.LOST:
+            self.mode = None  # what it was before may no longer be true
+            tell(event.received, f"connection lost: {event.error}")
+        elif event.state is ConnectionState.CONNECTED:
+            tell(event.received, "connected")
+
+
+def tell(when: Stamp | None, text: str) -> None:
+    moment = datetime.now() if when is None else datetime.fromtimestamp(when.wall)
+    print(f"{moment:%H:%M:%S.%f}"[:-3], text, flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Watch the safety of a robot.")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot, simulator or recording (sim://)")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
+    parser.add_argument("--demonstrate", action="store_true", help="let the simulator make a protective stop")
+    args = parser.parse_args()
+
+    watch = Watch()
+    with urlink.connect(args.address) as robot:
+        until = time.monotonic() + args.duration
+        # Each subscription has a thread of its own. The first one opens the connection.
+        robot.primary.subscribe(watch.on_connection, ConnectionEvent)
+        robot.primary.subscribe(watch.on_message, RobotMessage)
+        robot.primary.subscribe(watch.on_masterboard, MasterboardData)
+        if args.demonstrate and robot.controller is not None:
+            robot.controller.schedule("protective_stop@1", "clear@2")
+        while time.monotonic() < until:
+            time.sleep(min(0.1, max(until - time.monotonic(), 0.0)))
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        main()

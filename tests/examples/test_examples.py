@@ -1,0 +1,83 @@
+"""Each program in examples/ is run as a user would run it."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=50, check=False)
+
+
+def output(name: str, *arguments: str) -> str:
+    done = run(name, *arguments)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+def test_print_state() -> None:
+    lines = output("print_state.py", "sim://ur10?firmware=3.4", "--duration", "0.7").splitlines()
+    assert lines[0] == "UR10, firmware 3.4"
+    assert lines[1].endswith("rad  RUNNING")
+    assert lines[-1].endswith("states received")
+
+
+def test_print_state_of_the_oldest_firmware_that_sends_no_robot_mode() -> None:
+    lines = output("print_state.py", "sim://ur5?firmware=1.5", "--duration", "0.3").splitlines()
+    assert lines[1].endswith("rad  ?")
+
+
+def test_watch_safety() -> None:
+    text = output("watch_safety.py", "--demonstrate", "--duration", "3")
+    told = [line.partition(" ")[2] for line in text.splitlines()]
+    assert "connected" in told
+    modes = [line for line in told if line.startswith("safety mode:")]
+    assert modes == ["safety mode: NORMAL", "safety mode: PROTECTIVE_STOP", "safety mode: NORMAL"]
+    assert any(line.startswith("RobotCommMessage(") and "code=153" in line for line in told)
+
+
+def test_log_to_csv(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    text = output("log_to_csv.py", str(file), "--duration", "0.5")
+    with file.open(newline="") as lines:
+        head, *rows = csv.reader(lines)
+    assert head[:3] == ["wall", "time", "q0"]
+    assert all(len(row) == len(head) for row in rows)
+    assert text == f"{len(rows)} states written, 0 dropped, 0 failed\n"
+    assert len(rows) > 10
+
+
+def test_closed_loop_monitor_within_limits() -> None:
+    assert output("closed_loop_monitor.py", "--duration", "0.5", "--deadline", "5").endswith("all within limits\n")
+
+
+def test_closed_loop_monitor_beyond_them() -> None:
+    done = run("closed_loop_monitor.py", "--duration", "10", "--deadline", "5", "--speed", "0.1")
+    assert done.returncode == 1
+    assert "a joint moves at" in done.stdout
+
+
+def test_two_robots() -> None:
+    lines = output("two_robots.py", "--duration", "1").splitlines()
+    assert {line.partition(": ")[0] for line in lines} == {"sim://ur5e", "sim://ur10?firmware=3.4"}
+    assert all("tool at" in line and line.endswith("0 reconnects") for line in lines[-2:])
+
+
+@pytest.mark.slow
+def test_test_your_own_program() -> None:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_your_own_program.py"]
+    done = subprocess.run(command, cwd=EXAMPLES, capture_output=True, text=True, timeout=50, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "4 passed" in done.stdout
+
+
+def test_every_example_is_run_here() -> None:
+    here = Path(__file__).read_text()
+    assert [path.name for path in sorted(EXAMPLES.glob("*.py")) if path.name not in here] == []
