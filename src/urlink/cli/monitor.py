@@ -102,16 +102,16 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
     def on_message(message: RobotMessage) -> None:
         messages[:] = [str(message)]
 
-    stream.subscribe(on_connection, ConnectionEvent)
     if interface == "primary":
+        # First, since what comes first connects, and messages come at once.
         stream.subscribe(on_message, RobotMessage)
+    stream.subscribe(on_connection, ConnectionEvent)
     reading: Reading | None = None
     since, counted = time.monotonic(), 0
     while True:
         if stream.failure is not None:
             raise stream.failure
-        connection = stream.connection
-        state = stream.latest if connection is not ConnectionState.CLOSED else None
+        connection, state = stream.connection, stream.latest
         if state is not None:
             reading = read(state)
         stats = stream.stats

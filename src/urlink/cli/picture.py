@@ -26,7 +26,7 @@ WIDTH = 100
 _NARROW = 92
 _JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _TURN = 2 * math.pi
-_BAR = 31
+_BAR = 25
 
 _LABEL = "bright_black"
 _VALUE = "default"
@@ -134,9 +134,10 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
     table.add_column("joint", width=9, style=_LABEL)
     if has_room:
         table.add_column(_scale(), width=_BAR)
-    for name in ("q deg", "q rad", "qd rad/s", "I A", "T °C"):
-        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True)
-    table.add_column("  mode", no_wrap=True)
+    for name, width in (("q deg", 9), ("q rad", 8), ("qd rad/s", 8), ("I A", 7), ("T °C", 6)):
+        # Half a number would be a wrong number: the modes give way.
+        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=width)
+    table.add_column("  mode", no_wrap=True, ratio=1)
     for number, q in enumerate(reading.q):
         mode = "" if reading.joint_modes is None else reading.joint_modes[number]
         row: list[Text | str] = [_JOINTS[number] if number < len(_JOINTS) else str(number)]
@@ -174,10 +175,10 @@ def _tool(reading: Reading, shade: Callable[[str], str]) -> Table:
     table = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style=_LABEL)
     table.add_column("tool", width=9, style=_LABEL)
     for name in ("x", "y", "z"):
-        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True)
+        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=9)
     table.add_column("", width=5, style=_LABEL)
     for name in ("rx", "ry", "rz"):
-        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True)
+        table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=9)
     table.add_column("", width=6, style=_LABEL)
     lines = (
         ("pose", reading.pose, ("m", "rad"), 4),

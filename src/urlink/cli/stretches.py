@@ -59,8 +59,12 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
         yield Stretch(at, data[at:rest], is_packet=False)
     if framer.rest:
         size = border.size_at(framer.rest, 0) if len(framer.rest) >= border.header else 0
-        whole = size if size > len(framer.rest) else None
-        yield Stretch(rest, framer.rest, is_packet=False, expected=whole)
+        if 0 < size <= len(framer.rest):
+            # Whole, but so odd that the framer would see the next header before it believes it.
+            yield Stretch(rest, framer.rest[:size], is_packet=True)
+            rest, size = rest + size, 0
+        if rest < len(data):
+            yield Stretch(rest, data[rest:], is_packet=False, expected=size or None)
 
 
 def guess_interface(data: bytes) -> Interface | None:

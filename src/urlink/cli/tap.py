@@ -47,7 +47,7 @@ class Tap:
         packet = self._inbox.next(timeout)
         if packet is not None:
             return list(self._stream.expand(self._kind, packet))
-        if self._inbox.ended or self._inbox.closed:
+        if self._inbox.is_over:
             if self._stream.failure is not None:
                 raise self._stream.failure
             return None

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from urlink import RealtimeState
+from urlink.cli.tap import Tap
+from urlink.robot import connect
+from urlink.simulator import Controller
+
+from .conftest import HOSTILE, Run, assert_harmless, strict, write
+
+Spawn = Callable[..., "subprocess.Popen[str]"]
+
+
+def played(path: Path, rate: str = "max") -> str:
+    return f"replay://{str(path).replace(' ', '%20')}?rate={rate}"
+
+
+def test_all_fields_on_one_line(run: Run, address: str) -> None:
+    status, out, err = run("echo", address, "--count", "3")
+    assert (status, err) == (0, "")
+    assert out.count("\n") == 3
+    for text in out.splitlines():
+        assert text.startswith("RealtimeState(time=")
+        assert "robot_mode=RUNNING" in text
+
+
+def test_chosen_fields(run: Run, address: str) -> None:
+    status, out, _ = run("echo", address, "robot_mode", "q_actual", "payload_mass", "--count", "1")
+    assert status == 0
+    assert out.startswith("robot_mode=RUNNING q_actual=[")
+    assert out.endswith("] payload_mass=0\n")
+
+
+def test_fields_may_follow_options(run: Run, address: str) -> None:
+    status, out, _ = run("echo", address, "--count", "1", "robot_mode")
+    assert (status, out) == (0, "robot_mode=RUNNING\n")
+
+
+def test_fields_that_are_not_sent(run: Run, old_address: str) -> None:
+    assert run("echo", old_address, "safety_mode", "--count", "1")[1] == "safety_mode=-\n"
+    (record,) = map(strict, run("echo", old_address, "safety_mode", "--count", "1", "--json")[1].splitlines())
+    assert record["safety_mode"] is None
+
+
+def test_robot_states(run: Run, address: str) -> None:
+    fields = ("joint_data.q_actual", "robot_mode_data.robot_mode", "singularity_info.severity", "tool_mode_info")
+    status, out, _ = run("echo", address, *fields, "--interface", "primary", "--count", "1")
+    assert status == 0
+    assert out.startswith("joint_data.q_actual=[")
+    assert "robot_mode_data.robot_mode=RUNNING singularity_info.severity=- tool_mode_info=ToolModeInfo(" in out
+
+
+@pytest.mark.parametrize("interface", ["primary", "secondary"])
+def test_json_of_robot_states(run: Run, address: str, interface: str) -> None:
+    status, out, _ = run("echo", address, "--json", "--interface", interface, "--count", "2")
+    assert status == 0
+    first, second = map(strict, out.splitlines())
+    assert first["type"] == "RobotState"
+    assert len(first["joint_data"]["q_actual"]) == 6
+    assert "configuration_data" in first
+    assert "configuration_data" not in second
+    assert second["received"] > first["received"] > 1e9
+
+
+@pytest.mark.parametrize("kind", ["JointData", "VersionMessage", "RobotMessage", "State"])
+def test_type_chooses_packets(run: Run, address: str, kind: str) -> None:
+    status, out, _ = run("echo", address, "--type", kind, "--count", "1", "--json")
+    assert status == 0
+    assert strict(out)["type"] == ("JointData" if kind == "JointData" else "VersionMessage")
+
+
+def test_type_with_field(run: Run, address: str) -> None:
+    assert run("echo", address, "major", "--type", "VersionMessage", "--count", "1")[1] == "major=5\n"
+
+
+def test_unknown_field_lists_those_there_are(run: Run) -> None:
+    status, out, err = run("echo", "sim://", "q_actually")
+    assert (status, out) == (2, "")
+    assert "RealtimeState has no field 'q_actually'" in err
+    assert "tool_vector_actual" in err
+    status, _, err = run("echo", "sim://", "q_actual", "--interface", "primary")
+    assert status == 2
+    assert "did you mean joint_data.q_actual?" in err
+
+
+def test_type_of_another_interface(run: Run) -> None:
+    status, _, err = run("echo", "sim://", "--type", "JointData", "--interface", "realtime")
+    assert status == 2
+    assert "JointData does not come on the realtime interface" in err
+    assert run("echo", "sim://", "--type", "Nonsense")[0] == 2
+
+
+def test_json_is_strict_and_complete(run: Run, recording: Path) -> None:
+    status, out, err = run("echo", played(recording), "--json")
+    assert (status, err) == (0, "")
+    records = list(map(strict, out.splitlines()))
+    assert [record["time"] for record in records] == [number / 100 for number in range(20)]
+    assert records[3]["q_actual"] == [3.0, -1.5, 0.0, None, 0.0, 3.0]
+    assert records[0]["received"] == pytest.approx(1.7e9 + 1000.0)
+
+
+@pytest.mark.parametrize("options", [(), ("--json",), ("text",), ("text", "--json")])
+def test_hostile_text_never_reaches_the_terminal(run: Run, recording: Path, options: tuple[str, ...]) -> None:
+    status, out, err = run("echo", played(recording), "--type", "TextMessage", *options)
+    assert (status, err) == (0, "")
+    assert out.count("\n") == 1
+    assert_harmless(out)
+    if "--json" in options:
+        assert strict(out)["text"] == HOSTILE
+    else:
+        assert "\\x1b[2J" in out
+
+
+def test_unknown_tails_and_sub_packages_are_shown(run: Run, tmp_path: Path) -> None:
+    controller = Controller("UR5e", "5.11")
+    controller.step()
+    controller.faults.unknown_sub_package(77, b"one")
+    state = controller.faults.lasting("primary", controller.state_package())
+    controller.faults.unknown_sub_package(78, b"two")
+    state = controller.faults.lasting("primary", state)
+    packet = (1228).to_bytes(4, "big") + controller.realtime_packet()[4:] + b"newfield"
+    path = write(tmp_path / "x.urlog", {"realtime": [packet], "primary": [state]})
+    record = strict(run("echo", played(path), "--interface", "primary", "--json")[1])
+    assert [each["package_type"] for each in record["unknown_sub_packages"]] == [77, 78]
+    assert record["unknown_sub_packages"][1]["payload"] == b"two".hex()
+    out = run("echo", played(path))[1]
+    assert out.endswith(f" tail={b'newfield'.hex()}\n")
+
+
+def test_timeout(run: Run, controller: Controller, address: str) -> None:
+    controller.faults.stall(30, "realtime")
+    try:
+        status, out, err = run("echo", address, "--timeout", "0.2")
+    finally:
+        controller.faults.heal()
+    assert (status, out) == (1, "")
+    assert err.endswith("realtime within 0.2 s\n")
+
+
+def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> None:
+    with connect(address) as robot:
+        with Tap(robot.realtime, RealtimeState) as tap:
+            assert tap.take(5.0)
+            # As if nobody had read for half a minute.
+            assert capsys.readouterr().err == ""
+            packet = robot.realtime.wait()
+            tap._inbox.offer([packet] * 20000)
+    assert "packets were dropped: the output was too slow for them" in capsys.readouterr().err
+
+
+def test_lost_connections_are_told(spawn: Spawn) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        from urlink.cli.sim import address_of
+
+        process = spawn("echo", address_of(controller.host, controller.ports), "time")
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline()
+        controller.faults.cut()
+        assert "connection lost: " in process.stderr.readline()
+        for text in process.stdout:  # it goes on by itself
+            if float(text.partition("=")[2]) >= controller.time - 0.1:
+                break
+        process.terminate()
+        assert process.wait(20) == 143
+
+
+def test_nothing_is_lost_at_full_speed(run: Run, address: str) -> None:
+    status, out, err = run("echo", address, "time", "--count", "400")
+    assert (status, err) == (0, "")
+    times = [float(text.partition("=")[2]) for text in out.splitlines()]
+    steps = [round((later - earlier) * 500) for earlier, later in zip(times, times[1:], strict=False)]
+    assert set(steps) == {1}

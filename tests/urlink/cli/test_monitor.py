@@ -1,0 +1,330 @@
+from __future__ import annotations
+
+import errno
+import io
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+import urlink
+from linkcore.statistics import StreamStatistics
+from linkcore.stream import ConnectionState
+from urlink.cli import monitor
+from urlink.cli.glance import Glance, Status, status_of
+from urlink.cli.picture import Picture
+from urlink.cli.plain import age_text, line
+from urlink.cli.reading import Reading, read
+from urlink.cli.sim import address_of
+from urlink.firmware import RELEASES, Firmware
+from urlink.simulator import Controller
+
+from .conftest import HOSTILE, Run, assert_harmless, write
+
+_STATS = StreamStatistics(
+    received=7, delivered=5, dropped=1, failed=1, reconnects=2, rate=125.0, bytes=0, skipped=3, resyncs=0, age=0.1
+)
+Spawn = Callable[..., "subprocess.Popen[str]"]
+
+
+def painted(glance: Glance, width: int = 100, colour: bool = False) -> str:
+    console = Console(
+        file=io.StringIO(), width=width, force_terminal=colour, color_system="truecolor" if colour else None
+    )
+    console.print(Picture(glance))
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def until(glances: Iterator[Glance], wanted: Callable[[Glance], bool]) -> Glance:
+    """The first glance that is wanted; within ten seconds."""
+    deadline = time.monotonic() + 10
+    for glance in glances:
+        if wanted(glance):
+            return glance
+        assert time.monotonic() < deadline, f"still {glance}"
+        time.sleep(0.005)
+    raise AssertionError("no more glances")
+
+
+# -- lines ---------------------------------------------------------------------------------------------
+
+
+def test_lines_have_what_matters(run: Run, address: str) -> None:
+    status, out, err = run("monitor", address, "--duration", "1.3")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert len(lines) == 3  # at once, after a second, and at the end
+    for text in lines:
+        assert re.match(r"\d\d:\d\d:\d\d CONNECTED \| UR5e  firmware 5\.11 \| ", text)
+        for part in ("age ", "q ", " deg", "tool ", "robot RUNNING", "safety NORMAL", "program PLAYING", "failed 0"):
+            assert part in text
+    rate = re.search(r"([\d.]+) Hz", lines[-1])
+    assert rate is not None
+    assert 400 < float(rate[1]) < 600
+    assert "- Hz" in lines[0]  # nothing can be said of the rate at first
+
+
+@pytest.mark.parametrize("interface", ["realtime", "primary"])
+def test_old_firmware_lacks_fields_and_says_nothing_of_them(run: Run, old_address: str, interface: str) -> None:
+    status, out, _ = run("monitor", old_address, "--interface", interface, "--duration", "0.3", "--plain")
+    assert status == 0
+    assert "robot RUNNING" in out
+    assert ("program" in out) is (interface == "primary")
+
+
+def test_recording_ends_by_itself(run: Run, recording: Path) -> None:
+    status, out, _ = run("monitor", f"replay://{str(recording).replace(' ', '%20')}", "--plain")
+    assert status == 0
+    assert " ENDED | " in out.splitlines()[-1]
+    assert "OLD DATA" in out.splitlines()[-1]
+
+
+def test_nothing_ever_came(run: Run, silent_address: str) -> None:
+    status, out, err = run("monitor", silent_address)
+    assert status == 1
+    assert "no state yet" in out
+    assert err == f"urlink: {silent_address}: no state came\n"
+
+
+def test_nothing_came_in_time(run: Run, controller: Controller, address: str) -> None:
+    controller.faults.stall(30, "realtime")
+    try:
+        status, out, err = run("monitor", address, "--duration", "0.2")
+    finally:
+        controller.faults.heal()
+    assert status == 1
+    assert " WAITING | " in out
+    assert "no state came within 0.2 s" in err
+
+
+def test_lost_connection_is_loud_and_its_data_old() -> None:
+    with Controller("UR5e", "5.11") as controller:
+        where = address_of(controller.host, controller.ports)
+        with urlink.connect(where, silence=0.7, backoff=urlink.Backoff(first=0.2, most=0.2)) as robot:
+            glances = monitor.watch(robot, "realtime")
+            fresh = until(glances, lambda glance: glance.status is Status.CONNECTED)
+            assert fresh.is_fresh
+            assert fresh.reading is not None
+
+            controller.faults.stall(60)
+            silent = until(glances, lambda glance: glance.status is not Status.CONNECTED)
+            assert silent.status is Status.SILENT
+            assert not silent.is_fresh
+            lost = until(glances, lambda glance: glance.status is Status.LOST)
+            assert lost.trouble is not None
+            assert lost.reading is not None
+            assert lost.reading.age > 0.5
+            assert " LOST | " in line(lost, "12:00:00")
+            assert "OLD DATA" in line(lost, "12:00:00")
+            assert re.search(r"│  LOST   OLD DATA, [\d.]+ m?s ", painted(lost))
+
+            controller.faults.heal()
+            again = until(glances, lambda glance: glance.status is Status.CONNECTED)
+            assert again.stats.reconnects >= 1
+            assert again.trouble is None
+
+
+def test_controller_that_comes_back_with_other_firmware() -> None:
+    with Controller("UR5e", "5.4") as controller:
+        where = address_of(controller.host, controller.ports)
+        with urlink.connect(where, backoff=urlink.Backoff(first=0.05, most=0.1)) as robot:
+            glances = monitor.watch(robot, "realtime")
+            until(glances, lambda glance: glance.status is Status.CONNECTED)
+            controller.faults.reboot("5.12", downtime=0.3)
+            glance = until(glances, lambda glance: "firmware 5.12" in glance.robot)
+            assert glance.stats.reconnects >= 1
+
+
+@pytest.mark.parametrize(
+    ("connection", "has_latest", "age", "status"),
+    [
+        (ConnectionState.CONNECTING, False, None, Status.CONNECTING),
+        (ConnectionState.CONNECTED, False, None, Status.WAITING),
+        (ConnectionState.CONNECTED, True, 0.0, Status.CONNECTED),
+        (ConnectionState.CONNECTED, True, 1.0, Status.SILENT),
+        (ConnectionState.CONNECTED, False, 0.0, Status.SILENT),
+        (ConnectionState.CONNECTING, False, 0.0, Status.LOST),
+        (ConnectionState.LOST, False, 0.0, Status.LOST),
+        (ConnectionState.CLOSED, False, 0.0, Status.ENDED),
+    ],
+)
+def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: Status) -> None:
+    reading = None if age is None else Reading(urlink.Stamp(time.monotonic() - age, 0.0))
+    assert status_of(connection, has_latest, reading) is status
+
+
+def test_ages() -> None:
+    assert [age_text(age) for age in (0.0021, 3.44, 90, 1200)] == ["2 ms", "3.4 s", "90.0 s", "20 min"]
+
+
+# -- readings ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
+def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
+    firmware: Firmware = release.since
+    controller = Controller(None, firmware)
+    controller.step(10)
+    (realtime,) = urlink.decode(controller.realtime_packet(), "realtime")
+    (primary,) = urlink.decode(controller.state_package(first=True), "primary")
+    for state in (realtime, primary):
+        reading = read(state)
+        assert reading.q is not None
+        assert reading.pose is not None
+        assert len(reading.q) == len(reading.pose) == 6
+        for width in (100, 80, 40):
+            text = painted(Glance("UR", "made", Status.CONNECTED, reading, _STATS), width)
+            assert max(map(len, text.splitlines())) <= width
+            assert "wrist 3" in text or width == 40
+        assert line(Glance("UR", "made", Status.CONNECTED, reading, _STATS), "12:00:00")
+    assert read(realtime).q == pytest.approx(list(realtime.q_actual))
+    assert read(primary).analog[-1].unit == "mA"
+    assert read(primary).analog[-1].value == pytest.approx(4.0)
+
+
+def test_state_without_sub_packages_can_be_painted() -> None:
+    glance = Glance("UR", "made", Status.CONNECTED, read(urlink.RobotState()), _STATS)
+    assert "joint" not in painted(glance)
+    assert "robot –" in painted(glance)
+    assert "no state" not in line(glance, "12:00:00")
+
+
+# -- the picture ---------------------------------------------------------------------------------------
+
+
+def test_picture_shows_it_all() -> None:
+    state = urlink.RealtimeState(
+        "5.11",
+        q_actual=[3.14159265, -1.5, 0, float("nan"), float("inf"), 99],
+        I_actual=[1.25] * 6,
+        motor_temperatures=[41.5] * 6,
+        joint_modes=[252, 253, 253, 253, 253, 99],
+        tool_vector_actual=[0.1, 0.2, 0.3, 1.0, 2.0, 3.0],
+        tcp_force=[1, 2, 3, 0.5, 0.25, 0.125],
+        robot_mode=7,
+        safety_mode=3,
+        safety_status=3,
+        digital_input_bits=1 << 0 | 1 << 9 | 1 << 40,
+        digital_output_bits=1 << 17,
+        program_state=4,
+        speed_scaling=0.5,
+    )
+    glance = Glance("UR5e  firmware 5.11", "made realtime", Status.CONNECTED, read(state), _STATS, 125.0)
+    text = painted(glance)
+    for part in (
+        "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
+        "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%", "0-7 ●○○○○○○○   8-15 ○●○○○○○○",
+        "and 0x10000000000", "16-17 ○●", "received 7", "dropped 1", "failed 1", "reconnects 2", "skipped 3",
+    ):  # fmt: skip
+        assert part in text, part
+    assert len(text.splitlines()) <= 24
+    bold_white_on_red = "\x1b[1;37;41m"
+    assert f"{bold_white_on_red}PROTECTIVE_STOP" in painted(glance, colour=True)
+
+
+def test_old_values_are_dim_and_never_green() -> None:
+    state = urlink.RealtimeState("5.11", robot_mode=7, safety_mode=1, safety_status=1, joint_modes=[253] * 6)
+    fresh = Glance("UR", "made", Status.CONNECTED, read(state), _STATS)
+    lost = Glance("UR", "made", Status.LOST, read(state), _STATS, trouble="cable")
+    green = "\x1b[32m"
+    assert green in painted(fresh, colour=True)
+    assert green not in painted(lost, colour=True)
+    assert "cable" in painted(lost)
+
+
+def test_hostile_text_is_painted_harmlessly() -> None:
+    glance = Glance(HOSTILE, HOSTILE, Status.LOST, None, _STATS, trouble=HOSTILE, message=HOSTILE)
+    assert_harmless(painted(glance), line(glance, "12:00:00"))
+    assert "\\x1b[2J" in painted(glance)
+
+
+def test_messages_of_the_controller_are_shown(recording: Path) -> None:
+    with urlink.connect(f"replay://{str(recording).replace(' ', '%20')}?rate=max") as robot:
+        glances = monitor.watch(robot, "primary")
+        glance = until(glances, lambda glance: glance.message is not None and "TextMessage" in glance.message)
+    assert_harmless(painted(glance))
+    assert "message   TextMessage(" in painted(glance)
+
+
+def test_hostile_recording(run: Run, tmp_path: Path) -> None:
+    path = write(tmp_path / "x.urlog", {"realtime": [bytes(urlink.RealtimeState("5.11"))]}, info={"model": HOSTILE})
+    status, out, err = run("monitor", f"replay://{path}", "--plain")
+    assert status == 0
+    assert_harmless(out, err)
+
+
+# -- a terminal ----------------------------------------------------------------------------------------
+
+
+def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = "") -> tuple[int, str]:
+    """Run the monitor on a terminal; exit status and all that it wrote."""
+    master, slave = pty.openpty()
+    program = f"import sys; {code or 'pass'}; from urlink.cli import main; sys.exit(main(sys.argv[1:]))"
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *argv], stdin=slave, stdout=slave, stderr=slave, env=environment
+    )
+    os.close(slave)
+    written = b""
+    while True:
+        try:
+            data = os.read(master, 65536)
+        except OSError as error:
+            assert error.errno == errno.EIO  # so Linux says that nobody has the terminal open any more
+            break
+        if not data:
+            break
+        written += data
+        if interrupt_after is not None and interrupt_after in written:
+            interrupt_after = None
+            process.send_signal(signal.SIGINT)
+    os.close(master)
+    return process.wait(20), written.decode()
+
+
+_HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
+
+
+def test_terminal_is_left_clean_at_the_end(address: str) -> None:
+    status, written = on_terminal("monitor", address, "--duration", "0.5")
+    assert status == 0
+    assert "CONNECTED" in written
+    assert "wrist 3" in written
+    assert written.rfind(_SHOW) > written.rfind(_HIDE) >= 0
+    assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
+
+
+def test_ctrl_c_leaves_the_terminal_clean(address: str) -> None:
+    status, written = on_terminal("monitor", address, interrupt_after=b"wrist 3")
+    assert status == 130
+    assert "Traceback" not in written
+    assert written.endswith(f"╯\x1b[0m\r\n{_SHOW}")
+
+
+def test_plain_lines_on_a_terminal(address: str) -> None:
+    status, written = on_terminal("monitor", address, "--plain", "--duration", "0.2")
+    assert status == 0
+    assert "\x1b" not in written
+
+
+def test_without_rich_lines_and_a_hint(address: str) -> None:
+    status, written = on_terminal("monitor", address, "--duration", "0.2", code="sys.modules['rich'] = None")
+    assert status == 0
+    assert "pip install 'urlink[cli]'" in written
+    assert "CONNECTED | " in written
+    assert "\x1b" not in written
+
+
+def test_rich_is_imported_by_the_picture_alone() -> None:
+    code = "import sys; import urlink.cli; assert 'rich' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
