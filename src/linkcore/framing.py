@@ -24,6 +24,9 @@ class Border(Protocol):
     def size_at(self, buffer: bytes, at: int) -> int:
         """Size of the packet whose header begins at `at`, or 0 if no packet can begin there."""
 
+    def is_whole(self, buffer: bytes) -> bool:
+        """Whether the buffer, which begins at a border, is one packet for certain; False if in doubt."""
+
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         """Whether the whole packet at `at` cannot be one, so that its size is not to be trusted.
 
@@ -72,6 +75,8 @@ class Framer:
             WrongPeer: what comes is no such stream at all.
         """
         border = self._border
+        if not self._rest and not self._lost and border.is_whole(data):
+            return [data]
         buffer = self._rest + data if self._rest else data
         end = len(buffer)
         at = 0

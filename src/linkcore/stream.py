@@ -232,10 +232,11 @@ class Stream(Feed[T]):
         self._settled = threading.Event()  # the first connection was made, or could not be
         self._reader: threading.Thread | None = None
         self._connection = ConnectionState.IDLE
-        self._inboxes: dict[type, tuple[Inbox, ...]] = {}
+        # Who gets packets (object), connection events, and everything as it came. Replaced, never changed.
+        self._inboxes: dict[type, tuple[Inbox, ...]] = {object: (), ConnectionEvent: (), Traffic: ()}
         self._subscriptions: list[Subscription] = []
         self._newest: dict[type, Any] = {}
-        self._received = self._delivered = self._dropped = self._failed = 0
+        self._received = self._dropped = self._failed = 0
         self._bytes = self._connections = self._skipped = self._resyncs = 0
         self._arrived: float | None = None
         self._window = (time.monotonic(), 0)
@@ -287,7 +288,7 @@ class Stream(Feed[T]):
             framer = self._session.framer if self._session is not None else None
             return StreamStatistics(
                 received=self._received,
-                delivered=self._delivered,
+                delivered=self._received - self._dropped - self._failed,
                 dropped=self._dropped,
                 failed=self._failed,
                 reconnects=max(self._connections - 1, 0),
@@ -406,7 +407,7 @@ class Stream(Feed[T]):
 
         inbox = Inbox(policy, wants, lost)
         with self._lock:
-            self._inboxes[group] = (*self._inboxes.get(group, ()), inbox)
+            self._inboxes[group] = (*self._inboxes[group], inbox)
         try:
             self.start()
         except Exception:
@@ -548,7 +549,7 @@ class Stream(Feed[T]):
         progress = time.monotonic()
         while True:
             data, stamp = receive()
-            if Traffic in self._inboxes:
+            if self._inboxes[Traffic]:
                 self._tap(session.framer.rest, Chunk(data, stamp))
             frames = feed(data)
             if frames:
@@ -582,28 +583,26 @@ class Stream(Feed[T]):
         return packets, len(frames) - len(packets)
 
     def _publish(self, packets: Sequence[Any], failed: int, size: int, stamp: Stamp) -> None:
-        with self._lock:
-            count = len(packets)
-            self._bytes += size
-            self._received += count + failed
-            self._delivered += count
-            self._failed += failed
-            since, before = self._window
-            if stamp.monotonic - since >= 1.0:
-                self._rate = (self._received - before) / (stamp.monotonic - since)
-                self._window = (stamp.monotonic, self._received)
-            if not packets:
-                return
-            self._arrived = stamp.monotonic
-            if self._parts is None:
-                self._newest[type(packets[-1])] = packets[-1]
-            else:
-                for packet in packets:
-                    self._remember(packet)
-                    for part in self._parts(packet):
-                        self._remember(part)
-            inboxes = self._inboxes.get(object, ())
-        for inbox in inboxes:
+        # Only the reader writes these, so they need no lock.
+        self._bytes += size
+        self._failed += failed
+        self._received += len(packets) + failed
+        since, before = self._window
+        arrived = stamp[0]
+        if arrived - since >= 1.0:
+            self._rate = (self._received - before) / (arrived - since)
+            self._window = (arrived, self._received)
+        if not packets:
+            return
+        self._arrived = arrived
+        if self._parts is None:
+            self._newest[self._kind] = packets[-1]
+        else:
+            for packet in packets:
+                self._remember(packet)
+                for part in self._parts(packet):
+                    self._remember(part)
+        for inbox in self._inboxes[object]:
             inbox.offer(packets)
 
     def _remember(self, packet: Any) -> None:
@@ -618,7 +617,6 @@ class Stream(Feed[T]):
                 packet._lost  # noqa: B018
             except AttributeError:
                 packet._lost = True
-                self._delivered -= 1
                 self._dropped += 1
 
     def _report(self, error: PacketError) -> None:
@@ -630,5 +628,5 @@ class Stream(Feed[T]):
         self._connection = state
         event = ConnectionEvent(state, self.name, error, Stamp.now())
         for group in (ConnectionEvent, Traffic):
-            for inbox in self._inboxes.get(group, ()):
+            for inbox in self._inboxes[group]:
                 inbox.offer((event,))

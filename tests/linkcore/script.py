@@ -34,6 +34,9 @@ class CountBorder:
     def size_at(self, buffer: bytes, at: int) -> int:
         return 5 if buffer[at] == 5 else 0
 
+    def is_whole(self, buffer: bytes) -> bool:
+        return False
+
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
         return False
 

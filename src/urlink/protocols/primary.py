@@ -59,6 +59,9 @@ class PackageBorder:
         self._in_step = True
         return int(size)
 
+    def is_whole(self, buffer: bytes) -> bool:
+        return False
+
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         kind = buffer[at + 4]
         if kind == PackageType.ROBOT_STATE and not _is_chain(buffer, at, size):

@@ -26,7 +26,7 @@ _HEADER = re.compile(
     rb"\x84\x8c\x94\x9c\xa4\xac\xb4\xbc\xc4\xcc\xd4\xdc\xe4\xec\xf4\xfc]",
     re.DOTALL,
 )
-_TIME = struct.Struct(">4xd")
+_TIME = struct.Struct(">d")
 # Seconds that the controller's clock may have gone on while the border was lost.
 _LONGEST_LOSS = 60.0
 # Types of the packages that leak into the stream, and of those around them.
@@ -46,7 +46,8 @@ class RealtimeBorder:
 
     def __init__(self) -> None:
         self.size = 0
-        self._time: float | None = None
+        #: the bytes of the last packet's time; unpacked when a lost border has to be found
+        self._time = b""
 
     def __str__(self) -> str:
         return "the real-time interface"
@@ -60,11 +61,18 @@ class RealtimeBorder:
         self.size = size
         return size
 
+    def is_whole(self, buffer: bytes) -> bool:
+        # The common case: the controller writes a packet at a time, and the reader keeps up.
+        if len(buffer) != self.size or int.from_bytes(buffer[:4], "big") != self.size:
+            return False
+        self._time = buffer[4:12]
+        return True
+
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
         # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
-        if self._time is None and buffer[at + 4] == 0x10:
+        if not self._time and buffer[at + 4] == 0x10:
             return int.from_bytes(buffer[at + 5 : at + 9], "big") <= size - 5
-        (self._time,) = _TIME.unpack_from(buffer, at)
+        self._time = buffer[at + 4 : at + 12]
         return False
 
     def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
@@ -91,10 +99,11 @@ class RealtimeBorder:
 
     def _goes_on(self, buffer: bytes, at: int) -> bool:
         """Whether the packet at `at` has the connection's size and a time that follows the last one."""
-        if self._time is None or at + 12 > len(buffer) or int.from_bytes(buffer[at : at + 4], "big") != self.size:
+        if not self._time or at + 12 > len(buffer) or int.from_bytes(buffer[at : at + 4], "big") != self.size:
             return False
-        (time,) = _TIME.unpack_from(buffer, at)
-        return bool(self._time <= time <= self._time + _LONGEST_LOSS)
+        (last,) = _TIME.unpack(self._time)
+        (time,) = _TIME.unpack_from(buffer, at + 4)
+        return bool(last <= time <= last + _LONGEST_LOSS)
 
     def peer(self, buffer: bytes) -> str | None:
         if DASHBOARD_GREETING.startswith(buffer[: len(DASHBOARD_GREETING)]):
