@@ -217,6 +217,17 @@ def test_moments_grow_with_acceleration() -> None:
         assert (np.sign(extra[[0, 1, 4]]) == np.sign(state.qdd_target[[0, 1, 4]])).all()
 
 
+def test_momentum_is_that_of_a_mass_that_moves() -> None:
+    controller = Controller("UR10e", "5.11")
+    controller.step(1500)
+    (moving,) = run(controller, 1)
+    most = controller.model.link_masses.sum() * np.linalg.norm(moving.tcp_speed_actual[:3])
+    assert moving.linear_momentum_norm is not None
+    assert 0.2 * most < moving.linear_momentum_norm < most
+    controller.faults.protective_stop()
+    assert run(controller, 500)[-1].linear_momentum_norm == 0.0
+
+
 def test_temperatures_rise_slowly() -> None:
     controller = Controller("UR5", "3.14")
     cold = run(controller, 1)[0].motor_temperatures

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -133,10 +134,16 @@ def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> No
     # The clock wakes ten times a second for these ports, and for what is scheduled between.
     with Controller("UR5e", "5.11") as controller:
         link = connect(controller, "primary")
-        controller.schedule("protective_stop@0.55")
-        change = link.until(lambda package: package[4] == 20 and package[14] == 5)
-        assert int.from_bytes(change[5:13], "big") == 550_000
-        assert controller.cycle < 300
+        controller.schedule("protective_stop@0.55", "clear@0.75", "protective_stop@0.95")
+        before_state = []
+        for due in (550_000, 750_000, 950_000):
+            change = link.until(lambda package: package[4] == 20 and package[14] == 5)
+            came = time.monotonic()
+            assert int.from_bytes(change[5:13], "big") == due
+            link.until(lambda package: package[4] == 16)
+            before_state.append(time.monotonic() - came)
+    # The next state is 50 ms away; on a busy machine one of the three may be late, but not all.
+    assert max(before_state) > 0.02
 
 
 def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled() -> None:
@@ -238,7 +245,7 @@ def test_garbage_inside_shifts_what_follows(controller: Controller, connect: Con
     assert b"garbage!" in link.until(lambda packet: b"garbage!" in packet)
     # The packet said nothing of its growth: its last eight bytes come where the next one should begin.
     link.exactly(8)
-    assert len(link.packet()) == 1220
+    assert [len(link.packet()) for _ in range(5)] == [1220] * 5
 
 
 def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
