@@ -25,7 +25,7 @@ def spans(numbers: Sequence[int]) -> str:
             last = f"{later.major}.{later.minor - 1}"
             texts.append(str(first) if last == str(first) else f"{first} to {last}")
         else:
-            texts.append(f"{first} on")
+            texts.append(f"{first} and later {first.major}.x" if later is not None else f"{first} and later")
         begin = None
     return ", ".join(texts)
 
