@@ -220,7 +220,6 @@ def test_closing_writes_what_still_waits(
     assert Recording(tmp_path / "run").is_complete
 
 
-@pytest.mark.xfail(reason="Stream.close drops what waits for a recorder", strict=True)
 def test_closing_the_stream_first_loses_nothing(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -138,7 +138,7 @@ def test_channels_share_one_time_line(tmp_path: Path, clock: FakeTime) -> None:
     left, right = (ReplayTransport(recording, name, shared) for name in "01")
     for transport in (left, right):
         transport._closed = FakeEvent(clock)
-    came = {}
+    came: dict[bytes, float] = {}
     left.open(5)
     for transport in (left, right, right, left):
         if transport is right and len(came) == 1:
