@@ -31,6 +31,7 @@ class Inbox:
     Attributes:
         received: packets offered and wanted.
         dropped: packets thrown away.
+        evicts: drops the oldest when it is full, rather than making the reader wait.
         closed: nothing more will be taken.
     """
 
@@ -45,7 +46,7 @@ class Inbox:
         self.closed = False
         self._ended = False
         self._limit = policy.limit
-        self._evicts = policy.evicts
+        self.evicts = policy.evicts
         self._wants = wants
         self._lost = lost
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -68,7 +69,7 @@ class Inbox:
             return
         self.received += len(items)
         put, size, limit = self._queue.put, self._queue.qsize, self._limit
-        if self._evicts:
+        if self.evicts:
             for item in items:
                 if size() >= limit:
                     self._drop_one()

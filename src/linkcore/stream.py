@@ -318,22 +318,30 @@ class Stream(Feed[T]):
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect and end every subscription and iteration; within `timeout` seconds.
 
-        Idempotent; may be called from a callback. A callback that is running is waited for until
-        time is up, and then left to end by itself.
+        What waits is dropped and counted, but under the policy `block` it is still delivered, if need
+        be after this has returned. A callback that is running then is left to end by itself. Only a
+        reader that still waits for room when time is up makes `block` drop too. Idempotent; may be
+        called from a callback.
         """
         until = time.monotonic() + timeout
         self._closing.set()
         self._transport.close()
-        reader = self._reader
+        reader, here = self._reader, threading.current_thread()
         with self._lock:
             inboxes = [inbox for group in self._inboxes.values() for inbox in group]
             subscriptions = list(self._subscriptions)
+        callers = [each.inbox for each in subscriptions if each.runs_in(here)]
         for inbox in inboxes:
-            inbox.close()
-        if reader is not None and reader is not threading.current_thread():
+            # The caller's own queue will not be emptied while it waits here.
+            if inbox.evicts or inbox in callers:
+                inbox.close()
+        if reader is not None and reader is not here:
             reader.join(max(until - time.monotonic(), 0.0))
         for subscription in subscriptions:
             subscription.join(until - time.monotonic())
+        if reader is not None and reader.is_alive():
+            for inbox in inboxes:
+                inbox.close()
         self._connection = ConnectionState.CLOSED
         self._settled.set()
 

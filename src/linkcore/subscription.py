@@ -82,6 +82,10 @@ class Subscription:
             self._thread.join(None if timeout is None else max(timeout, 0.0))
         return not self._thread.is_alive()
 
+    def runs_in(self, thread: threading.Thread) -> bool:
+        """Whether its callback is called in this thread."""
+        return thread is self._thread
+
     def __enter__(self) -> Subscription:
         return self
 
