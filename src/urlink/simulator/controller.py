@@ -166,9 +166,16 @@ class Controller:
         self.modes = Modes(self.firmware)
         motion = self._motion or Demonstration()
         if self.cycle:
-            # The arm has not moved while the controller was down.
-            motion.start(self.arm.setpoint.q)
-        self.arm = Arm(self.model, motion, self.seed)
+            # The arm has not moved while the controller was down, and its tool and payload are in the installation.
+            before = self.arm
+            motion.start(before.setpoint.q)
+            self.arm = Arm(self.model, motion, self.seed)
+            self.arm.tcp = before.tcp
+            self.arm.payload = before.payload
+            self.arm.payload_cog = before.payload_cog
+            self.arm.payload_inertia = before.payload_inertia
+        else:
+            self.arm = Arm(self.model, motion, self.seed)
         self._packets = Packets(self)
         self._announced = self.modes.safety_mode
         self.modes.advance(0.0, self.arm.is_standing, self.arm.motion.is_program)

@@ -381,6 +381,8 @@ def test_a_reboot_refuses_and_comes_back_with_other_firmware(
 def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
     controller = Controller("UR10", "3.14")
     controller.step(500)
+    controller.arm.tcp = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
+    controller.arm.payload = 3.0
     before = controller.arm.setpoint.q
     controller.faults.reboot("3.5", downtime=0.5)
     ups = []
@@ -391,6 +393,7 @@ def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
     assert controller.time == 0.0
     assert str(controller.firmware) == "3.5"
     assert controller.arm.setpoint.q == pytest.approx(before)
+    assert (controller.arm.tcp[2], controller.arm.payload) == (0.2, 3.0)
     assert len(controller.realtime_packet()) == 1108
     controller.step(10)
     assert controller.time == 0.08
