@@ -72,10 +72,10 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadRecording: no such file, or there is nothing in it that could be shown.
     """
-    shown = decoded = 0
+    shown = read = 0
     for number, piece in enumerate(_pieces(args), 1):
         shown += 1
-        decoded += piece.error is None
+        read += bool(piece.rows)
         if args.json:
             print(strict_json({"number": number, **piece.as_json()}))
         else:
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             break
     if not shown:
         raise BadRecording(f"{args.file} holds no bytes" + (f" of {args.interface}" if args.interface else ""))
-    return 0 if decoded else 1
+    return 0 if read else 1
 
 
 def _pieces(args: argparse.Namespace) -> Iterator[Piece]:

@@ -48,7 +48,7 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
     border = _BORDERS["realtime" if interface == "realtime" else "primary"]()
     framer = _Frames(border)
     at = 0
-    for frame in framer.feed(data):
+    for frame in framer.feed(data) if data else ():
         start = data.index(frame, at)
         if start > at:
             yield Stretch(at, data[at:start], is_packet=False)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +86,7 @@ def recording(tmp_path: Path) -> Path:
 
 def write(
     path: Path,
-    channels: dict[str, Sequence[bytes]],
+    channels: Mapping[str, Sequence[bytes]],
     *,
     gap_after: int | None = None,
     info: dict[str, Any] | None = None,

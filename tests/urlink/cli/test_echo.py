@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -143,13 +144,11 @@ def test_timeout(run: Run, controller: Controller, address: str) -> None:
 
 
 def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> None:
-    with connect(address) as robot:
-        with Tap(robot.realtime, RealtimeState) as tap:
-            assert tap.take(5.0)
-            # As if nobody had read for half a minute.
-            assert capsys.readouterr().err == ""
-            packet = robot.realtime.wait()
-            tap._inbox.offer([packet] * 20000)
+    with connect(address) as robot, Tap(robot.realtime, RealtimeState) as tap:
+        assert tap.take(5.0)
+        assert capsys.readouterr().err == ""
+        # As if nobody had read for half a minute.
+        tap._inbox.offer([robot.realtime.wait()] * 20000)
     assert "packets were dropped: the output was too slow for them" in capsys.readouterr().err
 
 
@@ -174,5 +173,5 @@ def test_nothing_is_lost_at_full_speed(run: Run, address: str) -> None:
     status, out, err = run("echo", address, "time", "--count", "400")
     assert (status, err) == (0, "")
     times = [float(text.partition("=")[2]) for text in out.splitlines()]
-    steps = [round((later - earlier) * 500) for earlier, later in zip(times, times[1:], strict=False)]
+    steps = [round((later - earlier) * 500) for earlier, later in pairwise(times)]
     assert set(steps) == {1}

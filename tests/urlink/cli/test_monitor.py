@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import errno
 import io
 import os
 import pty
@@ -223,7 +222,8 @@ def test_picture_shows_it_all() -> None:
     text = painted(glance)
     for part in (
         "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
-        "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%", "0-7 ●○○○○○○○   8-15 ○●○○○○○○",
+        "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%",
+        "0-7 ●○○○○○○○   8-15 ○●○○○○○○",
         "and 0x10000000000", "16-17 ○●", "received 7", "dropped 1", "failed 1", "reconnects 2", "skipped 3",
     ):  # fmt: skip
         assert part in text, part
@@ -279,8 +279,7 @@ def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = ""
     while True:
         try:
             data = os.read(master, 65536)
-        except OSError as error:
-            assert error.errno == errno.EIO  # so Linux says that nobody has the terminal open any more
+        except OSError:  # so Linux says that nobody has the terminal open any more
             break
         if not data:
             break

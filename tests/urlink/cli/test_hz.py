@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import re
+from collections import deque
+from pathlib import Path
+
+import pytest
+
+from linkcore.statistics import StreamStatistics
+from urlink.cli.hz import line
+from urlink.simulator import Controller
+
+from .conftest import Run, write
+
+_STATS = StreamStatistics(
+    received=9, delivered=6, dropped=2, failed=1, reconnects=3, rate=0.0, bytes=0, skipped=0, resyncs=0, age=None
+)
+_COUNTERS = "received 9 dropped 2 failed 1 reconnects 3"
+
+
+def test_figures() -> None:
+    text = line(deque([0.001, 0.002, 0.003]), 3, _STATS)
+    assert text == f"500.00 Hz | period min 1.000 mean 2.000 max 3.000 std 0.816 ms | window 3 | {_COUNTERS}"
+
+
+def test_too_little_for_figures() -> None:
+    assert line(deque(), 0, _STATS) == f"no new states | {_COUNTERS}"
+    assert line(deque(), 1, _STATS) == f"one state so far | {_COUNTERS}"
+    assert line(deque([0.0]), 1, _STATS).startswith("- Hz | period min 0.000")
+
+
+@pytest.mark.parametrize(("interface", "low", "high"), [("realtime", 450, 550), ("primary", 7, 13)])
+def test_rate_of_the_simulator(run: Run, address: str, interface: str, low: float, high: float) -> None:
+    status, out, err = run("hz", address, "--interface", interface, "--duration", "1.3")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert len(lines) == 2
+    rate = re.match(r"([\d.]+) Hz \| period min [\d.]+ mean [\d.]+ max [\d.]+ std [\d.]+ ms \| window \d+ ", lines[-1])
+    assert rate is not None
+    assert low < float(rate[1]) < high
+
+
+def test_window_bounds_what_is_looked_back_on(run: Run, address: str) -> None:
+    status, out, _ = run("hz", address, "--window", "50", "--duration", "0.5")
+    assert status == 0
+    assert "| window 50 |" in out
+
+
+def test_recording_is_measured_to_its_end(run: Run, recording: Path) -> None:
+    status, out, _ = run("hz", f"replay://{str(recording).replace(' ', '%20')}")
+    assert status == 0
+    assert "| window 19 | received 20 " in out.splitlines()[-1]
+
+
+def test_nothing_came(run: Run, controller: Controller, address: str, silent_address: str) -> None:
+    status, _, err = run("hz", silent_address)
+    assert status == 1
+    assert "no state came on the realtime interface" in err
+    controller.faults.stall(30, "realtime")
+    try:
+        status, out, _ = run("hz", address, "--duration", "0.2")
+    finally:
+        controller.faults.heal()
+    assert status == 1
+    assert out.startswith("no new states | received 0 ")
+
+
+def test_failed_packets_are_counted(run: Run, tmp_path: Path) -> None:
+    controller = Controller("UR5", "1.8")
+    controller.step()
+    bad = bytes.fromhex("000001f4") + bytes(496)
+    path = write(tmp_path / "x.urlog", {"realtime": [bad, bad]})
+    status, out, err = run("hz", f"replay://{path}")
+    assert status == 1
+    assert "failed 2" in out
+    assert "2 packets could not be decoded" in err

@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from urlink.firmware import RELEASES, release_of
+from urlink.simulator import Controller
+
+from .conftest import HOSTILE, Run, assert_harmless, strict, write
+
+
+def test_text(run: Run, controller: Controller, address: str) -> None:
+    status, out, err = run("info", address)
+    assert (status, err) == (0, "")
+    for part in (
+        "firmware    5.11 (said by the controller)",
+        "model       UR5e",
+        "real-time   1220 bytes, 500 Hz",
+        "state       1386 bytes, the first of a connection; then 716 bytes, 10 Hz",
+        "JointData 251",
+        "table row   firmware 5.10 and later",
+        f"evidence    {release_of(controller.firmware).evidence}",
+        f"realtime {controller.ports['realtime']}",
+    ):
+        assert part in out
+
+
+def test_json(run: Run, address: str, controller: Controller) -> None:
+    status, out, _ = run("info", address, "--json")
+    assert status == 0
+    facts = strict(out)
+    assert facts["firmware"] == "5.11"
+    assert facts["firmware_is_said"] is True
+    assert facts["model"] == "UR5e"
+    assert facts["sizes"]["realtime"] == 1220
+    assert facts["sizes"]["sub_packages"]["ConfigurationData"] == 445
+    assert facts["ports"] == controller.ports
+
+
+@pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
+def test_every_release(run: Run, tmp_path: Path, release: object) -> None:
+    firmware = str(release.since)  # type: ignore[attr-defined]
+    path = write(tmp_path / "x.urlog", {"realtime": []}, info={"firmware": firmware})
+    facts = strict(run("info", f"replay://{path}", "--json")[1])
+    assert (facts["firmware"], facts["release"], facts["ports"]) == (firmware, firmware, {})
+    assert facts["sizes"]["first_state"] == 5 + sum(facts["sizes"]["sub_packages"].values())
+
+
+def test_controller_that_does_not_say_its_version(run: Run) -> None:
+    with Controller("UR5", "1.6") as controller:
+        ports = "&".join(f"{name}={port}" for name, port in controller.ports.items())
+        facts = strict(run("info", f"ur://{controller.host}?{ports}", "--json")[1])
+    # Whether 1.6 says it or not, the answer is true and says which.
+    assert facts["firmware"] == "1.6"
+    assert facts["firmware_is_said"] in (True, False)
+
+
+def test_simulator_behind_an_address(run: Run) -> None:
+    status, out, _ = run("info", "sim://ur10?firmware=3.4")
+    assert status == 0
+    assert "model       UR10\n" in out
+    assert "firmware    3.4 " in out
+    assert "ports       primary " in out
+
+
+def test_hostile_recording(run: Run, tmp_path: Path) -> None:
+    path = write(tmp_path / "x.urlog", {"realtime": []}, info={"model": HOSTILE})
+    for options in ((), ("--json",)):
+        status, out, _ = run("info", f"replay://{path}", *options)
+        assert status == 0
+        assert_harmless(out)

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Callable
+
+import pytest
+
+import urlink
+from urlink import SafetyMode
+from urlink.address import RobotAddress, parse_address
+from urlink.cli.sim import address_of
+from urlink.simulator import PORTS
+
+from .conftest import Run
+
+Spawn = Callable[..., "subprocess.Popen[str]"]
+
+
+def test_address() -> None:
+    assert address_of("127.0.0.1", dict(PORTS)) == "127.0.0.1"
+    assert address_of("0.0.0.0", {**PORTS, "realtime": 5}) == "ur://127.0.0.1?realtime=5"
+    assert address_of("::", dict(PORTS)) == "[::1]"
+    assert parse_address(address_of("::1", {"primary": 7})) == RobotAddress("::1", {**PORTS, "primary": 7})
+
+
+def test_duration(run: Run) -> None:
+    status, out, err = run("sim", "--duration", "0.2")
+    assert status == 0
+    assert out.startswith("ur://127.0.0.1?primary=")
+    assert out.count("\n") == 1
+    assert err.startswith("urlink: UR5e, firmware 5.")
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
+    process = spawn("sim", "--model", "UR10", "--firmware", "3.4", "--host", "127.0.0.1")
+    assert process.stdout is not None
+    address = process.stdout.readline().strip()
+    with urlink.connect(address) as robot:
+        assert (robot.model, str(robot.firmware)) == ("UR10", "3.4")
+        robot.realtime.wait()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == status
+    assert "Traceback" not in err
+    with pytest.raises(urlink.ConnectFailed):
+        urlink.connect(address, timeout=1.0)
+
+
+def test_faults_happen_at_their_time(spawn: Spawn) -> None:
+    # Again and again, for a machine that takes long to connect.
+    faults = [
+        option for at in range(1, 30) for option in ("--fault", f"protective_stop@{at}", "--fault", f"clear@{at}.5")
+    ]
+    process = spawn("sim", *faults)
+    assert process.stdout is not None
+    with urlink.connect(process.stdout.readline().strip()) as robot:
+        seen: list[SafetyMode | None] = []
+        for state in robot.realtime:
+            if state.safety_mode not in seen[-1:]:
+                seen.append(state.safety_mode)
+            if seen[-2:] == [SafetyMode.PROTECTIVE_STOP, SafetyMode.NORMAL]:
+                break
+    assert set(seen) == {SafetyMode.PROTECTIVE_STOP, SafetyMode.NORMAL}
+    process.terminate()
+    assert process.wait(20) == 143
+
+
+def test_help_lists_every_fault(run: Run) -> None:
+    from urlink.simulator.faults import FAULTS
+
+    out = run("sim", "--help")[1]
+    for name in FAULTS:
+        assert f"\n  {name}" in out
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (("--firmware", "3.4", "--model", "UR5e"), "does not run firmware 3.4"),
+        (("--firmware", "9"), "'9' is not a version"),
+        (("--fault", "stall@1"), "stall needs seconds"),
+        (("--fault", "reboot=3.4@1"), "does not run firmware 3.4"),
+        (("--host", "192.0.2.1"), "192.0.2.1"),
+    ],
+)
+def test_what_it_cannot_do(run: Run, argv: tuple[str, ...], said: str) -> None:
+    status, out, err = run("sim", *argv, "--duration", "0.1")
+    assert (status, out) == (1, "")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_standard_ports(run: Run) -> None:
+    status, out, err = run("sim", "--ports", "standard", "--duration", "0.1")
+    if status == 1:
+        assert "30001" in err  # something else on this machine has them
+    else:
+        assert (status, out) == (0, "127.0.0.1\n")
