@@ -52,7 +52,8 @@ def caption(results: dict[str, Any]) -> str:
     period = 1e3 / results["rate"]
     return (
         f"Time between two packets at {results['rate']:g} Hz for {results['seconds']:g} s: "
-        f"{results['share_in_band']:.2%} lie between {period - BAND:g} and {period + BAND:g} ms."
+        f"{results['share_in_band']:.2%} lie between {period - BAND:g} and {period + BAND:g} ms. "
+        "The outermost bars hold what lies beyond them."
     )
 
 
