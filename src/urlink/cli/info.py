@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from typing import Any
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
@@ -45,17 +46,18 @@ def run(args: argparse.Namespace) -> int:
         return 0
     source = "said by the controller" if answer["firmware_is_said"] else "inferred from the sizes of its packages"
     sizes = answer["sizes"]
-    parts = "  ".join(f"{name} {size}" for name, size in sizes["sub_packages"].items())
+    parts = ", ".join(f"{name} {size}" for name, size in sizes["sub_packages"].items())
     print(f"address     {safe(answer['address'])}")
     print(f"firmware    {answer['firmware']} ({source})")
     print(f"model       {safe(answer['model'] or 'not said by the controller')}")
     print(f"real-time   {sizes['realtime']} bytes, {answer['realtime_rate']} Hz")
     print(f"state       {sizes['first_state']} bytes, the first of a connection; then {sizes['state']} bytes, 10 Hz")
-    print(f"            {parts}")
+    print(textwrap.fill(parts, 100, initial_indent=" " * 12, subsequent_indent=" " * 12))
     print(f"table row   firmware {answer['release']} and later")
     print(f"evidence    {answer['evidence']}")
     if answer["ports"]:
-        print("ports       " + "  ".join(f"{name} {port}" for name, port in answer["ports"].items()))
+        ports = ", ".join(f"{name} {port}" for name, port in answer["ports"].items())
+        print(textwrap.fill(ports, 100, initial_indent="ports       ", subsequent_indent=" " * 12))
     return 0
 
 

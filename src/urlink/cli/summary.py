@@ -97,7 +97,7 @@ def _channel_lines(channel: Channel) -> list[str]:
     rate = f", {(count - 1) / channel.duration:.1f} packets/s" if channel.duration > 0 and count > 1 else ""
     lines.append(f"  {packets}{rate}")
     if channel.gaps:
-        lines.append(f"  {len(channel.gaps)} gaps, the longest {max(channel.gaps):.3f} s")
+        lines.append(f"  {_counted(len(channel.gaps), 'gap')}, the longest {max(channel.gaps):.3f} s")
     else:
         lines.append("  no gaps")
     if channel.failed or channel.skipped or channel.unfinished:
@@ -107,8 +107,14 @@ def _channel_lines(channel: Channel) -> list[str]:
         )
     if channel.connections > 1 or channel.lost:
         reasons = "".join(f"\n    {safe(reason)}" for reason in channel.lost)
-        lines.append(f"  {channel.connections} connections, lost {len(channel.lost)} times{reasons}")
+        lines.append(
+            f"  {_counted(channel.connections, 'connection')}, lost {_counted(len(channel.lost), 'time')}{reasons}"
+        )
     return lines
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def summarise(recording: Recording) -> Summary:

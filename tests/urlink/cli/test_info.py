@@ -62,6 +62,7 @@ def test_simulator_behind_an_address(run: Run) -> None:
     assert "model       UR10\n" in out
     assert "firmware    3.4 " in out
     assert "ports       primary " in out
+    assert max(map(len, out.splitlines())) <= 100
 
 
 def test_hostile_recording(run: Run, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ def test_summary(run: Run, recording: Path) -> None:
     assert out.startswith(f"{recording}: 0.5 s, {recording.stat().st_size} bytes, complete\n")
     assert "realtime: UR5e, firmware 5.11, made\n" in out
     assert f" for 0.490 s, {20 * 1220} bytes\n" in out
-    assert "  20 RealtimeState, 38.8 packets/s\n  1 gaps, the longest 0.310 s\n" in out
+    assert "  20 RealtimeState, 38.8 packets/s\n  1 gap, the longest 0.310 s\n" in out
     assert "  1 VersionMessage, 1 TextMessage, 1 RobotState, 100.0 packets/s\n  no gaps\n" in out
 
 
@@ -63,7 +63,7 @@ def test_what_cannot_be_decoded_is_told(run: Run, tmp_path: Path) -> None:
     assert "unknown arm, firmware unknown, -" in out
     assert "  6 RealtimeState, " in out
     assert "0 packets not decoded, 100 bytes outside packets, 200 bytes of unfinished packets" in out
-    assert "2 connections, lost 1 times\n    safe\\x1b[2J" in out
+    assert "2 connections, lost 1 time\n    safe\\x1b[2J" in out
     assert_harmless(out)
 
 
