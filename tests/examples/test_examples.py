@@ -1,13 +1,19 @@
-"""Each program in examples/ is run as a user would run it."""
+"""Each program in examples/ is run as a user would run it, and each command in the documents is one that exists."""
 
 import csv
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from urlink.cli import main
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -81,3 +87,26 @@ def test_test_your_own_program() -> None:
 def test_every_example_is_run_here() -> None:
     here = Path(__file__).read_text()
     assert [path.name for path in sorted(EXAMPLES.glob("*.py")) if path.name not in here] == []
+
+
+def commands() -> list[str]:
+    """The `urlink` commands in the shell blocks of the documents."""
+    found = []
+    for document in DOCUMENTS:
+        for block in re.findall(r"^```sh\n(.*?)^```", document.read_text(), re.DOTALL | re.MULTILINE):
+            for part in re.split(r"\n|&&|\|", block.replace("\\\n", " ")):
+                command = re.match(r"\s*\$?\s*(?:\S*/)?urlink\s+(.*)", part)
+                if command:
+                    found.append(command[1].partition("#")[0].partition(">")[0].strip())
+    return found
+
+
+@pytest.mark.parametrize("command", commands())
+def test_the_options_of_commands_in_the_documents_exist(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name, *arguments = shlex.split(command)
+    if name.startswith("-") or name == "COMMAND":
+        return
+    assert main([name, "--help"]) == 0
+    known = capsys.readouterr().out
+    options = {argument.partition("=")[0] for argument in arguments if argument.startswith("-")}
+    assert [option for option in options if option not in known] == []
