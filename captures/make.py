@@ -1,0 +1,106 @@
+"""Record the samples in this folder from the project's simulator, and write down what is in them.
+
+    python captures/make.py                 # those that are missing, and the golden file of each recording
+    python captures/make.py --golden-only   # the golden files of all recordings that are there
+
+A golden file holds the first, the middle and the last packet of each class, as `to_dict()` gives them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import urlink
+from linkcore.packet import State
+from linkcore.recording import Recording
+from urlink.firmware import Firmware
+from urlink.protocols.primary import PrimaryProtocol
+from urlink.protocols.realtime import RealtimeProtocol
+
+FOLDER = Path(__file__).parent
+
+#: One firmware of each generation of layouts.
+FIRMWARE = ("1.8", "3.4", "3.10", "3.15", "5.4", "5.9", "5.11", "5.25")
+
+
+def packets(path: Path, interface: str) -> list[State]:
+    """Every packet of one interface in a recording, as a stream would decode it."""
+    recording = Recording(path)
+    channel = recording.channel(interface)
+    session: Any = RealtimeProtocol() if interface == "realtime" else PrimaryProtocol()
+    found: list[State] = []
+    for record in recording:
+        if record.channel == channel and record.kind.name == "BYTES":
+            found += [session.decode(frame) for frame in session.framer.feed(record.payload)]
+    return found
+
+
+def golden(path: Path) -> dict[str, Any]:
+    """What a recording holds: of each interface and class the number of packets, and three of them."""
+    told: dict[str, Any] = {"channels": {}, "packets": {}}
+    for info in Recording(path).channels.values():
+        name = info["name"]
+        told["channels"][name] = {key: info.get(key) for key in ("address", "firmware", "model")}
+        classes: dict[str, list[State]] = {}
+        for packet in packets(path, name):
+            classes.setdefault(type(packet).__name__, []).append(packet)
+        told["packets"][name] = {
+            kind: {
+                "count": len(found),
+                "first": told_of(found[0]),
+                "middle": told_of(found[len(found) // 2]),
+                "last": told_of(found[-1]),
+            }
+            for kind, found in classes.items()
+        }
+    return told
+
+
+def told_of(packet: State) -> dict[str, Any]:
+    """`to_dict()` as JSON keeps it, and the size."""
+    plain: dict[str, Any] = json.loads(json.dumps(packet.to_dict()))
+    return {"bytes": len(bytes(packet)), "fields": plain}
+
+
+def golden_of(path: Path) -> Path:
+    """Where the golden file of a recording is."""
+    return path.with_suffix(".golden.json")
+
+
+def record(path: Path, firmware: str) -> None:
+    """Some hundred real-time packets, and the primary interface meanwhile."""
+    e_series = Firmware.parse(firmware).is_e_series
+    with urlink.connect(f"sim://{'UR5e' if e_series else 'UR5'}?firmware={firmware}") as robot:
+        assert robot.controller is not None
+        robot.controller.signals.set_digital_input(2, True)
+        robot.controller.signals.set_digital_output(5, True)
+        wanted = 120 if e_series else 80
+        with robot.record(path):
+            robot.realtime.wait()
+            while robot.realtime.stats.received < wanted or robot.primary.stats.received < 5:
+                robot.realtime.wait()
+            robot.controller.faults.protective_stop()
+            # A message and a state that say so.
+            robot.primary.of(urlink.SafetyModeMessage if e_series else urlink.RobotState).wait()
+            robot.primary.wait()
+
+
+def main() -> None:
+    """Make what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--golden-only", action="store_true", help="make no recording")
+    options = parser.parse_args()
+    if not options.golden_only:
+        for firmware in FIRMWARE:
+            path = FOLDER / f"simulator-{firmware}.urlog"
+            if not path.exists():
+                record(path, firmware)
+    for path in sorted(FOLDER.glob("*.urlog")):
+        golden_of(path).write_text(json.dumps(golden(path), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
