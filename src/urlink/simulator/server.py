@@ -122,6 +122,10 @@ class Server:
         self._ports: list[_Port] = []
         self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
         self._is_closing = False
+        self._rate = controller.firmware.rate
+        #: time of cycle 0 on the monotonic clock, and the cycles that are over
+        self._epoch = 0.0
+        self._done = 0
         self._segments_seen = self._faults.segments_changed
         self._waker, self._woken = socket.socketpair()
         self._selector = selectors.DefaultSelector()
@@ -177,12 +181,19 @@ class Server:
         done: Future[None] = Future()
         self._calls.append((change, done))
         self._wake()
-        try:
-            done.result(PATIENCE)
-        except FutureTimeout:
-            if done.done():
-                raise
-            raise LinkTimeout("the simulated controller does not answer") from None
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            try:
+                done.result(0.1)
+            except FutureTimeout:
+                if done.done():
+                    raise
+                if not self._thread.is_alive():
+                    # It ended after it was asked.
+                    self._do_calls()
+            else:
+                return
+        raise LinkTimeout("the simulated controller does not answer")
 
     def _wake(self) -> None:
         # A full pipe wakes as well; a closed one belongs to a thread that has ended.
@@ -195,37 +206,37 @@ class Server:
         try:
             self._serve()
         finally:
+            self._is_closing = True
             self._release()
-            while self._calls:
-                self._calls.popleft()[1].set_result(None)
+            self._do_calls()
 
     def _serve(self) -> None:
-        controller = self._controller
-        rate = controller.firmware.rate
-        epoch = time.monotonic()
-        done = 0
+        self._epoch = time.monotonic()
         while not self._is_closing:
-            due = int((time.monotonic() - epoch) * rate)
-            if due - done > ASLEEP * rate:
-                epoch += (due - done - 1) / rate
-                self._counters.skipped += due - done - 1
-                due = done + 1
-            while done < due:
-                done += 1
-                controller.advance()
-                behind = due - done
-                if behind > LATEST * rate:
-                    self._counters.skipped += 1
-                    continue
-                if behind and self._of_interest(done):
-                    self._counters.late += 1
-                self._emit(done)
+            self._catch_up()
             # What a call has changed shows in the very next cycle.
-            wake = done + 1 if self._do_calls() else self._next(done)
-            self._wait(epoch + wake / rate)
+            wake = self._done + 1 if self._do_calls() else self._next(self._done)
+            self._wait(self._epoch + wake / self._rate)
 
-    def _of_interest(self, cycle: int) -> bool:
-        return self._next(cycle - 1) == cycle
+    def _catch_up(self) -> None:
+        """Advance the controller to the present, and send what that brings."""
+        rate = self._rate
+        due = int((time.monotonic() - self._epoch) * rate)
+        behind = due - self._done
+        if behind > ASLEEP * rate:
+            self._epoch += (behind - 1) / rate
+            self._counters.skipped += behind - 1
+            behind = 1
+        while behind > 0:
+            self._done += 1
+            behind -= 1
+            self._controller.advance()
+            if behind > LATEST * rate:
+                self._counters.skipped += 1
+                continue
+            if behind and self._next(self._done - 1) == self._done:
+                self._counters.late += 1
+            self._emit(self._done)
 
     def _next(self, done: int) -> int:
         """The next cycle in which something is to be done on time; the ones between are caught up then."""
@@ -238,6 +249,8 @@ class Server:
 
     def _settle(self) -> None:
         """Bring ports and connections into the state that controller and faults ask for."""
+        if self._is_closing:
+            return
         faults = self._faults
         self._open_or_refuse()
         cuts = faults.take_cuts()
@@ -353,6 +366,8 @@ class Server:
             self._selector.unregister(port.socket)
             port.is_paused = True
             return
+        # The clock may be waiting for its next appointment: who comes now is to see nothing of the past.
+        self._catch_up()
         try:
             link, _ = port.socket.accept()
         except OSError:

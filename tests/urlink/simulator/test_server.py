@@ -39,6 +39,24 @@ def test_real_time_packets_come_one_a_cycle(name: str, firmware: str, period: fl
     assert elapsed > 100 * period - 0.05
 
 
+def test_who_connects_sees_nothing_of_the_past(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        # With nobody on a real-time port the clock advances ten times a second, by fifty cycles.
+        for _ in range(5):
+            eventually(lambda: controller.cycle % 50 == 0)
+            between = time.monotonic() + 0.06
+            eventually(lambda between=between: time.monotonic() > between)
+            link = connect(controller, "realtime")
+            connected = time.monotonic()
+            first = times(link, 1)[0]
+            # Not before it is due: fifty cycles at once would bring ten in no time.
+            stamps = times(link, 10)
+            assert time.monotonic() - connected > 0.015
+            assert stamps[-1] == pytest.approx(first + 0.02, abs=1e-9)
+            link.close()
+        assert controller.counters.sent < 500
+
+
 def test_the_clock_does_not_drift(connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
         link = connect(controller, "realtime")
