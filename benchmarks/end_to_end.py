@@ -113,7 +113,8 @@ def receive_stream(port: int, results: Connection, total: int, busy: bool) -> No
     stats, own = stream.stats, subscription.stats
     assert stats.received == stats.delivered + stats.dropped + stats.failed, stats
     assert own.received == own.delivered + own.dropped + own.failed + own.waiting, own
-    assert own.waiting == 0 and own.delivered == (seen[0] if total else len(latencies)), own
+    assert own.waiting == 0, own
+    assert own.delivered == (seen[0] if total else len(latencies)), own
     outcome |= {"dropped": stats.dropped, "failed": stats.failed, "delivered": own.delivered}
     stream.close()
     results.send(outcome)

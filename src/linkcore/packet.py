@@ -204,8 +204,8 @@ class Layouts:
         self.cls = cls
         self._reorder = reorder
         self._of: dict[tuple[Version, bool], Layout] = {}
-        # (size, version) -> decoder, where these two alone decide
-        self._decoders: dict[tuple[int, Version | None], Callable[..., Any]] = {}
+        # (size, version) -> the layouts that fit, and the decoder where these two alone decide
+        self._known: dict[tuple[int, Version | None], tuple[list[Layout], Callable[..., Any] | None]] = {}
         self.blocks = {wire.block for wire in cls.FIELDS.values() if wire.block is not None}
         known: dict[Any, Layout] = {}
         for version in self._borders():
@@ -297,15 +297,14 @@ class Layouts:
             PacketError: no layout holds it.
         """
         key = (len(data), version)
-        decode = self._decoders.get(key)
+        known = self._known.get(key)
+        if known is None:
+            known = self.fitting(*key), self.decoder(*key)
+            if len(self._known) < 256:  # lengths come from the wire: keep no more than a few
+                self._known[key] = known
+        fits, decode = known
         if decode is not None:
             return decode(data, stamp)
-        fits = self.fitting(len(data), version)
-        best = fits[0]
-        if not self.blocks and not best.has_text:
-            if len(self._decoders) < 256:  # lengths come from the wire: keep no more than a few
-                self._decoders[key] = best.decode
-            return best.decode(data, stamp)
         failure: PacketError | None = None
         for layout in fits:
             try:
@@ -317,7 +316,18 @@ class Layouts:
                 return state
         if failure is not None:
             raise failure
-        return best.decode(data, stamp)
+        return fits[0].decode(data, stamp)
+
+    def decoder(self, size: int, version: Version | None = None) -> Callable[..., Any] | None:
+        """The decoder of packets of this size, or None where their content has to choose.
+
+        Raises:
+            PacketError: no layout holds such a packet.
+        """
+        fits = self.fitting(size, version)
+        by_text = fits[0].has_text and len(fits) > 1
+        by_block = len({layout.has_block for layout in fits}) > 1
+        return None if by_text or by_block else fits[0].decode
 
 
 def _property(cls: type[State], name: str, number: int) -> property:

@@ -139,8 +139,8 @@ class PackageDecoder:
 
     def __init__(self, version: Version | None = None) -> None:
         self.version = version
-        # (type, size) -> decoder of a sub-package: what repeats ten times a second is looked up once.
-        self._known: dict[tuple[int, int], Callable[..., SubPackage]] = {}
+        # header of a sub-package -> its decoder and size
+        self._known: dict[bytes, tuple[Callable[..., SubPackage], int]] = {}
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
         """The typed state of one whole package.
@@ -162,39 +162,55 @@ class PackageDecoder:
         packages = []
         at, end, known = 5, len(frame), self._known
         while at < end:
-            if at + 5 > end:
+            # A header that came before is looked up as it is: the same ones come ten times a second.
+            decode, size = known.get(frame[at : at + 5]) or self._look_up(frame, at)
+            if size > end - at:
                 raise PacketError(
-                    "sub-package header cut off", packet="RobotState", expected=5, actual=end - at, offset=at
+                    "sub-package does not fit", packet="RobotState", expected=size, actual=end - at, offset=at
                 )
-            size, kind = _HEAD.unpack_from(frame, at)
-            if not 5 <= size <= end - at:
+            try:
+                packages.append(decode(frame[at : at + size], stamp))
+            except PacketError as error:
                 raise PacketError(
-                    f"sub-package {kind} does not fit", packet="RobotState", expected=size, actual=end - at, offset=at
-                )
-            data = frame[at : at + size]
-            decode = known.get((kind, size))
-            packages.append(decode(data, stamp) if decode is not None else self._sub_package(kind, data, stamp, at))
+                    f"in a robot state, {error.reason}",
+                    packet=error.packet,
+                    version=error.version,
+                    expected=error.expected,
+                    actual=error.actual,
+                    offset=at + error.offset,
+                ) from None
             at += size
         return RobotState.of(frame, packages, stamp)
 
-    def _sub_package(self, kind: int, data: bytes, stamp: Stamp | None, at: int) -> SubPackage:
-        cls = _class_of(kind, len(data))
-        version = self._version_for(cls)
-        try:
-            best = cls.LAYOUTS.fitting(len(data), version)[0]
-            state: SubPackage = cls.LAYOUTS.decode(data, version, stamp)
-        except PacketError as error:
+    def _look_up(self, frame: bytes, at: int) -> tuple[Callable[..., SubPackage], int]:
+        """The decoder and the size of the sub-package that begins at `at`."""
+        head = frame[at : at + 5]
+        if len(head) < 5:
             raise PacketError(
-                f"in a robot state, {error.reason}",
-                packet=error.packet,
-                version=error.version,
-                expected=error.expected,
-                actual=error.actual,
+                "sub-package header cut off", packet="RobotState", expected=5, actual=len(head), offset=at
+            )
+        size, kind = _HEAD.unpack(head)
+        if size < 5:
+            raise PacketError(
+                f"sub-package {kind} is smaller than its header",
+                packet="RobotState",
+                expected=5,
+                actual=size,
                 offset=at,
-            ) from None
-        if not cls.LAYOUTS.blocks and len(self._known) < 256:
-            self._known[kind, len(data)] = best.decode
-        return state
+            )
+        layouts = _class_of(kind, size).LAYOUTS
+        version = self._version_for(layouts.cls)
+
+        def by_content(data: bytes, stamp: Stamp | None) -> SubPackage:
+            return layouts.decode(data, version, stamp)  # type: ignore[no-any-return]
+
+        try:
+            decode = layouts.decoder(size, version) or by_content
+        except PacketError:
+            decode = by_content  # which says so with the bytes at hand
+        if len(self._known) < 256:
+            self._known[head] = (decode, size)
+        return decode, size
 
     def _version_for(self, cls: type[State]) -> Version | None:
         """The version, unless that one is not known to send this class: then the size decides."""

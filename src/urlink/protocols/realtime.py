@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from linkcore.framing import Framer
 from linkcore.stamp import Stamp
@@ -119,6 +119,8 @@ class RealtimeProtocol:
 
     def __init__(self) -> None:
         self.framer = Framer(RealtimeBorder())
+        self._size = 0
+        self._decode: Callable[..., RealtimeState] | None = None
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
         """The state in one packet; its length tells the layout.
@@ -126,7 +128,10 @@ class RealtimeProtocol:
         Raises:
             PacketError: shorter than every layout.
         """
-        return RealtimeState.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
+        if self._decode is None or len(frame) != self._size:
+            # Once for each connection, whose packets are all of one length.
+            self._size, self._decode = len(frame), RealtimeState.LAYOUTS.decoder(len(frame))
+        return self._decode(frame, stamp)
 
     def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[RealtimeState]:
         """The states of many packets; where they are all of one length, faster than singly.
