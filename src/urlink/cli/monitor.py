@@ -61,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
         show, pause = _painter(args.plain)
         until = None if args.duration is None else time.monotonic() + args.duration
         with Interruption() as interruption, show as draw:
+            _await_first(glances, interruption, until)
             while True:
                 glance = next(glances)
                 over = glance.status is Status.ENDED or (until is not None and time.monotonic() >= until)
@@ -76,6 +77,16 @@ def run(args: argparse.Namespace) -> int:
                 + ("" if glance.trouble is None else f" ({glance.trouble})")
             )
     return 0
+
+
+def _await_first(glances: Iterator[Glance], interruption: Interruption, until: float | None) -> None:
+    """Wait a little for the first state, which mostly comes at once: it makes a better first look than none."""
+    patience = time.monotonic() + 0.5
+    patience = patience if until is None else min(patience, until)
+    while time.monotonic() < patience:
+        glance = next(glances)
+        if glance.reading is not None or glance.status is Status.ENDED or interruption.wait(0.01):
+            break
 
 
 def _next(pause: float, until: float | None) -> float:

@@ -169,9 +169,11 @@ def test_lost_connections_are_told(spawn: Spawn) -> None:
         assert process.wait(20) == 143
 
 
-def test_nothing_is_lost_at_full_speed(run: Run, address: str) -> None:
+def test_nothing_is_lost_at_full_speed(run: Run, controller: Controller, address: str) -> None:
+    before = controller.counters.skipped
     status, out, err = run("echo", address, "time", "--count", "400")
     assert (status, err) == (0, "")
     times = [float(text.partition("=")[2]) for text in out.splitlines()]
     steps = [round((later - earlier) * 500) for earlier, later in pairwise(times)]
-    assert set(steps) == {1}
+    if controller.counters.skipped == before:  # the simulator itself kept up
+        assert set(steps) == {1}
