@@ -90,6 +90,7 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
             f"{text!r}: a robot has a port for each interface, so one number is not enough; "
             f"expected ur://{host}?realtime=30003&primary=30001"
         )
+    host = host.replace("%25", "%")  # before the network card of a link-local address, as URLs write it
     ports = dict(PORTS)
     for name, value in options.items():
         if name not in ports:
