@@ -312,6 +312,8 @@ def test_singular_wrist(arm: Model, q5: float) -> None:
     there = pose(arm, q)
     free = inverse(arm, there)
     check_branches(arm, free, None, forward(arm, q))
+    # Half a turn is given as pi, never as -pi.
+    assert (free > -math.pi).all()
     in_line = free[np.abs(np.sin(free[:, 4])) < 1e-6]
     # Elbow up and elbow down, not each of them twice.
     assert len(in_line) == 2
