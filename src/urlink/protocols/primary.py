@@ -28,7 +28,7 @@ __all__ = ["PackageBorder", "PackageDecoder", "PrimaryProtocol"]
 
 _HEAD = struct.Struct(">iB")
 _MESSAGE_HEAD = 15  # size, type, timestamp, source, message type
-# While looking for a border: larger ones are not believed.
+# While looking for a border, and of unknown types: larger ones are not believed.
 _LARGEST_BELIEVED = 8192
 _KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
 # A robot state or a robot message of a believable size. It looks ahead, since candidates may overlap.
@@ -36,7 +36,10 @@ _CANDIDATE = re.compile(rb"(?=\x00\x00..[\x10\x14])", re.DOTALL)
 
 
 class PackageBorder:
-    """Borders of the package stream. Types that nobody knows are taken once a known one has come."""
+    """Borders of the package stream.
+
+    Types that nobody knows are taken once a known one has come, where another package follows them.
+    """
 
     header = 5
     largest = PACKAGE_SIZES.stop - 1
@@ -49,7 +52,9 @@ class PackageBorder:
 
     def size_at(self, buffer: bytes, at: int) -> int:
         size, kind = _HEAD.unpack_from(buffer, at)
-        if size not in PACKAGE_SIZES or not (self._in_step or kind in _KNOWN_TYPES):
+        if size not in PACKAGE_SIZES:
+            return 0
+        if kind not in _KNOWN_TYPES and not (self._in_step and size <= _LARGEST_BELIEVED):
             return 0
         if kind == PackageType.ROBOT_STATE and at + 9 <= len(buffer) and size > 5:
             # The first sub-package is inside, or this is no robot state.
@@ -67,6 +72,10 @@ class PackageBorder:
         if kind == PackageType.ROBOT_STATE and not _is_chain(buffer, at, size):
             # If a package follows where this one says it ends, it is the inside that is damaged.
             return None if at + size + 5 > len(buffer) else not self._is_header(buffer, at + size)
+        if kind not in _KNOWN_TYPES:
+            # Whatever follows, its size is a small number: what is in step seldom is by chance.
+            next_size = int.from_bytes(buffer[at + size : at + size + 4], "big")
+            return None if at + size + 5 > len(buffer) else not 5 <= next_size <= _LARGEST_BELIEVED
         return kind == PackageType.ROBOT_MESSAGE and size < _MESSAGE_HEAD
 
     def _is_header(self, buffer: bytes, at: int) -> bool:
