@@ -15,12 +15,13 @@ from linkcore.errors import LinkError, LinkTimeout
 from linkcore.stream import ConnectionEvent, ConnectionState, Stream
 
 from ..robot import Robot, connect
-from ..schemas.robot_message import RobotMessage
+from ..schemas.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from .glance import Glance, Status, status_of
 from .interruption import Interruption
 from .options import Subparsers, add_address, add_command, add_interface, seconds
 from .plain import line
 from .reading import Reading, read
+from .values import as_text
 
 __all__ = ["add_parser", "watch"]
 
@@ -111,7 +112,8 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             troubles.clear()
 
     def on_message(message: RobotMessage) -> None:
-        messages[:] = [str(message)]
+        if not isinstance(message, (VersionMessage, UnnamedMessage12)):  # those of every connection are no news
+            messages[:] = [_told(message)]
 
     if interface == "primary":
         # First, since what comes first connects, and messages come at once.
@@ -139,6 +141,15 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             trouble=next(iter(troubles), None),
             message=next(iter(messages), None),
         )
+
+
+def _told(message: RobotMessage) -> str:
+    """What a message says, without what all of them have."""
+    own = [name for name in message.FIELDS if name not in RobotMessage.FIELDS]
+    told = ((name, getattr(message, name)) for name in own)
+    return f"{type(message).__name__} " + " ".join(
+        f"{name}={as_text(value)}" for name, value in told if value is not None
+    )
 
 
 class _Name:

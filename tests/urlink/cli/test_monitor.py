@@ -252,7 +252,7 @@ def test_messages_of_the_controller_are_shown(recording: Path) -> None:
         glances = monitor.watch(robot, "primary")
         glance = until(glances, lambda glance: glance.message is not None and "TextMessage" in glance.message)
     assert_harmless(painted(glance))
-    assert "message   TextMessage(" in painted(glance)
+    assert "message   TextMessage text='safe\\x1b[2J" in painted(glance)
 
 
 def test_hostile_recording(run: Run, tmp_path: Path) -> None:
