@@ -28,7 +28,7 @@ _HEADER = re.compile(
 )
 _TIME = struct.Struct(">d")
 # Seconds that the controller's clock may have gone on while the border was lost.
-_LONGEST_LOSS = 60.0
+_LONGEST_LOSS = 1.0
 # Types of the packages that leak into the stream, and of those around them.
 _LEAKING = b"\x05\x10\x14"
 
@@ -86,16 +86,27 @@ class RealtimeBorder:
             end = at + size
             # Better than a place that is followed by a header is one inside it that goes on in time;
             # as far as its time has come when the end can be judged, so that chunks make no difference.
-            for inner in _HEADER.finditer(buffer, at + 1, end - 3):
+            for inner in _HEADER.finditer(buffer, at + 1, end + 4):
                 if self._goes_on(buffer, inner.start()):
                     return inner.start(), True
-            if end + 5 > len(buffer):
+            if end + 12 > len(buffer):
                 return at, False
-            leak = buffer[end : end + 2] == b"\x00\x00" and buffer[end + 4] in _LEAKING
-            if buffer.startswith(match[0], end) or (size == self.size and leak):
+            if self._is_followed(buffer, at, size):
                 self.size = size
                 return at, True
         return max(start, len(buffer) - 3), False
+
+    def _is_followed(self, buffer: bytes, at: int, size: int) -> bool:
+        """Whether what ends the packet at `at` is another one, or what leaks into the stream."""
+        end = at + size
+        follows = buffer.startswith(buffer[at : at + 4], end)
+        if size == self.size:
+            return follows or (buffer[end : end + 2] == b"\x00\x00" and buffer[end + 4] in _LEAKING)
+        if not self._time or not follows:
+            return follows
+        # Packets had another size before: two have to say so, and one has to come after the other.
+        (time,), (later,) = _TIME.unpack_from(buffer, at + 4), _TIME.unpack_from(buffer, end + 4)
+        return bool(time < later <= time + _LONGEST_LOSS)
 
     def _goes_on(self, buffer: bytes, at: int) -> bool:
         """Whether the packet at `at` has the connection's size and a time that follows the last one."""
