@@ -85,7 +85,9 @@ def main() -> None:
 
     packet = bytes(RealtimeState("5.0"))
     assert len(packet) == 1108
-    decode = RealtimeProtocol().decode
+    session = RealtimeProtocol()
+    session.framer.feed(packet)  # as in a connection, whose first packet tells the layout
+    decode = session.decode
     oracle = RealtimeState.LAYOUTS.of("5.0").construct
 
     def five_vectors() -> None:

@@ -29,6 +29,7 @@ __all__ = ["Layout", "Place", "Row", "Wire"]
 
 _WIRE_DOUBLE = np.dtype(">f8")
 _NATIVE_DOUBLE = np.dtype("=f8")
+_MANY_CELLS = 32
 
 
 @dataclass(frozen=True)
@@ -189,13 +190,18 @@ class Layout:
         self.places = {wire.name: Place(wire, shape) for wire, shape in fields}
         self.fields = tuple((name, place.shape) for name, place in self.places.items())
         self._arrange()
-        self.of_cells = all(place.width == 8 and place.code in ("d", "Q") for place in self.places.values())
+        cells = sum(place.count or 1 for place in self.places.values())
+        uniform = all(place.width == 8 and place.code in ("d", "Q") for place in self.places.values())
+        #: 8-byte cells throughout, and enough of them that numpy unpacks them quicker than struct
+        self.of_cells = uniform and cells >= _MANY_CELLS
         self.readers = [
             self.places[name].reader(self.of_cells) if name in self.places else _not_sent for name in packet.FIELDS
         ]
+        #: where the cells of each field of the class are; what is not sent has none
+        self.cells_at = [self.places[name].at if name in self.places else None for name in packet.FIELDS]
         if self.has_text:
             self.decode = self._text_decoder()
-        elif self.of_cells and self.places:
+        elif self.of_cells:
             self.decode = self._cell_decoder()
         else:
             self.decode = self._struct_decoder()
@@ -250,19 +256,20 @@ class Layout:
 
     def _cell_decoder(self) -> Callable[..., Any]:
         """All 8-byte cells: swap the whole packet once and hand out views of it."""
-        packet, size = self.packet, self.size
+        packet = self.packet
         start = int(self.header.sizeof())
-        count = (size - start) // 8
+        count = (self.size - start) // 8
         new, frombuffer = object.__new__, np.frombuffer
 
         def decode(data: bytes, stamp: Stamp | None = None) -> Any:
-            if len(data) < size:
-                raise self._too_short(data)
             state = new(packet)
             state._data = data
             state._layout = self
             state._stamp = stamp
-            cells = frombuffer(data, _WIRE_DOUBLE, count, start).astype(_NATIVE_DOUBLE)
+            try:
+                cells = frombuffer(data, _WIRE_DOUBLE, count, start).astype(_NATIVE_DOUBLE)
+            except ValueError:
+                raise self._too_short(data) from None
             cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
             state._values = cells
             return state
@@ -292,19 +299,20 @@ class Layout:
 
     def _struct_decoder(self) -> Callable[..., Any]:
         """Mixed widths: one precompiled struct for the whole packet."""
-        packet, size = self.packet, self.size
+        packet = self.packet
         assert self._struct is not None
         unpack = self._struct.unpack_from
         new = object.__new__
 
         def decode(data: bytes, stamp: Stamp | None = None) -> Any:
-            if len(data) < size:
-                raise self._too_short(data)
             state = new(packet)
             state._data = data
             state._layout = self
             state._stamp = stamp
-            state._values = unpack(data)
+            try:
+                state._values = unpack(data)
+            except struct.error:
+                raise self._too_short(data) from None
             return state
 
         return decode

@@ -344,6 +344,10 @@ def _property(cls: type[State], name: str, number: int) -> property:
         # The same cells in every layout: one view, nothing to look up.
         def get(self: Any) -> Any:
             return self._values[at]
+    elif all(place is not None for place in places) and plain and all(layout.of_cells for layout in cls.LAYOUTS.all):
+        # In every layout, but not at the same place.
+        def get(self: Any) -> Any:
+            return self._values[self._layout.cells_at[number]]
     else:
 
         def get(self: Any) -> Any:

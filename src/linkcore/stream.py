@@ -553,7 +553,7 @@ class Stream(Feed[T]):
         """Read until the transport raises."""
         session, transport, silence = self._session, self._transport, self._silence
         assert session is not None
-        feed, decode, receive = session.framer.feed, session.decode, transport.receive
+        feed, receive = session.framer.feed, transport.receive
         progress = time.monotonic()
         while True:
             data, stamp = receive()
@@ -567,7 +567,7 @@ class Stream(Feed[T]):
             failed = 0
             try:
                 packets: Sequence[Any] = (
-                    session.decode_all(frames, stamp) if len(frames) != 1 else [decode(frames[0], stamp)]
+                    session.decode_all(frames, stamp) if len(frames) != 1 else [session.decode(frames[0], stamp)]
                 )
             except PacketError:
                 packets, failed = self._decode_singly(session, frames, stamp)

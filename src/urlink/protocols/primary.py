@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from linkcore.errors import PacketError
 from linkcore.framing import Framer
@@ -27,6 +27,7 @@ from ..schemas.robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownS
 __all__ = ["PackageBorder", "PackageDecoder", "PrimaryProtocol"]
 
 _HEAD = struct.Struct(">iB")
+_ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
 _MESSAGE_HEAD = 15  # size, type, timestamp, source, message type
 # While looking for a border, and of unknown types: larger ones are not believed.
 _LARGEST_BELIEVED = 8192
@@ -56,7 +57,7 @@ class PackageBorder:
             return 0
         if kind not in _KNOWN_TYPES and not (self._in_step and size <= _LARGEST_BELIEVED):
             return 0
-        if kind == PackageType.ROBOT_STATE and at + 9 <= len(buffer) and size > 5:
+        if kind == _ROBOT_STATE and at + 9 <= len(buffer) and size > 5:
             # The first sub-package is inside, or this is no robot state.
             (first,) = struct.unpack_from(">i", buffer, at + 5)
             if not 5 <= first <= size - 5:
@@ -69,14 +70,14 @@ class PackageBorder:
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         kind = buffer[at + 4]
-        if kind == PackageType.ROBOT_STATE and not _is_chain(buffer, at, size):
+        if kind == _ROBOT_STATE and not _is_chain(buffer, at, size):
             # If a package follows where this one says it ends, it is the inside that is damaged.
             return None if at + size + 5 > len(buffer) else not self._is_header(buffer, at + size)
         if kind not in _KNOWN_TYPES:
             # Whatever follows, its size is a small number: what is in step seldom is by chance.
             next_size = int.from_bytes(buffer[at + size : at + size + 4], "big")
             return None if at + size + 5 > len(buffer) else not 5 <= next_size <= _LARGEST_BELIEVED
-        return kind == PackageType.ROBOT_MESSAGE and size < _MESSAGE_HEAD
+        return kind == _ROBOT_MESSAGE and size < _MESSAGE_HEAD
 
     def _is_header(self, buffer: bytes, at: int) -> bool:
         size, kind = _HEAD.unpack_from(buffer, at)
@@ -89,7 +90,7 @@ class PackageBorder:
             size, kind = _HEAD.unpack_from(buffer, at)
             if size > _LARGEST_BELIEVED or self.size_at(buffer, at) == 0:
                 continue
-            if kind == PackageType.ROBOT_STATE:
+            if kind == _ROBOT_STATE:
                 if _is_chain(buffer, at, size, whole=False):
                     return at, at + size <= end
             elif size >= _MESSAGE_HEAD:
@@ -139,6 +140,17 @@ def _class_of(kind: int, size: int) -> type[SubPackage]:
     return classes[0] if classes and (kind, size) != (5, 9) else UnknownSubPackage
 
 
+class _Plan(NamedTuple):
+    """The parts of a robot state: states of one length have, as a rule, the same parts.
+
+    Where the headers stand, what they are, and for each the decoder and the place of its bytes.
+    """
+
+    where: struct.Struct
+    heads: tuple[bytes, ...]
+    parts: list[tuple[Callable[..., SubPackage], slice]]
+
+
 class PackageDecoder:
     """Whole packages to typed states.
 
@@ -148,8 +160,7 @@ class PackageDecoder:
 
     def __init__(self, version: Version | None = None) -> None:
         self.version = version
-        # header of a sub-package -> its decoder and size
-        self._known: dict[bytes, tuple[Callable[..., SubPackage], int]] = {}
+        self._plans: dict[int, _Plan] = {}
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
         """The typed state of one whole package.
@@ -158,9 +169,9 @@ class PackageDecoder:
             PacketError: a layout that the package, or one of its sub-packages, cannot hold.
         """
         kind = frame[4]
-        if kind == PackageType.ROBOT_STATE:
+        if kind == _ROBOT_STATE:
             return self._robot_state(frame, stamp)
-        if kind == PackageType.ROBOT_MESSAGE:
+        if kind == _ROBOT_MESSAGE:
             return self._robot_message(frame, stamp)
         cls = PACKAGES.get(kind)
         if cls is None:
@@ -168,17 +179,39 @@ class PackageDecoder:
         return cls.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
 
     def _robot_state(self, frame: bytes, stamp: Stamp | None) -> RobotState:
-        packages = []
-        at, end, known = 5, len(frame), self._known
+        plan = self._plans.get(len(frame))
+        if plan is None or plan.where.unpack(frame) != plan.heads:
+            plan = self._plan(frame)
+        try:
+            return RobotState.of(frame, tuple([decode(frame[part], stamp) for decode, part in plan.parts]), stamp)
+        except PacketError:
+            self._blame(plan, frame)
+            raise
+
+    def _plan(self, frame: bytes) -> _Plan:
+        """Find the sub-packages of a robot state."""
+        heads, parts, where = [], [], [">5x"]
+        at, end = 5, len(frame)
         while at < end:
-            # A header that came before is looked up as it is: the same ones come ten times a second.
-            decode, size = known.get(frame[at : at + 5]) or self._look_up(frame, at)
+            decode, size = self._look_up(frame, at)
             if size > end - at:
                 raise PacketError(
                     "sub-package does not fit", packet="RobotState", expected=size, actual=end - at, offset=at
                 )
+            heads.append(frame[at : at + 5])
+            parts.append((decode, slice(at, at + size)))
+            where.append(f"5s{size - 5}x")
+            at += size
+        plan = _Plan(struct.Struct("".join(where)), tuple(heads), parts)
+        if len(self._plans) < 64:  # lengths come from the wire: keep no more than a few
+            self._plans[end] = plan
+        return plan
+
+    def _blame(self, plan: _Plan, frame: bytes) -> None:
+        """Say which sub-package it was, and where."""
+        for decode, part in plan.parts:
             try:
-                packages.append(decode(frame[at : at + size], stamp))
+                decode(frame[part], None)
             except PacketError as error:
                 raise PacketError(
                     f"in a robot state, {error.reason}",
@@ -186,10 +219,8 @@ class PackageDecoder:
                     version=error.version,
                     expected=error.expected,
                     actual=error.actual,
-                    offset=at + error.offset,
+                    offset=part.start,
                 ) from None
-            at += size
-        return RobotState.of(frame, packages, stamp)
 
     def _look_up(self, frame: bytes, at: int) -> tuple[Callable[..., SubPackage], int]:
         """The decoder and the size of the sub-package that begins at `at`."""
@@ -217,8 +248,6 @@ class PackageDecoder:
             decode = layouts.decoder(size, version) or by_content
         except PacketError:
             decode = by_content  # which says so with the bytes at hand
-        if len(self._known) < 256:
-            self._known[head] = (decode, size)
         return decode, size
 
     def _version_for(self, cls: type[State]) -> Version | None:

@@ -11,6 +11,7 @@ import re
 import struct
 from collections.abc import Callable, Sequence
 
+from linkcore.errors import PacketError
 from linkcore.framing import Framer
 from linkcore.stamp import Stamp
 from linkcore.version import Version
@@ -44,8 +45,9 @@ class RealtimeBorder:
     header = 5
     largest = REALTIME_SIZES.stop - 1
 
-    def __init__(self) -> None:
+    def __init__(self, learnt: Callable[[int], object] | None = None) -> None:
         self.size = 0
+        self._learnt = learnt
         #: the bytes of the last packet's time; unpacked when a lost border has to be found
         self._time = b""
 
@@ -58,12 +60,17 @@ class RealtimeBorder:
             return size
         if self.size or not (size in REALTIME_SIZES and size % 8 == 4):
             return 0
-        self.size = size
+        self._learn(size)
         return size
+
+    def _learn(self, size: int) -> None:
+        self.size = size
+        if self._learnt is not None:
+            self._learnt(size)
 
     def is_whole(self, buffer: bytes) -> bool:
         # The common case: the controller writes a packet at a time, and the reader keeps up.
-        if len(buffer) != self.size or int.from_bytes(buffer[:4], "big") != self.size:
+        if not self.size or len(buffer) != self.size or int.from_bytes(buffer[:4], "big") != self.size:
             return False
         self._time = buffer[4:12]
         return True
@@ -92,7 +99,8 @@ class RealtimeBorder:
             if end + 12 > len(buffer):
                 return at, False
             if self._is_followed(buffer, at, size):
-                self.size = size
+                if size != self.size:
+                    self._learn(size)
                 return at, True
         return max(start, len(buffer) - 3), False
 
@@ -128,21 +136,19 @@ class RealtimeBorder:
 class RealtimeProtocol:
     """Bytes in, typed states out; a new one for each connection."""
 
+    #: ``decode(frame, stamp=None) -> RealtimeState``; raises `PacketError` if shorter than every layout
+    decode: Callable[..., RealtimeState]
+
     def __init__(self) -> None:
-        self.framer = Framer(RealtimeBorder())
-        self._size = 0
-        self._decode: Callable[..., RealtimeState] | None = None
+        self.framer = Framer(RealtimeBorder(self._learn))
+        self.decode = RealtimeState.LAYOUTS.decode
 
-    def decode(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
-        """The state in one packet; its length tells the layout.
-
-        Raises:
-            PacketError: shorter than every layout.
-        """
-        if self._decode is None or len(frame) != self._size:
-            # Once for each connection, whose packets are all of one length.
-            self._size, self._decode = len(frame), RealtimeState.LAYOUTS.decoder(len(frame))
-        return self._decode(frame, stamp)
+    def _learn(self, size: int) -> None:
+        """The border has learnt the size of this connection's packets, and the size tells the layout."""
+        try:
+            self.decode = RealtimeState.LAYOUTS.decoder(size) or RealtimeState.LAYOUTS.decode
+        except PacketError:
+            self.decode = RealtimeState.LAYOUTS.decode  # which says of each packet what is wrong
 
     def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[RealtimeState]:
         """The states of many packets; where they are all of one length, faster than singly.
@@ -151,7 +157,7 @@ class RealtimeProtocol:
             PacketError: shorter than every layout.
         """
         if len({*map(len, frames)}) != 1:  # none, or the border was lost and found with another length
-            return [self.decode(frame, stamp) for frame in frames]
+            return [RealtimeState.LAYOUTS.decode(frame, None, stamp) for frame in frames]
         return RealtimeState.LAYOUTS.fitting(len(frames[0]))[0].decode_all(frames, stamp)
 
 

@@ -6,7 +6,7 @@ recognised by type, their layout by size, since sizes grew from release to relea
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Generic, NoReturn, TypeVar, overload
 
 from construct import Float32b, Float64b, Int8ub, Int16sb, Int16ub, Int32sb, Int32ub, Int64ub
@@ -393,12 +393,12 @@ class RobotState(State):
         self._values = packages
 
     @classmethod
-    def of(cls, data: bytes, packages: Sequence[SubPackage], stamp: Stamp | None) -> RobotState:
+    def of(cls, data: bytes, packages: tuple[SubPackage, ...], stamp: Stamp | None) -> RobotState:
         """The state of a package as it came; `packages` are its parts."""
         state = object.__new__(cls)
         state._data = data
         state._stamp = stamp
-        state._values = tuple(packages)
+        state._values = packages
         return state
 
     @property
