@@ -1,0 +1,178 @@
+"""rhdconfig.xml: the original's elements are understood, and what XML can do beyond them is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import LocalError
+from rhdlink.config import (
+    DEEPEST,
+    LARGEST,
+    MOST_ELEMENTS,
+    BadConfiguration,
+    Configuration,
+    Element,
+    parse_config,
+    read_config,
+)
+
+WHOLE = """<?xml version="1.0"?>
+<rhd>
+  <{scheduler}> <period value="25000"/> <type value="LXRT"/> <realtimepriority enable="true"/> </{scheduler}>
+  <server> <port value="8001"/> <clients number="3" allwriters="1"/> <mode value="synchronized"/> </server>
+  <whatever><else>is skipped</else></whatever>
+  <plugins basepath="/usr/local/smr/lib/rhdplugin/">
+    <first enable="true" lib="collections:OrderedDict" critical="true" safety="2"><gain value="0.5"/></first>
+    <second enable="yes" lib="libx.so.1" speed="7"/>
+  </plugins>
+</rhd>
+"""
+
+
+@pytest.mark.parametrize("scheduler", ["scheduler", "sheduler"])
+def test_every_element_of_the_original_is_read(scheduler: str) -> None:
+    found = parse_config(WHOLE.format(scheduler=scheduler))
+    assert found.period == pytest.approx(0.025)
+    assert (found.scheduler, found.realtime_priority, found.pacing) == ("LXRT", True, "period")
+    assert (found.port, found.clients, found.allwriters, found.synchronized) == (8001, 3, True, True)
+    first, second = found.plugins
+    assert (first.name, first.is_enabled, first.is_critical, first.safety) == ("first", True, True, 2)
+    assert first.config.number("gain", 1.0) == 0.5
+    # Only the exact text "true" counts (section 9).
+    assert (second.name, second.is_enabled, second.is_critical, second.safety) == ("second", False, False, 0)
+    assert second.config.integer("speed", 0) == 7
+
+
+def test_what_is_left_out_has_values_that_work() -> None:
+    assert parse_config("<rhd/>") == Configuration()
+    assert Configuration().port == 24902
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode", "pacing"),
+    [
+        ("usleep", "", "period"),
+        ("itimer", '<mode value="synchronized"/>', "period"),
+        ("freerunning", "", "free"),
+        ("synchronized", "", "free"),
+        ("synchronized", '<mode value="synchronized"/>', "lockstep"),
+    ],
+)
+def test_scheduler_and_mode_give_the_pacing(kind: str, mode: str, pacing: str) -> None:
+    text = f'<rhd><scheduler><type value="{kind}"/></scheduler><server>{mode}</server></rhd>'
+    assert parse_config(text).pacing == pacing
+
+
+BOMB = '<!DOCTYPE rhd [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><rhd>&b;</rhd>'
+EXTERNAL = '<!DOCTYPE rhd [<!ENTITY x SYSTEM "file:///etc/hostname">]><rhd>&x;</rhd>'
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (BOMB, "document type"),
+        (EXTERNAL, "document type"),
+        ('<!DOCTYPE rhd SYSTEM "http://127.0.0.1/x.dtd"><rhd/>', "document type"),
+        ("<rhd>&undeclared;</rhd>", "undefined entity"),
+        ("<rhd>" * (DEEPEST + 1) + "</rhd>" * (DEEPEST + 1), "levels"),
+        ("<rhd>" + "<a/>" * MOST_ELEMENTS + "</rhd>", "elements"),
+        ("<rhd>" + " " * LARGEST + "</rhd>", "larger"),
+        ("", "not XML"),
+        ("<rhd>", "not XML"),
+        ("<rhd/><rhd/>", "not XML"),
+        ("<?xml version='1.0' encoding='klingon'?><rhd/>", "encoding"),
+        ("<config/>", "<rhd>"),
+        ('<rhd><scheduler><type value="cron"/></scheduler></rhd>', "cron"),
+        ('<rhd><scheduler><period value="1e4"/></scheduler></rhd>', "whole number"),
+        ('<rhd><scheduler><period value="0"/></scheduler></rhd>', "from 100"),
+        ('<rhd><server><port value="65536"/></server></rhd>', "65535"),
+        ('<rhd><server><port value="１２"/></server></rhd>', "whole number"),
+        ('<rhd><server><clients number="0"/></server></rhd>', "from 1"),
+        ('<rhd><server><mode value="sync"/></server></rhd>', "synchronized"),
+        ('<rhd><plugins><x enable="true"/></plugins></rhd>', "lib"),
+        ('<rhd><plugins><x enable="true" lib="a:B" safety="-1"/></plugins></rhd>', "safety"),
+    ],
+)
+def test_what_is_refused_says_why(text: str, reason: str) -> None:
+    with pytest.raises(BadConfiguration, match=reason):
+        parse_config(text)
+
+
+def test_limits_are_not_one_too_low() -> None:
+    parse_config("<rhd>" * DEEPEST + "</rhd>" * DEEPEST)
+    parse_config("<rhd>" + "<a/>" * (MOST_ELEMENTS - 1) + "</rhd>")
+    parse_config("<rhd>" + " " * (LARGEST - 11) + "</rhd>")
+
+
+def test_the_message_names_file_and_line(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text('<rhd>\n<server>\n<port value="x"/>\n</server></rhd>')
+    with pytest.raises(BadConfiguration, match="robot.xml:3: <port>"):
+        read_config(path)
+    with pytest.raises(BadConfiguration, match="cannot read"):
+        read_config(tmp_path / "missing.xml")
+    with pytest.raises(BadConfiguration, match="cannot read"):
+        read_config(tmp_path)
+
+
+def entry(lib: str) -> object:
+    (found,) = parse_config(f'<rhd>\n<plugins>\n<x enable="true" lib="{lib}"/></plugins></rhd>').plugins
+    return found.load()
+
+
+def test_a_python_plugin_is_loaded() -> None:
+    from collections import OrderedDict
+
+    assert type(entry("collections:OrderedDict")) is OrderedDict
+
+
+@pytest.mark.parametrize("lib", ["libsmrd.so.1", "libx.so", "/opt/rhd/libx", "x.dll"])
+def test_a_c_library_is_an_error_that_says_what_to_do(lib: str) -> None:
+    with pytest.raises(BadConfiguration, match=r"rhdconfig.xml:3: .*in C.*package.module:Class"):
+        entry(lib)
+
+
+@pytest.mark.parametrize(
+    ("lib", "reason"),
+    [
+        ("collections", "names no plugin"),
+        ("collections:", "names no plugin"),
+        (":OrderedDict", "names no plugin"),
+        ("collections:OrderedDict.fromkeys", "names no plugin"),
+        ("no_such_module_at_all:X", "cannot import"),
+        ("collections:Missing", "no class"),
+        ("collections:abc", "no class"),
+        ("numbers:Rational", "cannot make"),
+    ],
+)
+def test_a_plugin_that_cannot_be_loaded_says_why(lib: str, reason: str) -> None:
+    with pytest.raises(BadConfiguration, match=reason):
+        entry(lib)
+
+
+def test_settings_of_a_plugin_in_both_styles() -> None:
+    element = Element("x", {"port": "/dev/ttyS0"}, (Element("rate", {"value": " 9600 "}), Element("bare")))
+    assert element.get("port") == "/dev/ttyS0"
+    assert element.integer("rate", 0) == 9600
+    assert element.integer("bare", 5) == 5
+    assert element.number("missing", 2.5) == 2.5
+    for name, text in (("a", "nan"), ("a", "inf"), ("a", "1,5"), ("a", "")):
+        with pytest.raises(BadConfiguration, match="not a number"):
+            Element("x", {name: text}).number("a", 0.0)
+    with pytest.raises(BadConfiguration, match="from 0 to 1"):
+        Element("x", {"a": "1.5"}).number("a", 0.0, least=0.0, most=1.0)
+
+
+@pytest.mark.property
+@given(
+    st.one_of(st.binary(max_size=200), st.text(max_size=200), st.from_regex(r"(<[a-c]( b='[0-9&;]*')?/?>|</[a-c]>)*"))
+)
+def test_anything_is_a_configuration_or_a_documented_error(data: bytes | str) -> None:
+    try:
+        assert isinstance(parse_config(data), Configuration)
+    except LocalError:
+        pass
