@@ -5,7 +5,7 @@ The elements are those of section 9 of the protocol notes in `docs/rhd.md`::
     <rhd>
       <scheduler> <period value="10000"/> <type value="itimer"/> </scheduler>      (or <sheduler>; microseconds)
       <server> <port value="24902"/> <clients number="10" allwriters="0"/> <mode value="synchronized"/> </server>
-      <plugins> <turtle enable="true" lib="rhdlink.plugins.turtle:Turtle" critical="true" safety="1"> ... </turtle> </plugins>
+      <plugins> <turtle enable="true" lib="rhdlink.plugins.turtle:Turtle" critical="true" safety="1"/> </plugins>
     </rhd>
 
 The file may come from anywhere, so it is parsed with limits, and without what XML has for hiding or fetching things: a
