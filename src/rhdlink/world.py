@@ -1,0 +1,131 @@
+"""A walled square with one robot in it: where the robot is, how it moves, and the way it went.
+
+x points to the right, y up, theta is counter-clockwise, and all are metres and radians.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from linkcore.errors import BadValue
+
+__all__ = ["Moved", "Pose", "World"]
+
+#: Points of the path that are kept; beyond it every other one is forgotten.
+_MOST_POINTS = 1 << 15
+
+
+class Pose(NamedTuple):
+    """A place and a heading: m, m, rad. The heading is not wrapped: two turns to the left are 4 pi."""
+
+    x: float
+    y: float
+    theta: float
+
+
+class Moved(NamedTuple):
+    """What one step did.
+
+    Attributes:
+        distance: driven forward, m; less than asked for where a wall was in the way.
+        angle: turned to the left, rad.
+        is_blocked: whether a wall was in the way.
+    """
+
+    distance: float
+    angle: float
+    is_blocked: bool
+
+
+class World:
+    """A square with walls, and one robot, a point, in it.
+
+    The step is that of the midpoint: the robot drives straight along the heading that it has half-way through the turn.
+    With it the recorded drives of the original programs are reproduced to the last digit.
+
+    Args:
+        size: length of a wall, m.
+        start: where the robot stands; the middle, heading along x, by default.
+
+    Attributes:
+        size: length of a wall, m.
+        start: where the robot stood.
+        odometry: where it is, seen from its start but not turned: m, m, rad; exactly zero there.
+        blocked: steps in which a wall was in the way.
+
+    Raises:
+        BadValue: no such square, or a start outside it.
+    """
+
+    def __init__(self, size: float = 11.0, start: tuple[float, float, float] | None = None) -> None:
+        if not 0.0 < size < math.inf:
+            raise BadValue(f"a world of {size} m cannot be")
+        self.size = size
+        self.start = Pose(size / 2, size / 2, 0.0) if start is None else Pose(*map(float, start))
+        if not all(0.0 <= place <= size for place in self.start[:2]) or not math.isfinite(self.start.theta):
+            raise BadValue(f"a start at {tuple(self.start)} is not within {size:g} x {size:g} m")
+        self.odometry = Pose(0.0, 0.0, 0.0)
+        self.blocked = 0
+        self._points = [(self.start.x, self.start.y)]
+        # Metres between two points of the path: half a pixel of a picture.
+        self._spacing = size / 4000.0
+
+    @property
+    def pose(self) -> Pose:
+        """Where the robot is in the square."""
+        at, start = self.odometry, self.start
+        return Pose(start.x + at.x, start.y + at.y, start.theta + at.theta)
+
+    @property
+    def path(self) -> npt.NDArray[np.float64]:
+        """The way it went, shape (n, 2), m; the first point is the start, the last where it is."""
+        here = self.pose[:2]
+        points = self._points if self._points[-1] == here else [*self._points, here]
+        return np.array(points, dtype=np.float64)
+
+    def step(self, linear: float, angular: float, seconds: float) -> Moved:
+        """Drive with `linear` m/s and `angular` rad/s for `seconds`."""
+        x, y, theta = self.odometry
+        distance, angle = linear * seconds, angular * seconds
+        half_way = self.start.theta + theta + angular * seconds / 2
+        dx, dy = distance * math.cos(half_way), distance * math.sin(half_way)
+        free = self._free(dx, dy)
+        if free < 1.0:
+            self.blocked += 1
+            distance, dx, dy = distance * free, dx * free, dy * free
+        self.odometry = Pose(x + dx, y + dy, theta + angle)
+        if distance:
+            self._remember()
+        return Moved(distance, angle, free < 1.0)
+
+    def wall(self, direction: float) -> float:
+        """Metres from the robot to the wall in `direction`, rad to the left of its heading."""
+        here = self.pose
+        angle = here.theta + direction
+        return min(_until(here.x, math.cos(angle), self.size), _until(here.y, math.sin(angle), self.size))
+
+    def _free(self, dx: float, dy: float) -> float:
+        """The part of a way that is free of walls, 0..1."""
+        here = self.pose
+        return min(1.0, _until(here.x, dx, self.size), _until(here.y, dy, self.size))
+
+    def _remember(self) -> None:
+        here = self.pose
+        last = self._points[-1]
+        if math.hypot(here.x - last[0], here.y - last[1]) < self._spacing:
+            return
+        self._points.append((here.x, here.y))
+        if len(self._points) > _MOST_POINTS:
+            del self._points[1::2]
+            self._spacing *= 2.0
+
+
+def _until(place: float, speed: float, size: float) -> float:
+    """The time until a coordinate leaves 0..size."""
+    if speed > 0.0:
+        return max((size - place) / speed, 0.0)
+    return max(-place / speed, 0.0) if speed < 0.0 else math.inf
