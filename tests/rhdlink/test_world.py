@@ -41,9 +41,9 @@ def test_the_heading_is_not_wrapped() -> None:
 def test_a_wall_stops_it_and_lets_it_turn(theta: float, end: tuple[float, float]) -> None:
     world = World(start=(5.5, 5.5, theta))
     assert not world.step(5.0, 0.0, 1.0).is_blocked
-    assert world.step(1.0, 0.0, 1.0) == (pytest.approx(0.5), 0.0, True)
+    assert world.step(1.0, 0.0, 1.0) == pytest.approx((0.5, 0.0, 1.0))
     assert world.pose[:2] == pytest.approx(end)
-    assert world.step(1.0, 0.0, 1.0) == (pytest.approx(0.0, abs=1e-12), 0.0, True)
+    assert world.step(1.0, 0.0, 1.0) == pytest.approx((0.0, 0.0, 1.0), abs=1e-12)
     assert world.step(0.0, math.pi, 1.0) == Moved(0.0, math.pi, False)
     assert world.step(1.0, 0.0, 1.0).distance == 1.0
     assert world.blocked == 2
@@ -57,7 +57,7 @@ def test_it_does_not_slide_along_a_wall() -> None:
 
 def test_backwards_too() -> None:
     world = World(start=(0.5, 5.5, 0.0))
-    assert world.step(-1.0, 0.0, 1.0) == (pytest.approx(-0.5), 0.0, True)
+    assert world.step(-1.0, 0.0, 1.0) == pytest.approx((-0.5, 0.0, 1.0))
     assert world.pose.x == 0.0
 
 
