@@ -1,0 +1,44 @@
+"""The packages on the wire, declared: the truth that pictures are drawn from and tests compare with.
+
+Section 2 of the protocol reference. The data path (`entries`, `wire`) does not run these: a package of
+a thousand entries would take milliseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from construct import Array, Byte, Bytes, Const, Int32sb, Int32ub, OneOf, PrefixedArray, Struct
+
+__all__ = ["ACCESS", "END", "NAME_SIZE", "READY", "ROW", "TABLE", "data_package"]
+
+#: Bytes of a name on the wire: 32 and a terminating NUL.
+NAME_SIZE = 33
+
+_DIRECTION = OneOf(Bytes(1), [b"r", b"w"])
+
+#: Access request of a client, and its acknowledgement by the server.
+ACCESS = Struct("type" / Const(b"a"), "access" / _DIRECTION)
+
+#: A variable in a symbol table; its place in the table is its id.
+ROW = Struct("length" / Int32sb, "name" / Bytes(NAME_SIZE))
+
+#: A symbol table.
+TABLE = Struct("type" / Const(b"t"), "direction" / _DIRECTION, "rows" / PrefixedArray(Int32sb, ROW))
+
+#: A client asks for the next batch.
+READY = Struct("type" / Const(b"r"), "access" / _DIRECTION)
+
+#: The end of a batch. The second byte says nothing.
+END = Struct("type" / Const(b"e"), "any" / Byte)
+
+
+def data_package(lengths: Sequence[int], width: int = 2) -> Any:
+    """The data package of a table whose variables have these lengths, with stamps of `width` words."""
+    entry = Struct(
+        "id" / Int32sb,
+        "stamp" / Array(width, Int32ub),
+        "data" / Array(lambda this: lengths[this.id], Int32sb),
+    )
+    return Struct("type" / Const(b"d"), "direction" / _DIRECTION, "entries" / PrefixedArray(Int32sb, entry))
