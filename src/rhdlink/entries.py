@@ -54,6 +54,7 @@ class Entries:
         width: words of a time stamp, 2 or 4.
         at: word of the package at which each entry begins.
         size: words of all entries.
+        is_ordered: the ids ascend, and none is there twice.
         starts: first word of each variable among the values of the package.
     """
 
@@ -66,6 +67,7 @@ class Entries:
         "_stride",
         "at",
         "ids",
+        "is_ordered",
         "size",
         "starts",
         "width",
@@ -84,7 +86,8 @@ class Entries:
         self.at: Ids = self.starts + head * np.arange(count)
         self.size = total + head * count
         first = int(ids[0]) if count else 0
-        in_row = count == 0 or (int(ids[-1]) - first == count - 1 and bool((np.diff(ids) == 1).all()))
+        self.is_ordered = count == 0 or bool((np.diff(ids) > 0).all())
+        in_row = count == 0 or (self.is_ordered and int(ids[-1]) - first == count - 1)
         self._rows: slice | Ids = slice(first, first + count) if in_row else ids
         # With all lengths equal a package is a table of so many columns, else every word has its own place.
         self._stride = None if layout.uniform is None else head + layout.uniform
