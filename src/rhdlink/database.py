@@ -28,7 +28,7 @@ another time stamp or another value than it had.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +82,7 @@ class Table:
         changed: likewise.
         fresh: likewise.
         pending: the variables set here since this was last taken.
+        clock: gives the present, for what is set here without a time stamp.
 
     The arrays are replaced when a variable is added, so do not keep them before the table is frozen.
     """
@@ -89,6 +90,7 @@ class Table:
     def __init__(self, direction: str, rows: Sequence[Row] = ()) -> None:
         self.direction = direction
         self.is_frozen = False
+        self.clock: Callable[[], TimeStamp] = now
         self.rows: list[Row] = []
         self._ids: dict[str, int] = {}
         self.values: Words = np.empty(0, np.int32)
@@ -168,11 +170,11 @@ class Table:
         Args:
             identity: its id.
             words: as many numbers of 32 bits as it is long, or one for all.
-            stamp: by default the present.
+            stamp: by default what `clock` says.
         """
         start = self._starts[identity]
         self.values[start : start + self._sizes[identity]] = words
-        self.stamps[identity] = stamp or now()
+        self.stamps[identity] = stamp or self.clock()
         self.updated[identity] = True
         self.pending.add(identity)
 
@@ -204,10 +206,10 @@ class Table:
         Args:
             selection: of `select`.
             words: the words of all of them, one after another.
-            stamp: by default the present.
+            stamp: by default what `clock` says.
         """
         self.values[selection.cells] = words
-        self.stamps[selection.rows] = stamp or now()
+        self.stamps[selection.rows] = stamp or self.clock()
         self.updated[selection.rows] = True
         self.pending.add_many(selection.ids, ordered=selection.is_ordered)
 
