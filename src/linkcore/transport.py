@@ -62,6 +62,7 @@ class TcpTransport:
         self.silence = silence
         self.name = f"{host}:{port}"
         self._socket: socket.socket | None = None
+        self._patience = silence  # what the socket has been told
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
@@ -73,11 +74,15 @@ class TcpTransport:
         self.close()
         try:
             self._socket = _connected(self.host, self.port, timeout, self.silence)
+            self._patience = self.silence
         except (OSError, ValueError) as error:
             raise _mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
 
-    def receive(self) -> tuple[bytes, Stamp]:
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """Wait for bytes; with the moment they came.
+
+        Args:
+            timeout: seconds to wait for the first of them; by default `silence`.
 
         Raises:
             LinkTimeout: silent for too long.
@@ -86,12 +91,39 @@ class TcpTransport:
         connection = self._socket
         if connection is None:
             raise ConnectionLost(f"{self.name} is not connected")
+        patience = self.silence if timeout is None else max(timeout, 0.0)
         try:
+            if patience != self._patience:
+                _set_receive_timeout(connection, patience)
+                self._patience = patience
             data = connection.recv(_CHUNK)
         except BlockingIOError:
-            raise LinkTimeout(f"{self.name}: nothing within {self.silence:g} s") from None
+            raise LinkTimeout(f"{self.name}: nothing within {patience:g} s") from None
         except OSError as error:
-            raise _mapped(error, f"{self.name}", self.silence, ConnectionLost) from error
+            raise _mapped(error, f"{self.name}", patience, ConnectionLost) from error
+        return self._arrived(connection, data)
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        """The bytes that have come already, or None; never waits.
+
+        Raises:
+            ConnectionLost: the peer closed or reset the connection, or `close` was called.
+        """
+        connection = self._socket
+        if connection is None:
+            raise ConnectionLost(f"{self.name} is not connected")
+        try:
+            if sys.platform == "win32":
+                connection.settimeout(0)
+                self._patience = 0.0
+            data = connection.recv(_CHUNK, getattr(socket, "MSG_DONTWAIT", 0))
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise _mapped(error, f"{self.name}", 0.0, ConnectionLost) from error
+        return self._arrived(connection, data)
+
+    def _arrived(self, connection: socket.socket, data: bytes) -> tuple[bytes, Stamp]:
         if not data:
             by = "closed the connection" if self._socket is connection else "was closed here"
             raise ConnectionLost(f"{self.name} {by}")
@@ -109,13 +141,17 @@ class TcpTransport:
             raise ConnectionLost(f"{self.name} is not connected")
         until = time.monotonic() + timeout
         rest = memoryview(data)
+        # The socket blocks, for the sake of `receive`: where a send cannot be told not to, ask for room first.
+        flags = getattr(socket, "MSG_DONTWAIT", 0)
+        ask = not flags
         try:
             while rest:
-                # The socket blocks, for the sake of `receive`: ask whether there is room first.
-                if not _has_room(connection, max(until - time.monotonic(), 0.0)):
+                if ask and not _has_room(connection, max(until - time.monotonic(), 0.0)):
                     raise TimeoutError
-                with contextlib.suppress(BlockingIOError):  # another thread has just filled it
-                    rest = rest[connection.send(rest, getattr(socket, "MSG_DONTWAIT", 0)) :]
+                try:
+                    rest = rest[connection.send(rest, flags) :]
+                except BlockingIOError:  # there is no room, or another thread has just taken it
+                    ask = True
         except OSError as error:
             raise _mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
 

@@ -1,4 +1,100 @@
 """Mobile robots that run the Robot Hardware Daemon (RHD): their variable database as typed Python.
 
+    import rhdlink
+    from rhdlink import Int32, Read, Variables, Write
+
+    class Smr(Variables):
+        encl = Read(Int32, unit="ticks")
+        speedl = Write(Int32, unit="cm/s")
+
+    with rhdlink.connect("localhost:24902", Smr, access="w") as robot:
+        robot.speedl = 20
+        robot.sync()
+        print(robot.encl)
+
 Importing it starts nothing and touches no network.
 """
+
+from __future__ import annotations
+
+from linkcore.backoff import Backoff
+from linkcore.errors import (
+    BadAddress,
+    BadValue,
+    Closed,
+    ConnectFailed,
+    ConnectionLost,
+    LinkError,
+    LinkTimeout,
+    LocalError,
+    PacketError,
+    RemoteError,
+    WrongPeer,
+)
+from linkcore.policy import Policy, block, drop_oldest, latest
+from linkcore.stamp import Stamp
+from linkcore.stream import ConnectionEvent, ConnectionState
+from linkcore.subscription import Subscription
+
+from .background import Background
+from .client import Variables, connect
+from .database import Database, TimeStamp
+from .errors import AccessDenied, NotThere, WrongVariables
+from .kinds import Bool, Float32, Float64, Int32, Int64, Kind, Millionths, Scaled, Structure, Text, UInt32
+from .limits import Limits
+from .robots import Ackerman, Gps, Smr, VelocityOmega
+from .snapshot import Variable
+from .update import Change, Update
+from .variables import Read, Write
+
+__all__ = [
+    "AccessDenied",
+    "Ackerman",
+    "Background",
+    "Backoff",
+    "BadAddress",
+    "BadValue",
+    "Bool",
+    "Change",
+    "Closed",
+    "ConnectFailed",
+    "ConnectionEvent",
+    "ConnectionLost",
+    "ConnectionState",
+    "Database",
+    "Float32",
+    "Float64",
+    "Gps",
+    "Int32",
+    "Int64",
+    "Kind",
+    "Limits",
+    "LinkError",
+    "LinkTimeout",
+    "LocalError",
+    "Millionths",
+    "NotThere",
+    "PacketError",
+    "Policy",
+    "Read",
+    "RemoteError",
+    "Scaled",
+    "Smr",
+    "Stamp",
+    "Structure",
+    "Subscription",
+    "Text",
+    "TimeStamp",
+    "UInt32",
+    "Update",
+    "Variable",
+    "Variables",
+    "VelocityOmega",
+    "Write",
+    "WrongPeer",
+    "WrongVariables",
+    "block",
+    "connect",
+    "drop_oldest",
+    "latest",
+]

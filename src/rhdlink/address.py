@@ -1,0 +1,50 @@
+"""Addresses: where a robot's RHD listens."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+from linkcore.errors import BadAddress
+
+__all__ = ["PORT", "Address", "parse_address"]
+
+#: The port of clients that name none; a server has no default (section 1 of the protocol reference).
+PORT = 24902
+
+
+class Address(NamedTuple):
+    """A host and a port."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+
+def parse_address(text: str) -> Address:
+    """Read an address.
+
+    Raises:
+        BadAddress: says what is wrong and what was expected.
+
+    >>> parse_address("smr12:8001")
+    Address(host='smr12', port=8001)
+    >>> parse_address("rhd://localhost")
+    Address(host='localhost', port=24902)
+    """
+    stripped = text.strip()
+    example = "expected a host and a port, as in localhost:24902"
+    if not stripped or any(character.isspace() or not character.isprintable() for character in stripped):
+        raise BadAddress(f"{text!r} is no address; {example}")
+    try:
+        parts = urlsplit(stripped if "://" in stripped else f"rhd://{stripped}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:  # half a bracket, or a port that is no number or none of TCP's
+        raise BadAddress(f"{text!r} is no address: {error}; {example}") from None
+    if parts.scheme != "rhd":
+        raise BadAddress(f"{text!r}: unknown kind {parts.scheme!r}; expected rhd")
+    if not host or "@" in parts.netloc or parts.path not in ("", "/") or parts.query or parts.fragment or port == 0:
+        raise BadAddress(f"{text!r} is no address; {example}")
+    return Address(host, PORT if port is None else port)

@@ -1,0 +1,225 @@
+"""One connection to a server: handshake, and a batch for each request, in step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from linkcore.stamp import Stamp
+
+from .errors import AccessDenied
+from .limits import Limits
+from .wire import END, Batch, Handshake, ServerStream, encode_access, encode_ready
+
+__all__ = ["Link", "Transport"]
+
+#: Seconds that an unasked batch is waited for at most, once in a connection; see `Link.settle`.
+_MOST = 0.1
+
+
+class Transport(Protocol):
+    """What carries the bytes: `linkcore.transport.TcpTransport`."""
+
+    name: str
+
+    def open(self, timeout: float) -> None:
+        """Connect."""
+
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        """Wait for bytes."""
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        """Bytes that have come already."""
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send all of it."""
+
+    def close(self) -> None:
+        """Disconnect."""
+
+
+class Link:
+    """A connection that has been granted access.
+
+    A server of the original sends one batch that nobody asked for, at its first tick after the
+    handshake, unless a request reaches it before (section 3 of the protocol reference). Who takes that
+    batch for the answer to a request stays one answer behind for ever. So answers are counted: those
+    that are due are waited for, and one that is not due is applied and not counted.
+
+    Args:
+        transport: not yet open.
+        access: to ask for, "r" or "w".
+        fallback: "r" makes do with reader access where a master is there already; else None.
+        width: words of a time stamp; None finds out.
+        limits: what the server may ask for.
+        until: when the handshake has to be done, by `time.monotonic`.
+        deliver: called with each batch, in order.
+
+    Attributes:
+        access: what was granted, "r" or "w".
+        handshake: what the server said.
+        received: when the newest bytes came.
+
+    Raises:
+        AccessDenied: write access was refused, and there is no fallback.
+        ConnectFailed, ConnectionLost, LinkTimeout: nobody is there, or no longer, or silent.
+        WrongPeer: something else is listening.
+        PacketError: what came is no handshake.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        access: str,
+        fallback: str | None,
+        width: int | None,
+        limits: Limits | None,
+        until: float,
+        deliver: Callable[[Batch], object],
+    ) -> None:
+        self._transport = transport
+        self._deliver = deliver
+        self._width = width
+        self._limits = limits
+        self._due = 0  # answers
+        # Whether the batch that nobody asks for has come, or will not come any more.
+        self._is_settled = False
+        self._has_answered = False
+        try:
+            self._greet(access, until)
+            if self.handshake.granted != access:
+                if fallback != "r":
+                    raise AccessDenied(f"{transport.name} refuses write access; it has a master already")
+                if self.handshake.granted != "r":
+                    # A refused writer would be served all the same, but by an oversight (section 6).
+                    self._greet("r", until)
+                    if self.handshake.granted != "r":
+                        raise AccessDenied(f"{transport.name} refuses even reader access")
+        except BaseException:
+            transport.close()
+            raise
+
+    def _greet(self, access: str, until: float) -> None:
+        transport = self._transport
+        transport.open(_left(until))
+        self._stream = stream = ServerStream(width=self._width, limits=self._limits)
+        transport.send(encode_access(access), _left(until))
+        handshake = None
+        try:
+            while handshake is None:
+                data, self.received = transport.receive(_left(until))
+                stream.feed(data)
+                handshake = stream.take_handshake()
+        except ConnectionLost as error:
+            if stream.waiting:
+                raise
+            raise ConnectFailed(f"{error} without a word; are all its client slots in use?") from error
+        except LinkTimeout as error:
+            raise LinkTimeout(f"{transport.name}: no handshake in time; {stream.waiting} bytes of it came") from error
+        except PacketError as error:
+            if error.offset == 0:
+                raise WrongPeer(f"{transport.name} is no RHD server: {error.reason}") from error
+            raise
+        self.handshake: Handshake = handshake
+        self.access = access if handshake.granted is None else handshake.granted
+
+    @property
+    def width(self) -> int:
+        """Words of a time stamp."""
+        return self.handshake.width
+
+    def take_waiting(self, until: float) -> None:
+        """Deliver the batches that have come already; does not wait.
+
+        Raises:
+            LinkTimeout: more and more of them come.
+            ConnectionLost, PacketError: as `request`.
+        """
+        self._take()
+        while (arrived := self._transport.receive_waiting()) is not None:
+            _left(until)
+            data, self.received = arrived
+            self._stream.feed(data)
+            self._take()
+
+    def settle(self, period: float | None, until: float) -> None:
+        """Make sure that the batch nobody asked for is not still to come.
+
+        Waits once in a connection, after the first answer: if that was the unasked batch, the answer
+        itself follows one tick later. No content tells them apart.
+
+        Args:
+            period: seconds between ticks, as far as known.
+            until: when to be done at the latest, by `time.monotonic`.
+        """
+        if self._is_settled or self._due or not self._has_answered:
+            return
+        patience = _MOST if period is None else min(1.5 * period + 2e-3, _MOST)
+        end = min(time.monotonic() + patience, until)
+        while not self._is_settled and (left := end - time.monotonic()) > 0:
+            try:
+                data, self.received = self._transport.receive(left)
+            except LinkTimeout:
+                break
+            self._stream.feed(data)
+            self._take()
+        self._is_settled = True
+
+    def collect(self, until: float) -> None:
+        """Wait for the answers that are due, and deliver them.
+
+        So that no more than one request ever waits at a server: it would take one at each tick, and a
+        program that is late would drive the robot by what it said long ago.
+
+        Raises:
+            LinkTimeout: no answer in time; it stays due.
+            ConnectionLost: the connection is gone.
+            PacketError: the answer cannot be understood.
+        """
+        while self._due:
+            arrived, self.received = self._transport.receive(_left(until))
+            self._stream.feed(arrived)
+            self._take()
+            self._has_answered = not self._due
+
+    def request(self, data: bytes, until: float) -> None:
+        """Ask for a batch, and deliver it.
+
+        Args:
+            data: data packages to send with it.
+            until: when to be done at the latest, by `time.monotonic`.
+
+        Raises:
+            LinkTimeout: no answer in time; it stays due.
+            ConnectionLost: the connection is gone, or did not take the request.
+            PacketError: the answer cannot be understood.
+        """
+        try:
+            self._transport.send(encode_ready(self.access) + data + END, max(until - time.monotonic(), 0.0))
+        except LinkTimeout as error:
+            # Half a request may have gone out: whatever followed would be taken for its other half.
+            raise ConnectionLost(str(error)) from error
+        self._due += 1
+        self.collect(until)
+
+    def close(self) -> None:
+        """Disconnect; wakes who waits. Idempotent, from any thread."""
+        self._transport.close()
+
+    def _take(self) -> None:
+        while (batch := self._stream.take_batch()) is not None:
+            if self._due:
+                self._due -= 1
+            else:
+                self._is_settled = True
+            self._deliver(batch)
+
+
+def _left(until: float) -> float:
+    left = until - time.monotonic()
+    if left <= 0:
+        raise LinkTimeout("no time is left")
+    return left
