@@ -193,6 +193,8 @@ class Configuration:
         scheduler: type of the scheduler as the file names it.
         realtime_priority: whether it asks for real-time priority; this host does not take it, and says so.
         port: TCP port.
+        address: to listen on; ``<server> <address value="0.0.0.0"/>``. The original has no such element and listens
+            everywhere.
         clients: how many may be connected.
         allwriters: whether every client may write.
         synchronized: whether each tick waits for the master's request, at most one period.
@@ -203,6 +205,7 @@ class Configuration:
     scheduler: str = "usleep"
     realtime_priority: bool = False
     port: int = 24902
+    address: str = "127.0.0.1"
     clients: int = 10
     allwriters: bool = False
     synchronized: bool = False
@@ -259,10 +262,11 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
     priority = scheduler.find("realtimepriority")
     default = Configuration()
     return Configuration(
-        period=period.integer("value", 10000, least=100) * 1e-6,
+        period=period.integer("value", 10000, least=100) / 1e6,
         scheduler=kind or default.scheduler,
         realtime_priority=priority is not None and priority.attributes.get("enable") == "true",
         port=(server.find("port") or nothing).integer("value", default.port, least=0, most=65535),
+        address=(server.find("address") or nothing).attributes.get("value", default.address),
         clients=clients.integer("number", default.clients, least=1, most=10_000),
         allwriters=clients.integer("allwriters", 0) != 0,
         synchronized=mode == "synchronized",

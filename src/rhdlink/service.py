@@ -78,6 +78,11 @@ class Guest:
         return self.access is None or (self.request is None and self.stream.waiting > 0)
 
     @property
+    def is_asking(self) -> bool:
+        """Whether it has a request that the next sync will take."""
+        return self.request is not None and self.is_reading
+
+    @property
     def wants_more(self) -> bool:
         """Whether more of what it sends is to be read, with one request complete."""
         return self.request is None or self.stream.waiting <= AHEAD

@@ -24,7 +24,8 @@ from rhdlink.config import (
 WHOLE = """<?xml version="1.0"?>
 <rhd>
   <{scheduler}> <period value="25000"/> <type value="LXRT"/> <realtimepriority enable="true"/> </{scheduler}>
-  <server> <port value="8001"/> <clients number="3" allwriters="1"/> <mode value="synchronized"/> </server>
+  <server> <port value="8001"/> <clients number="3" allwriters="1"/> <mode value="synchronized"/>
+    <address value="0.0.0.0"/> </server>
   <whatever><else>is skipped</else></whatever>
   <plugins basepath="/usr/local/smr/lib/rhdplugin/">
     <first enable="true" lib="collections:OrderedDict" critical="true" safety="2"><gain value="0.5"/></first>
@@ -37,7 +38,7 @@ WHOLE = """<?xml version="1.0"?>
 @pytest.mark.parametrize("scheduler", ["scheduler", "sheduler"])
 def test_every_element_of_the_original_is_read(scheduler: str) -> None:
     found = parse_config(WHOLE.format(scheduler=scheduler))
-    assert found.period == pytest.approx(0.025)
+    assert (found.period, found.address) == (0.025, "0.0.0.0")
     assert (found.scheduler, found.realtime_priority, found.pacing) == ("LXRT", True, "period")
     assert (found.port, found.clients, found.allwriters, found.synchronized) == (8001, 3, True, True)
     first, second = found.plugins

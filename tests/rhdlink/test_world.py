@@ -55,6 +55,13 @@ def test_it_does_not_slide_along_a_wall() -> None:
     assert world.pose[:2] == pytest.approx((11.0, 1.5))
 
 
+def test_it_can_drive_along_a_wall() -> None:
+    world = World(start=(11.0, 1.0, math.pi / 2))
+    assert math.cos(math.pi / 2) > 0.0
+    assert not world.step(1.0, 0.0, 1.0).is_blocked
+    assert world.pose[:2] == pytest.approx((11.0, 2.0))
+
+
 def test_backwards_too() -> None:
     world = World(start=(0.5, 5.5, 0.0))
     assert world.step(-1.0, 0.0, 1.0) == pytest.approx((-0.5, 0.0, 1.0))

@@ -1,0 +1,229 @@
+"""The turtle drives as the robots did that the original MRC drove, to the last digit that was recorded."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from linkcore.errors import BadValue
+from rhdlink.config import Configuration, Element, parse_config
+from rhdlink.host import Host
+from rhdlink.plugin import Plugin
+from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.wire import ClientStream
+from rhdlink.world import World
+from tests.rhdlink.party import Party
+
+
+@pytest.fixture(scope="session")
+def drives(pytestconfig: pytest.Config) -> Path:
+    for root in (pytestconfig.rootpath, Path(__file__).resolve().parents[2]):
+        folder = root.parent / "shared" / "captures" / "mrc"
+        if folder.is_dir():
+            return folder
+    pytest.skip("the drives of the original MRC (../shared/captures/mrc beside the repository) are not here")
+
+
+class Watched(Plugin):
+    """Notes where the robot is when clients are told."""
+
+    safety = 1
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.poses: list[tuple[str, ...]] = []
+
+    def periodic(self, tick: int) -> None:
+        self.poses.append(tuple(f"{value:.6f}" for value in self.world.odometry))
+
+
+LOCKSTEP = (
+    "arc_lockstep",
+    "spiral_lockstep",
+    "arc_then_wait",
+    "arc_then_stop",
+    "server_arc",
+)
+
+
+@pytest.mark.parametrize("drive", [f"{kind}_{name}" for kind in ("vw", "smr") for name in LOCKSTEP])
+def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> None:
+    with (drives / f"{drive}.csv").open() as file:
+        columns, *rows = csv.reader(file)
+    # Some of the drives go further than 11 m.
+    world = World(1000.0)
+    turtle = Turtle(world) if drive.startswith("vw") else SmrTurtle(world)
+    commands = columns[5 : columns.index("tick", 5)]
+    told = columns[columns.index("tick", 5) :]
+    watched = Watched(world)
+    with Host([turtle, watched], port=0, pacing="lockstep") as host, Party(host.port, b"aw") as master:
+        master.greeting()
+        found = []
+        for row in rows:
+            written = dict(zip(commands, map(int, row[5:]), strict=False))
+            master.sync(written)
+            found.append([str(master.value(name)) for name in told])
+    assert found == [row[5 + len(commands) :] for row in rows]
+    assert watched.poses[: len(rows)] == [tuple(row[2:5]) for row in rows]
+    assert len(rows) > 600
+
+
+@pytest.mark.parametrize("drive", ["vw_arc", "vw_spiral", "smr_arc", "smr_spiral"])
+def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
+    """MRC's own bytes, sent as fast as replies come, move the robot as they moved that of the original server."""
+    asked = (drives / f"{drive}_rhd64.c2s.bin").read_bytes()
+    with (drives / f"{drive}_rhd64.csv").open() as file:
+        rows = list(csv.reader(file))[1:]
+    world = World(1000.0)
+    turtle = Turtle(world) if drive.startswith("vw") else SmrTurtle(world)
+    watched = Watched(world)
+    with Host([turtle, watched], port=0, pacing="lockstep") as host, Party(host.port, asked[:2]) as master:
+        assert master.greeting().granted == "w"
+        for request in requests(asked, host):
+            master.send(request)
+            batch = master.batch()
+            # As the original answers its only master: read variables and nothing else.
+            assert [data.direction for data in batch.data] == ["r"]
+    # The original ticked for longer, before and after: what the robot did while it moved is the same.
+    theirs = [tuple(row[1:4]) for row in rows]
+    moved = sorted(set(theirs), key=theirs.index)
+    ours = sorted(set(watched.poses), key=watched.poses.index)
+    assert ours == moved
+    assert len(moved) > 500
+
+
+def requests(asked: bytes, host: Host) -> list[bytes]:
+    """What MRC sent after its access request, cut at the ends of its requests."""
+    stream = ClientStream(host.database.write.layout)
+    stream.feed(asked)
+    assert stream.take_access() == "w"
+    found, at = [], 2
+    while (request := stream.take_request()) is not None:
+        found.append(asked[at : at + request.size])
+        at += request.size
+    assert at == len(asked)
+    return found
+
+
+def lockstep(turtle: Plugin) -> Host:
+    return Host([turtle], port=0, pacing="lockstep")
+
+
+def test_a_wall_stops_the_counters_too() -> None:
+    turtle = Turtle(World(1.0), linear_scale=1000.0)
+    with lockstep(turtle) as host, Party(host.port, b"aw") as master:
+        master.greeting()
+        for _ in range(102):
+            master.sync({"cmdtransvel": 1000})
+        assert master.value("transpos") == 500
+        for _ in range(12):
+            master.sync({"cmdtransvel": -1000})
+        assert master.value("transpos") == 390
+    assert turtle.world.blocked > 0
+
+
+def test_wheels_at_a_wall_turn_as_far_as_the_robot_goes() -> None:
+    turtle = SmrTurtle(World(1.0), tick_length=0.001)
+    with lockstep(turtle) as host, Party(host.port, b"aw") as master:
+        master.greeting()
+        for _ in range(120):
+            master.sync({"speedl": 100, "speedr": 100})
+        assert (master.value("encl"), master.value("encr")) == (500, 500)
+        assert master.words("irsensor") == [108, 255, 255, 255, 108, 0]
+
+
+def test_counters_of_16_bits_wrap() -> None:
+    turtle = SmrTurtle(World(100.0), tick_length=0.00001, encoder_bits=16)
+    with lockstep(turtle) as host, Party(host.port, b"aw") as master:
+        master.greeting()
+        for _ in range(41):
+            master.sync({"speedl": 100, "speedr": -100})
+        assert (master.value("encl"), master.value("encr")) == (40000 - 65536, 65536 - 40000)
+
+
+@pytest.mark.parametrize(
+    ("turtle", "command"),
+    [(Turtle(), {"cmdtransvel": 50000}), (SmrTurtle(), {"speedl": 50, "speedr": 50})],
+    ids=["velocity-omega", "smr"],
+)
+def test_it_stops_when_its_master_goes_and_waits_for_a_new_command(turtle: Any, command: dict[str, int]) -> None:
+    with lockstep(turtle) as host, Party(host.port) as reader:
+        reader.greeting()
+        with Party(host.port, b"aw") as master:
+            master.greeting()
+            for _ in range(4):
+                master.sync(command)
+            moving = turtle.world.odometry.x
+            assert moving > 0.0
+        # Without a writer readers make the ticks; the first may come before the master's end was noticed.
+        while host.writers:
+            reader.sync()
+        reader.sync()
+        reader.sync()
+        stands = turtle.world.odometry
+        for _ in range(5):
+            reader.sync()
+        assert turtle.world.odometry == stands
+        with Party(host.port, b"aw") as other:
+            other.greeting()
+            # The old command is still in the database: nobody has given it again.
+            assert all(other.value(name) == value for name, value in command.items())
+            other.send(b"rwee")
+            other.batch()
+            other.send(b"rwee")
+            other.batch()
+            assert turtle.world.odometry == stands
+            other.sync(command)
+            other.sync(command)
+            other.sync(command)
+            assert turtle.world.odometry.x > stands.x
+
+
+def test_it_can_be_told_to_go_on_without_a_master() -> None:
+    turtle = Turtle(needs_master=False)
+    with lockstep(turtle) as host, Party(host.port) as reader:
+        reader.greeting()
+        with Party(host.port, b"aw") as master:
+            master.greeting()
+            master.sync({"cmdtransvel": 50000})
+        while host.writers:
+            reader.sync()
+        before = reader.value("transpos")
+        reader.sync()
+        reader.sync()
+        reader.sync()
+        assert reader.value("transpos") >= before + 1000
+
+
+def test_the_world_is_described_in_the_file() -> None:
+    text = """<rhd><server><port value="0"/></server><plugins>
+      <robot enable="true" lib="rhdlink.plugins.turtle:SmrTurtle" critical="true" size="4">
+        <x value="1"/><theta value="0.5"/></robot></plugins></rhd>"""
+    config = parse_config(text)
+    assert isinstance(config, Configuration)
+    with Host.from_config(config, pacing="lockstep") as host:
+        (turtle,) = host.plugins
+        assert isinstance(turtle, SmrTurtle)
+        assert (turtle.world.size, tuple(turtle.world.start)) == (4.0, (1.0, 2.0, 0.5))
+
+
+def test_a_world_that_is_given_has_the_last_word() -> None:
+    turtle = Turtle(World(3.0))
+    turtle.init(Element("turtle", {"size": "5"}))
+    assert turtle.world.size == 3.0
+
+
+@pytest.mark.parametrize("wrong", [{"linear_scale": 0.0}, {"angular_scale": math.nan}])
+def test_scales_that_cannot_be(wrong: dict[str, float]) -> None:
+    with pytest.raises(BadValue):
+        Turtle(**wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("wrong", [{"width": 0.0}, {"tick_length": -1.0}, {"encoder_bits": 8}])
+def test_wheels_that_cannot_be(wrong: dict[str, Any]) -> None:
+    with pytest.raises(BadValue):
+        SmrTurtle(**wrong)
