@@ -197,9 +197,9 @@ class Data:
 
     def items(self) -> Iterator[tuple[int, tuple[int, int], Words]]:
         """Each entry: id, (seconds, microseconds), values."""
-        values, stamps = self.values, self.stamps.tolist()
-        ends = [*self.entries.starts[1:].tolist(), len(values)]
-        for identity, start, end, (seconds, micros) in zip(
-            self.ids.tolist(), self.entries.starts.tolist(), ends, stamps, strict=True
+        values, entries = self.values, self.entries
+        sizes = np.diff(entries.starts, append=len(values))
+        for identity, start, size, (seconds, micros) in zip(
+            self.ids.tolist(), entries.starts.tolist(), sizes.tolist(), self.stamps.tolist(), strict=True
         ):
-            yield identity, (seconds, micros), values[start:end]
+            yield identity, (seconds, micros), values[start : start + size]

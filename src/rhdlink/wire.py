@@ -275,17 +275,14 @@ class _Stream:
         raise self._failure
 
     def _check(self) -> None:
-        """Raise again what was wrong; refuse a batch without an end."""
+        """Raise again what was wrong."""
         if self._failure is not None:
             raise self._failure
-        size = self._at - self._start
-        if size > self.limits.batch:
-            self._refuse(f"no end after {size} bytes; expected at most {self.limits.batch}")
 
-    def _wait(self) -> None:
-        """More has to come; refuse to wait for more than a batch may hold."""
-        if self.waiting > self.limits.batch:
-            self._refuse(f"no end after {self.waiting} bytes; expected at most {self.limits.batch}", len(self._buffer))
+    def _bound(self, size: int) -> None:
+        """Refuse a batch that is, or is going to be, larger than it may be."""
+        if size > self.limits.batch:
+            self._refuse(f"no end within {self.limits.batch} bytes")
 
     def _count(self, what: str, most: int) -> int | None:
         """The count of the package at hand, None if it has not come."""
@@ -318,8 +315,7 @@ class _Stream:
         if wrong is not None:
             (identity,) = _INT.unpack_from(buffer, wrong)
             self._refuse(f"entry of variable {identity} in 'd{direction}'; expected 0 to {layout.count - 1}", wrong)
-        if start + walk.at - self._start > self.limits.batch:
-            self._refuse(f"data package 'd{direction}' exceeds the {self.limits.batch} bytes of a batch")
+        self._bound(start + walk.at - self._start)
         if not walk.is_done(buffer, start):
             return None
         entries = walk.entries()
@@ -338,6 +334,7 @@ class _Stream:
     def _end_batch(self, at: int) -> tuple[tuple[Data, ...], int]:
         """The batch ends before `at`: its data packages and its size."""
         size = at - self._start
+        self._bound(size)
         data, self._data = tuple(self._data), []
         self.offset += size
         self._start = self._at = at
@@ -388,13 +385,13 @@ class ServerStream(_Stream):
             if direction not in self._rows:
                 table = self._take_table(direction) if self._is_at(f"t{direction}") else None
                 if table is None:
-                    self._wait()
+                    self._bound(self.waiting)
                     return None
                 self._rows[direction] = table
                 self._layouts[direction] = Layout([row.length for row in table])
         width = self._find_width()
         if width is None:
-            self._wait()
+            self._bound(self.waiting)
             return None
         data = []
         for direction in "wr":
@@ -439,8 +436,8 @@ class ServerStream(_Stream):
                     break
                 if table != self._rows[direction]:
                     self._refuse(f"another table 't{direction}' than in the handshake", start)
-            self._check()
-        self._wait()
+            self._bound(self._at - self._start)
+        self._bound(self.waiting)
         return None
 
     def _is_at(self, package: str) -> bool:
@@ -482,6 +479,7 @@ class ServerStream(_Stream):
         """
         if not self._trials:
             self._trials = [_Trial(width, self._layouts["w"], self._layouts["r"]) for width in self._widths]
+            self._bound(self._at - self._start + self._trials[0].size)
         for trial in self._trials:
             trial.advance(self._buffer, self._at)
         for trial in self._trials:
@@ -502,6 +500,7 @@ class _Trial:
     Attributes:
         width: the words.
         wrong: offset of the first marker, count or id that does not fit, or None.
+        size: bytes of the values, with the end.
         is_complete: all have come and fit.
     """
 
@@ -518,7 +517,7 @@ class _Trial:
                 self._marks.append((at, _INT.pack(identity)))
                 at += 4 * (1 + width + length)
         self._marks.append((at, b"e"))
-        self._size = at + 2
+        self.size = at + 2
         self._next = 0
         self.is_complete = False
 
@@ -532,7 +531,7 @@ class _Trial:
             if buffer[start + at : start + at + len(expected)] != expected:
                 self.wrong, self.expected = at, expected
             self._next += 1
-        self.is_complete = self.wrong is None and self._size <= end
+        self.is_complete = self.wrong is None and self.size <= end
 
 
 class ClientStream(_Stream):
@@ -567,8 +566,8 @@ class ClientStream(_Stream):
         """
         self._check()
         if self.access is None and self._buffer:
-            if self._buffer[0] != 0x61:
-                self._refuse(_unexpected(self._buffer, 0, "'ar' or 'aw'"))
+            if self._buffer[0] != 0x61:  # a; the second byte may never come
+                self._refuse(_unexpected(self._buffer[:1], 0, "'ar' or 'aw'"))
             if len(self._buffer) >= 2:
                 if self._buffer[1:2] not in (b"r", b"w"):
                     self._refuse(_unexpected(self._buffer, 0, "'ar' or 'aw'"), 1)
@@ -601,8 +600,8 @@ class ClientStream(_Stream):
                 self._data.append(data_package)
             else:
                 self._refuse(_unexpected(self._buffer, self._at, "'rr', 'rw', 'dw' or 'ee'"))
-            self._check()
-        self._wait()
+            self._bound(self._at - self._start)
+        self._bound(self.waiting)
         return None
 
 

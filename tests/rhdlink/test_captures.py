@@ -1,0 +1,218 @@
+"""Whole connections of the original programs, decoded: cut anywhere, and held against what its client printed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from linkcore.errors import PacketError
+from rhdlink.database import Database, TimeStamp
+from rhdlink.entries import Layout
+from rhdlink.wire import Batch, ClientStream, Handshake, Request, ServerStream, encode_access, encode_data, encode_ready
+from tests.rhdlink import recorded
+
+#: name -> words of a time stamp, batches after the handshake, access granted
+STREAMS: dict[str, tuple[int, int, str | None]] = {
+    "reader64": (2, 50, "r"),
+    "reader64naive": (4, 50, "r"),
+    "reader32": (2, 50, "r"),
+    "reader_orig2014": (2, 50, "r"),
+    "writer64": (2, 50, "w"),
+    "writer64naive": (4, 50, "w"),
+    "writer32": (2, 50, "w"),
+    "writer_orig2014": (2, 50, "w"),
+    "reader64_with_master": (2, 50, "r"),
+    "second_writer64": (2, 0, None),
+    "second_writer_continues64": (2, 4, None),
+    "late_first_sync64": (2, 5, "r"),
+    "late_first_sync_orig2014": (2, 5, "r"),
+    "allwriters64_A": (2, 11, "w"),
+    "allwriters64_B": (2, 11, "w"),
+    "race_corrupted_reader64": (2, 43, "r"),
+}
+PRINTED = [name for name in STREAMS if name.startswith(("reader", "writer"))]
+
+
+def whole(data: bytes) -> tuple[ServerStream, Handshake, list[Batch]]:
+    stream = ServerStream()
+    stream.feed(data)
+    handshake = stream.take_handshake()
+    assert handshake is not None
+    return stream, handshake, batches_of(stream)
+
+
+def batches_of(stream: ServerStream) -> list[Batch]:
+    batches = []
+    while (batch := stream.take_batch()) is not None:
+        batches.append(batch)
+    return batches
+
+
+def requests_of(data: bytes, handshake: Handshake) -> list[Request]:
+    stream = ClientStream(Layout([row.length for row in handshake.write]), width=handshake.width)
+    stream.feed(data)
+    assert stream.take_access() in ("r", "w")
+    requests = []
+    while (request := stream.take_request()) is not None:
+        requests.append(request)
+    assert stream.waiting == 0
+    return requests
+
+
+def plain(batch: Batch | Request) -> list[object]:
+    return [
+        (data.direction, data.ids.tolist(), data.stamps.tolist(), data.values.tolist(), batch.size)
+        for data in batch.data
+    ]
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_every_stream_is_understood_to_its_last_byte(name: str) -> None:
+    width, count, granted = STREAMS[name]
+    stream, handshake, batches = whole(recorded.from_server(name))
+    assert (handshake.width, len(batches), handshake.granted) == (width, count, granted)
+    assert stream.waiting == 0
+    assert [row.name for row in handshake.write] == ["speedl", "speedr", "cmdarr", "resetmotorr"]
+    assert handshake.read[0] == ("tick", 1)
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_what_the_original_client_printed(name: str) -> None:
+    _, handshake, batches = whole(recorded.from_server(name))
+    requests = requests_of(recorded.from_client(name), handshake)
+    tables = recorded.printed(name)
+    database = Database(handshake.read, handshake.write)
+    # `changed` is meaningless in the _64 sources; the naive build loses the microseconds of all it receives.
+    has_changed, has_micros = not ("64" in name and "naive" not in name), handshake.width == 2
+
+    def compare(lines: list[recorded.Line]) -> None:
+        assert len(lines) == len(handshake.read) + len(handshake.write)
+        for line in lines:
+            table = database.table(line.direction)
+            assert table.rows[line.identity] == (line.name, line.length)
+            assert table.value(line.identity).tolist() == line.values
+            stamp = table.stamp(line.identity)
+            assert stamp.seconds == line.seconds
+            if has_micros or line.microseconds:
+                assert stamp.microseconds == line.microseconds
+            assert table.updated[line.identity] == line.updated
+            if has_changed:
+                assert table.changed[line.identity] == bool(line.changed)
+
+    for data in handshake.data:
+        database.table(data.direction).receive(data, updates=False)
+    compare(tables[0])
+    assert len(tables) == len(batches) + 2  # the last sync is printed twice
+    for batch, request, lines in zip(batches, requests, tables[1:], strict=False):
+        database.read.begin_round()
+        database.write.begin_round(updates=False)
+        for data in request.data:
+            for identity, stamp, values in data.items():
+                database.write.set(identity, values, TimeStamp(*stamp))
+        database.write.updated[database.write.pending.take()] = False  # sent
+        for data in batch.data:
+            database.table(data.direction).receive(data, updates=data.direction == "r")
+        compare(lines)
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_byte_by_byte_is_the_same_as_whole(name: str) -> None:
+    data = recorded.from_server(name)
+    _, handshake, batches = whole(data)
+    stream, found = ServerStream(), []
+    for at in range(len(data)):
+        stream.feed(data[at : at + 1])
+        if stream.handshake is None:
+            stream.take_handshake()
+        else:
+            found += batches_of(stream)
+    assert stream.handshake is not None
+    assert [plain(each) for each in found] == [plain(each) for each in batches]
+    assert stream.handshake[:4] == handshake[:4]
+    for ours, theirs in zip(stream.handshake.data, handshake.data, strict=True):
+        assert ours.words.tolist() == theirs.words.tolist()
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_cut_in_two_at_every_byte(name: str) -> None:
+    data = recorded.from_server(name)
+    stream, handshake, batches = whole(data)
+    if batches:
+        # The handshake, and the last batches, which in one case hold tables.
+        size = sum(batch.size for batch in batches)
+        data = data[: len(data) - size] + data[len(data) - batches[-1].size :]
+        batches = batches[-1:]
+    for at in range(1, len(data)):
+        stream = ServerStream()
+        stream.feed(data[:at])
+        first = stream.take_handshake()
+        early = batches_of(stream) if first is not None else []
+        stream.feed(data[at:])
+        second = stream.take_handshake()
+        assert second is not None
+        assert second[:4] == handshake[:4]
+        assert [plain(each) for each in early + batches_of(stream)] == [plain(each) for each in batches]
+
+
+@pytest.mark.parametrize("name", ["writer64", "writer64naive", "allwriters64_A", "second_writer_continues64"])
+def test_requests_byte_by_byte(name: str) -> None:
+    _, handshake, _ = whole(recorded.from_server(name))
+    data = recorded.from_client(name)
+    requests = requests_of(data, handshake)
+    stream, found = ClientStream(Layout([row.length for row in handshake.write]), width=handshake.width), []
+    for at in range(len(data)):
+        stream.feed(data[at : at + 1])
+        if stream.take_access() is not None:
+            while (request := stream.take_request()) is not None:
+                found.append(request)
+    assert [(each.ready, plain(each)) for each in found] == [(each.ready, plain(each)) for each in requests]
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_encoded_again_it_is_the_same_bytes(name: str) -> None:
+    data = recorded.from_server(name)
+    _, handshake, batches = whole(data)
+    database = Database(handshake.read, handshake.write)
+    for package in handshake.data:
+        database.table(package.direction).receive(package)
+    again = database.encode_handshake(handshake.granted, handshake.width)
+    for batch in batches:
+        for package in batch.data:
+            table = database.table(package.direction)
+            table.receive(package)
+            again += table.encode(package.ids, handshake.width)
+        again += b"ee"
+    assert again == data
+
+    asked = encode_access(handshake.granted or "w")
+    for request in requests_of(recorded.from_client(name), handshake):
+        assert request.ready is not None
+        asked += encode_ready(request.ready)
+        for package in request.data:
+            table = database.write
+            table.receive(package)
+            asked += encode_data("w", table.select(package.ids, handshake.width), table.values, table.stamps)
+        asked += b"ee"
+    assert asked == recorded.from_client(name)
+
+
+def test_the_width_is_known_with_the_last_byte_of_the_handshake() -> None:
+    for name, size in (("reader64", 1582), ("reader64naive", 1726)):
+        stream = ServerStream()
+        stream.feed(recorded.from_server(name)[: size - 1])
+        assert stream.take_handshake() is None
+        stream.feed(b"e")
+        assert stream.take_handshake() is not None
+
+
+def test_the_wrong_width_is_refused_and_says_where() -> None:
+    stream = ServerStream(width=4)
+    stream.feed(recorded.from_server("reader64"))
+    with pytest.raises(PacketError, match="fit stamps of 4 words no longer") as caught:
+        stream.take_handshake()
+    assert caught.value.offset == 710  # 4 before byte 714, where section 12 counts the end of the id
+
+
+def test_values_are_words_of_32_bits() -> None:
+    _, handshake, _ = whole(recorded.from_server("reader64"))
+    assert handshake.data[1].values.dtype == np.int32

@@ -1,0 +1,409 @@
+"""The byte format: any bytes give a value or a documented error, and what is encoded is decoded again."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue, PacketError
+from rhdlink import schema
+from rhdlink.database import Database, TimeStamp
+from rhdlink.entries import Entries, Layout
+from rhdlink.limits import Limits
+from rhdlink.wire import (
+    Batch,
+    ClientStream,
+    Handshake,
+    Request,
+    Row,
+    ServerStream,
+    encode_access,
+    encode_data,
+    encode_ready,
+    encode_table,
+)
+
+names = st.text(st.characters(min_codepoint=1, max_codepoint=255), min_size=1, max_size=32)
+rows = st.lists(st.builds(Row, names, st.integers(1, 9)), max_size=6).map(tuple)
+widths = st.sampled_from([2, 4])
+words = st.integers(-(2**31), 2**31 - 1)
+stamps = st.builds(TimeStamp, st.integers(0, 2**32 - 1), st.integers(0, 999_999))
+lengths = st.lists(st.integers(1, 9), min_size=1, max_size=8) | st.builds(
+    lambda count, length: [length] * count, st.integers(1, 8), st.integers(1, 5)
+)
+
+
+@st.composite
+def databases(draw: st.DrawFn) -> Database:
+    database = Database(draw(rows), draw(rows))
+    for table in (database.read, database.write):
+        for identity, row in enumerate(table):
+            table.set(identity, draw(st.lists(words, min_size=row.length, max_size=row.length)), draw(stamps))
+    return database
+
+
+def cut(data: bytes, cuts: Sequence[int]) -> list[bytes]:
+    places = sorted({0, len(data), *(each % (len(data) + 1) for each in cuts)})
+    return [data[begin:end] for begin, end in itertools.pairwise(places)]
+
+
+def plain(found: Batch | Request | Handshake) -> object:
+    data = [(each.direction, each.ids.tolist(), each.stamps.tolist(), each.values.tolist()) for each in found.data]
+    if isinstance(found, Handshake):
+        return (found[:4], data)
+    return (found.ready, data) if isinstance(found, Request) else data
+
+
+def read_server(pieces: Sequence[bytes], width: int | None = None, limits: Limits | None = None) -> list[object]:
+    """All that comes out of it, an error as the last."""
+    stream = ServerStream(width=width, limits=limits)
+    found: list[object] = []
+    for piece in pieces:
+        stream.feed(piece)
+        try:
+            if stream.handshake is None:
+                handshake = stream.take_handshake()
+                if handshake is None:
+                    continue
+                found.append(plain(handshake))
+            while (batch := stream.take_batch()) is not None:
+                found.append(plain(batch))
+        except PacketError as error:
+            return [*found, str(error)]
+    return found
+
+
+def read_client(pieces: Sequence[bytes], layout: Layout, width: int, limits: Limits | None = None) -> list[object]:
+    stream = ClientStream(layout, width=width, limits=limits)
+    found: list[object] = []
+    for piece in pieces:
+        stream.feed(piece)
+        try:
+            if stream.access is None:
+                access = stream.take_access()
+                if access is None:
+                    continue
+                found.append(access)
+            while (request := stream.take_request()) is not None:
+                found.append(plain(request))
+        except PacketError as error:
+            return [*found, str(error)]
+    return found
+
+
+# -- there and back ----------------------------------------------------------------------------
+
+
+@pytest.mark.property
+@given(databases(), st.sampled_from([None, "r", "w"]), widths, st.lists(st.integers(0, 10_000), max_size=6))
+def test_a_handshake_there_and_back(database: Database, granted: str | None, width: int, cuts: list[int]) -> None:
+    data = database.encode_handshake(granted, width)
+    (found,) = read_server(cut(data, cuts), width)
+    tables = (database.write, database.read)
+    assert found == (
+        (granted, width, tuple(database.write.rows), tuple(database.read.rows)),
+        [(table.direction, list(range(len(table))), table.stamps.tolist(), table.values.tolist()) for table in tables],
+    )
+
+
+@pytest.mark.property
+@given(databases(), widths)
+def test_the_width_is_found_by_structure(database: Database, width: int) -> None:
+    (found,) = read_server([database.encode_handshake("r", width)])
+    if database.read.rows or database.write.rows:
+        assert found == read_server([database.encode_handshake("r", width)], width)[0]
+
+
+@pytest.mark.property
+@given(lengths, widths, st.data())
+def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: int, data: st.DataObject) -> None:
+    layout = Layout(sizes)
+    values = np.array(data.draw(st.lists(words, min_size=layout.words, max_size=layout.words)), np.int32)
+    times = np.array([data.draw(stamps) for _ in sizes], np.int64).reshape(-1, 2)
+    stream = ClientStream(layout, width=width)
+    stream.feed(b"aw")
+    stream.take_access()
+    # Several packages through one stream: later ones are taken by what is remembered of earlier ones.
+    for _ in range(4):
+        ids = data.draw(st.lists(st.integers(0, len(sizes) - 1), max_size=len(sizes)))
+        raw = encode_data("w", Entries(layout, np.array(ids, np.int64), width), values, times)
+        oracle = schema.data_package(sizes, width).parse(raw)
+        assert [each.id for each in oracle.entries] == ids
+        for entry in oracle.entries:
+            start = int(layout.offsets[entry.id])
+            assert list(entry.data) == values[start : start + sizes[entry.id]].tolist()
+            seconds, micros = times[entry.id].tolist()
+            assert list(entry.stamp) == ([seconds, micros] if width == 2 else [seconds, 0, micros, 0])
+        if data.draw(st.booleans()):
+            for byte in raw:
+                stream.feed(bytes([byte]))
+                assert stream.take_request() is None
+            stream.feed(b"ee")
+        else:
+            stream.feed(raw + b"ee")
+        request = stream.take_request()
+        assert request is not None
+        (package,) = request.data
+        assert package.ids.tolist() == ids
+        assert [(identity, stamp, value.tolist()) for identity, stamp, value in package.items()] == [
+            (each.id, tuple(times[each.id].tolist()), list(each.data)) for each in oracle.entries
+        ]
+
+
+@pytest.mark.property
+@given(rows)
+def test_tables_as_construct_has_them(table: tuple[Row, ...]) -> None:
+    parsed = schema.TABLE.parse(encode_table("r", table))
+    assert [(row.name.rstrip(b"\0").decode("latin-1"), row.length) for row in parsed.rows] == list(table)
+    assert schema.TABLE.build(parsed) == encode_table("r", table)
+
+
+def test_small_packages_as_construct_has_them() -> None:
+    assert schema.ACCESS.build({"access": b"w"}) == encode_access("w")
+    assert schema.READY.build({"access": b"r"}) == encode_ready("r")
+    assert schema.END.parse(b"ee").any == ord("e")
+
+
+def test_stamps_of_64_bits() -> None:
+    database = Database(read=[Row("tick", 1)])
+    late = TimeStamp(2**33 + 5, 7)
+    database.read.set(0, 1, late)
+    (found,) = read_server([database.encode_handshake("r", 4)])
+    assert found[1][1][2] == [list(late)]  # type: ignore[index]
+
+
+def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
+    database = Database(write=[Row("a", 1), Row("b", 2)])
+    stream = ClientStream(database.write.layout)
+    entry = struct.Struct(">iiii")
+    stream.feed(b"awdw" + struct.pack(">i", 2) + entry.pack(0, 1, 2, 10) + entry.pack(0, 3, 4, 20) + b"ee")
+    stream.take_access()
+    request = stream.take_request()
+    assert request is not None
+    database.write.receive(request.data[0])
+    assert (database.write.value(0).tolist(), database.write.stamp(0)) == ([20], (3, 4))
+
+
+def test_no_more_than_there_are_variables_in_one_package() -> None:
+    raw = b"awdw" + struct.pack(">i", 2) + 2 * struct.pack(">iiii", 0, 0, 0, 0) + b"ee"
+    assert "counts 2; expected 0 to 1" in str(read_client([raw], Layout([1]), 2)[-1])
+
+
+# -- what cannot be ----------------------------------------------------------------------------
+
+HANDSHAKE = Database(read=[Row("tick", 1), Row("line", 8)], write=[Row("speed", 1), Row("arm", 3)]).encode_handshake(
+    "r"
+)
+#: Where what begins in it: ar, tw and its rows, tr and its rows, dw, dr.
+TW, TR, DW, DR = 2, 2 + 80, 2 + 160, 2 + 160 + 6 + 12 + 12 + 12 + 4
+
+
+def changed(at: int, what: bytes) -> bytes:
+    return HANDSHAKE[:at] + what + HANDSHAKE[at + len(what) :]
+
+
+@pytest.mark.parametrize(
+    ("data", "reason", "offset"),
+    [
+        (b"xr", "expected 'tw'", 0),
+        (b"ax", "expected 'ar' or 'aw'", 1),
+        (b"ee", "expected 'tw'", 0),
+        (changed(TW, b"tr"), "expected 'tw'", TW),
+        (changed(TR, b"tw"), "expected 'tr'", TR),
+        (changed(TW + 2, struct.pack(">i", -1)), "counts -1; expected 0 to 8192", TW + 2),
+        (changed(TW + 2, struct.pack(">i", 1 << 26)), "counts 67108864", TW + 2),
+        (changed(TW + 6, struct.pack(">i", 0)), "has 0 words", TW + 6),
+        (changed(TW + 6, struct.pack(">i", -1)), "has -1 words", TW + 6),
+        (changed(TW + 6, struct.pack(">i", 1 << 30)), "has 1073741824 words", TW + 6),
+        (changed(TW + 10, b"n" * 33), "has no end within 33 bytes", TW + 10),
+        (changed(DW, b"dr"), "expected b'dw", DW),
+        (changed(DW + 2, struct.pack(">i", 1)), "expected b'dw", DW),
+        (changed(DW + 6, struct.pack(">i", 1)), r"expected b'\x00\x00\x00\x00'", DW + 6),
+        (changed(len(HANDSHAKE) - 2, b"xx"), "expected b'e'", len(HANDSHAKE) - 2),
+    ],
+)
+def test_a_handshake_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
+    stream = ServerStream(width=2)
+    stream.feed(data)
+    with pytest.raises(PacketError) as caught:
+        stream.take_handshake()
+    assert reason in str(caught.value)
+    assert caught.value.offset == offset
+    # It stays that way, and what comes is no longer kept.
+    stream.feed(HANDSHAKE)
+    with pytest.raises(PacketError) as again:
+        stream.take_handshake()
+    assert again.value is caught.value
+    assert stream.waiting == 0
+
+
+@pytest.mark.parametrize(
+    ("data", "reason", "offset"),
+    [
+        (b"rr", "expected 'dr', 'dw' or 'ee'", 0),
+        (b"ar", "expected 'dr', 'dw' or 'ee'", 0),
+        (b"dx", "expected 'dr', 'dw' or 'ee'", 0),
+        (b"dr" + struct.pack(">i", 3), "counts 3; expected 0 to 2", 2),
+        (b"dr" + struct.pack(">i", -1), "counts -1", 2),
+        (b"dr" + struct.pack(">ii", 1, 2), "entry of variable 2 in 'dr'; expected 0 to 1", 6),
+        (b"dr" + struct.pack(">ii", 1, -1), "entry of variable -1", 6),
+        (b"dr" + struct.pack(">ii", 1, 1000000), "entry of variable 1000000", 6),
+        (b"dr" + struct.pack(">iiiii", 2, 0, 0, 0, 0) + struct.pack(">i", 2**31 - 1), "of variable 2147483647", 22),
+        (encode_table("r", [Row("tick", 2)]), "another table 'tr' than in the handshake", 0),
+    ],
+)
+def test_a_batch_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
+    stream = ServerStream()
+    stream.feed(HANDSHAKE + data)
+    stream.take_handshake()
+    with pytest.raises(PacketError) as caught:
+        stream.take_batch()
+    assert reason in str(caught.value)
+    assert f"batch at byte {len(HANDSHAKE)}" in str(caught.value)
+    assert caught.value.offset == offset
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"dr\0\0\0\0", "expected 'rr', 'rw', 'dw' or 'ee'"),
+        (b"rx", "expected 'rr', 'rw', 'dw' or 'ee'"),
+        (b"tw", "expected 'rr', 'rw', 'dw' or 'ee'"),
+        (b"dw" + struct.pack(">ii", 1, 100), "entry of variable 100 in 'dw'; expected 0 to 1"),
+        (b"dw" + struct.pack(">ii", 1, -1), "entry of variable -1"),
+        (b"dw" + struct.pack(">ii", 1, 2), "entry of variable 2"),
+        (b"dw" + struct.pack(">i", -1), "counts -1; expected 0 to 2"),
+        (b"dw" + struct.pack(">i", 2**31 - 1), "counts 2147483647"),
+    ],
+)
+def test_a_request_that_cannot_be(data: bytes, reason: str) -> None:
+    for pieces in ([b"aw" + data], [bytes([byte]) for byte in b"aw" + data]):
+        found = read_client(pieces, Layout([1, 3]), 2)
+        assert found[0] == "w"
+        assert reason in str(found[-1])
+
+
+@pytest.mark.parametrize("data", [b"x", b"ax", b"ww", b"ra"])
+def test_an_access_request_that_cannot_be(data: bytes) -> None:
+    assert "expected 'ar' or 'aw'" in str(read_client([data], Layout([1]), 2)[-1])
+
+
+def test_limits() -> None:
+    for limits, reason in (
+        (Limits(variables=1), "counts 2; expected 0 to 1"),
+        (Limits(length=7), "variable 1 has 8 words; expected 1 to 7"),
+        (Limits(words=3), "has 4 words; expected at most 3"),
+        (Limits(batch=len(HANDSHAKE) - 1), f"no end within {len(HANDSHAKE) - 1} bytes"),
+        (Limits(batch=100), "no end within 100 bytes"),
+    ):
+        assert reason in str(read_server([HANDSHAKE], limits=limits)[-1])
+    assert len(read_server([HANDSHAKE], limits=Limits(variables=2, length=8, words=9, batch=len(HANDSHAKE)))) == 1
+
+
+@pytest.mark.parametrize("name", ["variables", "length", "words", "batch"])
+def test_limits_that_cannot_be(name: str) -> None:
+    with pytest.raises(BadValue, match=f"Limits.{name} is 0"):
+        Limits(**{name: 0})
+
+
+def test_a_batch_without_an_end_is_refused() -> None:
+    limits = Limits(batch=1000)
+    for endless in (b"dr\0\0\0\0" * 300, encode_table("r", [Row("tick", 1), Row("line", 8)]) * 30):
+        assert "no end within 1000 bytes" in str(read_server([HANDSHAKE, endless], limits=limits)[-1])
+    for endless in (b"rr" * 600, b"dw\0\0\0\0" * 300):
+        assert "no end within 1000 bytes" in str(read_client([b"ar", endless], Layout([1]), 2, limits)[-1])
+
+
+@pytest.mark.parametrize("width", [0, 1, 3, 8])
+def test_widths_that_cannot_be(width: int) -> None:
+    with pytest.raises(BadValue, match="expected 2 or 4"):
+        ServerStream(width=width)
+    with pytest.raises(BadValue, match="expected 2 or 4"):
+        ClientStream(Layout([1]), width=width)
+
+
+@pytest.mark.parametrize("row", [Row("n" * 33, 1), Row("a\0b", 1), Row("€", 1), Row("a", 0), Row("a", 1 << 31)])
+def test_rows_that_cannot_be(row: Row) -> None:
+    with pytest.raises(BadValue):
+        encode_table("r", [row])
+
+
+@pytest.mark.parametrize("encode", [encode_access, encode_ready, lambda letter: encode_table(letter, [])])
+def test_directions_that_cannot_be(encode: Callable[[str], bytes]) -> None:
+    with pytest.raises(BadValue, match="neither 'r' nor 'w'"):
+        encode("x")
+
+
+def test_taken_in_the_wrong_order() -> None:
+    with pytest.raises(BadValue, match="before the handshake"):
+        ServerStream().take_batch()
+    with pytest.raises(BadValue, match="before the access request"):
+        ClientStream(Layout([1])).take_request()
+
+
+# -- any bytes ---------------------------------------------------------------------------------
+
+pieces = st.sampled_from(
+    [b"ar", b"aw", b"tw", b"tr", b"dw", b"dr", b"ee", b"rr", b"rw", b"\0\0\0\0", b"\0\0\0\1", b"\0\0\0\2"]
+) | st.binary(max_size=12)
+noise = st.lists(pieces, max_size=30).map(b"".join)
+places = st.lists(st.integers(0, 10_000), max_size=8)
+
+
+@pytest.mark.property
+@given(noise, places, st.sampled_from([None, 2, 4]))
+def test_any_bytes_of_a_server(data: bytes, cuts: list[int], width: int | None) -> None:
+    assert read_server(cut(data, cuts), width) == read_server([data], width)
+
+
+@pytest.mark.property
+@given(noise, places)
+def test_any_bytes_after_a_handshake(data: bytes, cuts: list[int]) -> None:
+    limits = Limits(batch=4096)
+    assert read_server([HANDSHAKE, *cut(data, cuts)], None, limits) == read_server([HANDSHAKE, data], None, limits)
+
+
+@pytest.mark.property
+@given(noise, places, widths, lengths)
+def test_any_bytes_of_a_client(data: bytes, cuts: list[int], width: int, sizes: list[int]) -> None:
+    layout = Layout(sizes)
+    assert read_client(cut(data, cuts), layout, width) == read_client([data], layout, width)
+
+
+@pytest.mark.property
+@given(databases(), st.integers(0, 10_000), st.integers(0, 255), places)
+def test_a_handshake_with_one_byte_changed(database: Database, at: int, byte: int, cuts: list[int]) -> None:
+    data = bytearray(database.encode_handshake("r"))
+    data[at % len(data)] = byte
+    assert read_server(cut(bytes(data), cuts)) == read_server([bytes(data)])
+
+
+@pytest.mark.property
+@given(st.data())
+def test_many_entries_of_a_package_cut_anywhere(data: st.DataObject) -> None:
+    """What is remembered of the last package helps with the next, and never decides it."""
+    count = data.draw(st.integers(2, 40))
+    sizes = data.draw(st.lists(st.integers(1, 3), min_size=count, max_size=count))
+    layout = Layout(sizes)
+    values, times = np.arange(layout.words, dtype=np.int32), np.zeros((count, 2), np.int64)
+    stream = ClientStream(layout)
+    stream.feed(b"aw")
+    stream.take_access()
+    ids = list(range(count))
+    for _ in range(4):
+        if data.draw(st.booleans()):
+            one, other = data.draw(st.tuples(st.integers(0, count - 1), st.integers(0, count - 1)))
+            ids[one], ids[other] = ids[other], ids[one]
+        raw = encode_data("w", Entries(layout, np.array(ids), 2), values, times) + b"ee"
+        for piece in cut(raw, data.draw(places)):
+            assert stream.take_request() is None
+            stream.feed(piece)
+        request = stream.take_request()
+        assert request is not None
+        assert request.data[0].ids.tolist() == ids
