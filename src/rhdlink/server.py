@@ -27,8 +27,10 @@ _log = logging.getLogger(__name__)
 MOST_NEW = 32
 #: Bytes taken from a client at a time.
 _CHUNK = 1 << 16
-# Seconds between two looks for clients that owe something, while nothing else happens.
+# Seconds between two looks for clients that owe something, at most.
 _LOOK = 0.5
+# Bytes that the kernel may hold for a client. Left to itself it grows to megabytes: seconds of old news.
+_KERNEL_BUFFER = 1 << 18
 # Descriptors that select takes.
 _SELECTABLE = 1024
 # Closing with this option set resets the connection.
@@ -73,6 +75,7 @@ class Server:
         self._links: dict[Guest, _Link] = {}
         self._new: dict[Guest, _Link] = {}
         self._looked = time.monotonic()
+        self._look = min(_LOOK, patience / 4)
         self._listener = _listening(host, port)
         self.port: int = self._listener.getsockname()[1]
         self._waker, self._woken = socket.socketpair()
@@ -106,16 +109,16 @@ class Server:
             if is_enough():
                 return
             now = time.monotonic()
-            if now - self._looked >= _LOOK:
+            if now - self._looked >= self._look:
                 self._close_debtors(now)
             if until is not None and now >= until:
                 return
-            timeout = _LOOK if until is None else min(until - now, _LOOK)
+            timeout = self._look if until is None else min(until - now, self._look)
 
     def _events(self, timeout: float) -> list[tuple[selectors.SelectorKey, int]]:
         if timeout <= 0.0:
             return self._selector.select(0)
-        if timeout >= _LOOK or self._select_from is None:
+        if timeout >= self._look or self._select_from is None:
             # Rounded up to a millisecond; the caller looks at the clock.
             return self._selector.select(timeout)
         if select.select(self._select_from, (), (), timeout)[0]:
@@ -178,6 +181,7 @@ class Server:
         with contextlib.suppress(OSError):
             # Or a reply to the second of two requests waits for the acknowledgement of the first (section 1).
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BUFFER)
             # A master that lost power sends no FIN.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         guest = self._service.arrive(_name(address))
@@ -206,6 +210,7 @@ class Server:
             self._drop(link, str(error.strerror or error))
             return
         link.pending = link.pending[sent:]
+        link.owes_since = time.monotonic()  # it reads, if slowly
         if not link.pending:
             link.guest.is_reading = True
             self._owe(link)
