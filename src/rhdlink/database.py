@@ -69,6 +69,23 @@ def now() -> TimeStamp:
     return TimeStamp(nanoseconds // 1_000_000_000, nanoseconds // 1000 % 1_000_000)
 
 
+def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
+    """Words that can be stored in so many, or one for all."""
+    if isinstance(words, int):
+        if not -(2**31) <= words < 2**31:
+            raise BadValue(f"{words} does not fit 32 bits")
+        return words
+    array = np.asarray(words)
+    if array.shape not in ((), (size,)):
+        raise BadValue(f"expected {size} words, got the shape {array.shape}")
+    if array.dtype != np.int32 and size:
+        if array.dtype.kind not in "iub":
+            raise BadValue(f"{words!r} are not whole numbers of 32 bits")
+        if not -(2**31) <= int(array.min()) <= int(array.max()) < 2**31:
+            raise BadValue(f"{array.min()} to {array.max()} do not fit 32 bits")
+    return array
+
+
 class Table:
     """The variables of one direction. A variable's id is its place.
 
@@ -154,8 +171,12 @@ class Table:
     # -- one variable --------------------------------------------------------------------------
 
     def value(self, identity: int) -> Words:
-        """The words of a variable, as a view that is read only and changes with it."""
-        start = self._starts[identity]
+        """The words of a variable, as a view that is read only and changes with it.
+
+        Raises:
+            BadValue: no variable has such an id.
+        """
+        start = self._start(identity)
         view = self.values[start : start + self._sizes[identity]]
         view.flags.writeable = False
         return view
@@ -171,12 +192,21 @@ class Table:
             identity: its id.
             words: as many numbers of 32 bits as it is long, or one for all.
             stamp: by default what `clock` says.
+
+        Raises:
+            BadValue: no variable has such an id, or it cannot hold that.
         """
-        start = self._starts[identity]
-        self.values[start : start + self._sizes[identity]] = words
+        start, size = self._start(identity), self._sizes[identity]
+        self.values[start : start + size] = _fitting(words, size)
         self.stamps[identity] = stamp or self.clock()
         self.updated[identity] = True
         self.pending.add(identity)
+
+    def _start(self, identity: int) -> int:
+        if not 0 <= identity < len(self._starts):
+            raise BadValue(f"id {identity} is not among 0 to {len(self._starts) - 1}")
+        start: int = self._starts[identity]
+        return start
 
     # -- many at once --------------------------------------------------------------------------
 
@@ -193,6 +223,9 @@ class Table:
             return known
         if len(wanted) and not 0 <= int(wanted.min()) <= int(wanted.max()) < len(self.rows):
             raise BadValue(f"ids {wanted} are not all among 0 to {len(self.rows) - 1}")
+        if wanted.flags.writeable:
+            wanted = wanted.copy()  # whoever has it may change it
+            wanted.flags.writeable = False
         entries = Entries(self.layout, wanted, width)
         self._selections.pop(key, None)
         if len(self._selections) >= _REMEMBERED:
@@ -205,10 +238,13 @@ class Table:
 
         Args:
             selection: of `select`.
-            words: the words of all of them, one after another.
+            words: the words of all of them, one after another, or one for all.
             stamp: by default what `clock` says.
+
+        Raises:
+            BadValue: not as many, or not of 32 bits.
         """
-        self.values[selection.cells] = words
+        self.values[selection.cells] = _fitting(words, selection.size - (1 + selection.width) * len(selection.ids))
         self.stamps[selection.rows] = stamp or self.clock()
         self.updated[selection.rows] = True
         self.pending.add_many(selection.ids, ordered=selection.is_ordered)

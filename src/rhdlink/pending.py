@@ -10,8 +10,15 @@ __all__ = ["Pending"]
 
 #: So many are sorted; beyond it, looking at every variable's mark is quicker.
 _FEW = 64
-_NONE: Ids = np.empty(0, np.int64)
-_NONE.flags.writeable = False
+
+
+def _fixed(ids: Ids) -> Ids:
+    """Nobody may change what several hold."""
+    ids.flags.writeable = False
+    return ids
+
+
+_NONE = _fixed(np.empty(0, np.int64))
 
 
 class Pending:
@@ -57,7 +64,7 @@ class Pending:
         self._mixed = True
 
     def take(self) -> Ids:
-        """All that are in it, ascending; it is empty then."""
+        """All that are in it, ascending and read only; it is empty then."""
         if self._whole is not None:
             whole, self._whole = self._whole, None
             return whole
@@ -69,11 +76,11 @@ class Pending:
             for identity in few:
                 self._marks[identity] = 0
             few.sort()
-            return np.array(few, np.int64)
+            return _fixed(np.array(few, np.int64))
         ids = self._flags.nonzero()[0]
         self._flags[ids] = 0
         self._few, self._mixed = [], False
-        return ids
+        return _fixed(ids)
 
     def __bool__(self) -> bool:
         return self._whole is not None or self._mixed or bool(self._few)

@@ -1,0 +1,242 @@
+"""The database against a simple model of it, and what is told to whom."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from linkcore.errors import BadValue, LocalError
+from rhdlink.database import Database, Table, TimeStamp, now
+from rhdlink.entries import Data, Entries, Layout
+from rhdlink.pending import Pending
+from rhdlink.wire import Row, ServerStream
+
+words = st.integers(-(2**31), 2**31 - 1)
+stamps = st.builds(TimeStamp, st.integers(0, 2**32 - 1), st.integers(0, 999_999))
+
+
+class DatabaseModel(RuleBasedStateMachine):
+    """A table, and two of those who are told of it, held against dictionaries and sets."""
+
+    @initialize(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=9), many=st.booleans())
+    def begin(self, lengths: list[int], many: bool) -> None:
+        # With many variables, Pending looks at all marks rather than sorting few.
+        self.lengths = lengths * (20 if many else 1)
+        self.table = Table("r", [Row(f"v{number}", length) for number, length in enumerate(self.lengths)])
+        count = len(self.lengths)
+        self.values = [[0] * length for length in self.lengths]
+        self.stamps = [TimeStamp(0, 0)] * count
+        self.updated, self.changed, self.fresh = set[int](), set[int](), set[int]()
+        self.received = set[int]()
+        self.set_here = set[int]()
+        self.told: list[Pending] = [Pending(count), Pending(count)]
+        self.untold: list[set[int]] = [set(), set()]
+
+    def some(self, data: st.DataObject) -> list[int]:
+        everything = list(range(len(self.lengths)))
+        ids = data.draw(st.lists(st.sampled_from(everything), max_size=5) | st.just(everything))
+        return ids
+
+    @rule(data=st.data(), stamp=stamps)
+    def set_one(self, data: st.DataObject, stamp: TimeStamp) -> None:
+        identity = data.draw(st.integers(0, len(self.lengths) - 1))
+        length = self.lengths[identity]
+        value = data.draw(st.lists(words, min_size=length, max_size=length))
+        self.table.set(identity, value, stamp)
+        self.values[identity], self.stamps[identity] = value, stamp
+        self.updated.add(identity)
+        self.set_here.add(identity)
+
+    @rule(data=st.data(), stamp=stamps, first=words)
+    def set_many(self, data: st.DataObject, stamp: TimeStamp, first: int) -> None:
+        ids = self.some(data)
+        selection = self.table.select(ids)
+        value = (np.arange(sum(self.lengths[each] for each in ids)) + first).astype(np.int32)
+        self.table.set_many(selection, value, stamp)
+        for identity in ids:
+            self.values[identity], value = value[: self.lengths[identity]].tolist(), value[self.lengths[identity] :]
+            self.stamps[identity] = stamp
+        self.updated |= set(ids)
+        self.set_here |= set(ids)
+
+    @rule(data=st.data(), updates=st.booleans(), width=st.sampled_from([2, 4]))
+    def receive(self, data: st.DataObject, updates: bool, width: int) -> None:
+        ids = list(dict.fromkeys(self.some(data)))
+        other = Table("r", self.table.rows)
+        for identity in ids:
+            if data.draw(st.booleans()):
+                other.set(identity, self.values[identity], self.stamps[identity])
+            else:
+                other.set(identity, data.draw(words), data.draw(stamps))
+        entries = Entries(other.layout, np.array(ids, np.int64), width)
+        raw = np.frombuffer(entries.pack(other.values, other.stamps), ">i4").astype(np.int32)
+        self.table.receive(Data("r", entries, raw), updates=updates)
+        for identity in ids:
+            value, stamp = other.value(identity).tolist(), other.stamp(identity)
+            (self.changed.add if value != self.values[identity] else self.changed.discard)(identity)
+            new = (value, stamp) != (self.values[identity], self.stamps[identity])
+            (self.fresh.add if new else self.fresh.discard)(identity)
+            self.values[identity], self.stamps[identity] = value, stamp
+        self.updated |= set(ids) if updates else set()
+        self.received |= set(ids)
+
+    @rule(updates=st.booleans())
+    def begin_round(self, updates: bool) -> None:
+        self.table.begin_round(updates=updates)
+        self.fresh -= self.received
+        if updates:
+            self.updated -= self.received
+        self.received = set()
+
+    @rule()
+    def tell(self) -> None:
+        ids = self.table.pending.take()
+        assert ids.tolist() == sorted(self.set_here)
+        for pending, untold in zip(self.told, self.untold, strict=True):
+            pending.add_many(ids, ordered=True)
+            untold |= self.set_here
+        self.set_here = set()
+
+    @rule(who=st.integers(0, 1), data=st.data())
+    def tell_of_one(self, who: int, data: st.DataObject) -> None:
+        identity = data.draw(st.integers(0, len(self.lengths) - 1))
+        self.told[who].add(identity)
+        self.untold[who].add(identity)
+
+    @rule(who=st.integers(0, 1))
+    def take(self, who: int) -> None:
+        pending = self.told[who]
+        assert bool(pending) == bool(self.untold[who])
+        assert pending.take().tolist() == sorted(self.untold[who])
+        self.untold[who] = set()
+        assert not pending
+
+    @invariant()
+    def it_is_as_the_model(self) -> None:
+        if not hasattr(self, "table"):
+            return
+        assert self.table.values.tolist() == [each for value in self.values for each in value]
+        assert [tuple(each) for each in self.table.stamps.tolist()] == [tuple(each) for each in self.stamps]
+        for flags, model in (
+            (self.table.updated, self.updated),
+            (self.table.changed, self.changed),
+            (self.table.fresh, self.fresh),
+        ):
+            assert set(flags.nonzero()[0].tolist()) == model
+
+
+DatabaseModel.TestCase.settings = settings(max_examples=40, stateful_step_count=25)
+TestDatabase = pytest.mark.property(DatabaseModel.TestCase)
+
+
+def test_variables_are_made_until_the_first_handshake() -> None:
+    database = Database()
+    assert [database.read.add("tick"), database.read.add("line", 8)] == [0, 1]
+    database.read.set(1, range(8), TimeStamp(1, 2))
+    assert database.read.add("late", 2) == 2
+    assert database.read.value(1).tolist() == list(range(8))  # the original zeroes it here
+    assert database.read.stamp(1) == (1, 2)
+    assert database.read.pending.take().tolist() == [1]
+    database.encode_handshake("r")
+    with pytest.raises(LocalError, match="'more' cannot be made"):
+        database.read.add("more")
+
+
+@pytest.mark.parametrize(
+    ("name", "length"), [("", 1), ("n" * 33, 1), ("a\0", 1), ("€", 1), ("there", 1), ("a", 0), ("a", -1)]
+)
+def test_variables_that_cannot_be(name: str, length: int) -> None:
+    table = Table("r", [Row("there", 1)])
+    with pytest.raises(BadValue):
+        table.add(name, length)
+    assert len(table) == 1
+
+
+@pytest.mark.parametrize("identity", [-1, 2, 100])
+def test_ids_that_cannot_be(identity: int) -> None:
+    table = Table("r", [Row("a", 1), Row("b", 2)])
+    for use in (
+        lambda: table.set(identity, 1),
+        lambda: table.value(identity),
+        lambda: table.select([0, identity]),
+    ):
+        with pytest.raises(BadValue):
+            use()
+    assert not table.values.any()
+
+
+@pytest.mark.parametrize("value", [2**31, -(2**31) - 1, [1], [1, 2, 3], 1.5, [2**40, 0], "x", [None, None]])
+def test_values_that_cannot_be(value: Any) -> None:
+    table = Table("r", [Row("a", 2)])
+    with pytest.raises(BadValue):
+        table.set(0, value)
+    with pytest.raises(BadValue):
+        table.set_many(table.select([0]), value)
+    assert not table.values.any()
+    assert not table.pending
+
+
+def test_a_view_of_a_variable_is_read_only_and_changes_with_it() -> None:
+    table = Table("r", [Row("a", 2)])
+    view = table.value(0)
+    table.set(0, [1, 2])
+    assert view.tolist() == [1, 2]
+    with pytest.raises(ValueError, match="read-only"):
+        view[0] = 5
+
+
+def test_of_two_with_the_same_name_the_first_is_found() -> None:
+    table = Table("r", [Row("a", 1), Row("a", 2)])
+    assert table.find("a") == 0
+    assert table.find("b") is None
+    assert "a" in table
+
+
+def test_a_selection_does_not_follow_the_array_it_was_made_from() -> None:
+    table = Table("r", [Row("a", 1), Row("b", 1)])
+    ids = np.array([0])
+    assert table.select(ids).ids.tolist() == [0]
+    ids[0] = 1
+    assert table.select(ids).ids.tolist() == [1]
+
+
+def test_what_two_are_told_alike_is_prepared_once() -> None:
+    table = Table("r", [Row(f"v{number}", 1 + number % 3) for number in range(300)])
+    table.set_many(table.select(range(300)), 5)
+    ids = table.pending.take()
+    one, other = Pending(300), Pending(300)
+    for pending in (one, other):
+        pending.add_many(ids, ordered=True)
+    assert one.take() is other.take()
+    assert table.select(ids) is table.select(ids)
+
+
+def test_the_present_is_exact() -> None:
+    before, stamp, after = now(), now(), now()
+    assert before <= stamp <= after
+    assert TimeStamp(3, 250_000).time == 3.25
+
+
+@pytest.mark.property
+@given(st.integers(0, 5), st.sampled_from([2, 4]))
+def test_a_server_with_no_write_variables(count: int, width: int) -> None:
+    database = Database(read=[Row(f"v{number}", 1) for number in range(count)])
+    stream = ServerStream(width=width)
+    stream.feed(database.encode_handshake(None, width))
+    handshake = stream.take_handshake()
+    assert handshake is not None
+    assert (handshake.granted, handshake.write, len(handshake.read)) == (None, (), count)
+
+
+def test_neither_table() -> None:
+    with pytest.raises(BadValue, match="neither"):
+        Database().table("x")
+
+
+def test_the_layout_of_nothing() -> None:
+    assert (Layout([]).words, Layout([]).uniform) == (0, None)
