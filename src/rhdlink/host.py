@@ -394,9 +394,11 @@ class Host:
         assert server is not None
         read = self.database.read
         try:
-            while not self._is_stopping:
+            while True:
+                # First, also at the end: what was written last may be the command to stop.
                 self._call_plugins()
-                self._wait_for_tick(service, server)
+                if not self._stops():
+                    self._wait_for_tick(service, server)
                 if self._stops():
                     break
                 self.tick += 1

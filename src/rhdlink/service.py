@@ -234,11 +234,12 @@ class Service:
         for data in self._last_words:
             self._write(data, written)
         self._last_words.clear()
-        ready = []
+        taken, ready = [], []
         for guest in self._seats:
             if guest is None or guest.request is None or not guest.is_reading or guest.failure is not None:
                 continue
             request, guest.request = guest.request, None
+            taken.append(guest)
             if request.data:
                 if guest.access == "w":
                     for data in request.data:
@@ -253,7 +254,7 @@ class Service:
                 if guest is not None:
                     guest.write_news.add_many(data.ids, ordered=data.entries.is_ordered)
         replies = self._replies(ready)
-        for guest in ready:
+        for guest in taken:
             # It may have sent ahead.
             if guest.stream.waiting:
                 try:

@@ -41,6 +41,20 @@ class Party:
             self.tables.table(data.direction).receive(data)
         return handshake
 
+    def raw(self) -> bytes:
+        """The bytes of the next batch, of which nothing has come yet."""
+        parts: list[bytes] = []
+        feed = self.stream.feed
+
+        def noted(data: bytes) -> None:
+            parts.append(data)
+            feed(data)
+
+        self.stream.feed = noted  # type: ignore[method-assign]
+        self.batch()
+        self.stream.feed = feed  # type: ignore[method-assign]
+        return b"".join(parts)
+
     def batch(self) -> Batch:
         while (batch := self.stream.take_batch()) is None:
             self._receive()

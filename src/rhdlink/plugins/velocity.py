@@ -1,0 +1,147 @@
+"""The bridge between a velocity-omega robot and whatever drives it: velocities out, poses in, as plain calls.
+
+A program that writes `cmdtransvel` and `cmdrotvel`, MRC for one, commands a `Twist`. A robot that tells where it is with
+`update_pose` gives that program its `transpos` and `rotpos`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from linkcore.errors import BadValue
+from linkcore.inbox import Inbox
+from linkcore.policy import latest
+from linkcore.statistics import SubscriptionStatistics
+from linkcore.subscription import Subscription
+
+from ..kinds import Int32
+from ..plugin import Plugin
+from ..variables import Read, Write
+from .odometer import Odometer
+
+__all__ = ["DEAD_BAND", "Twist", "VelocityBridge"]
+
+#: m/s below which a forward velocity is taken for none.
+DEAD_BAND = 0.005
+#: Metres, or rad, beyond which a pose is a mistake; and poses that wait for a tick.
+_FARTHEST = 1e6
+_MOST_POSES = 1000
+
+
+class Twist(NamedTuple):
+    """A velocity: forward in m/s, and turning to the left in rad/s."""
+
+    linear: float
+    angular: float
+
+
+class VelocityBridge(Plugin):
+    """Hands velocities to a function, and takes poses.
+
+    The function is called when a program has written another velocity than before, and with none when the last program
+    that may write has gone. It runs in a thread of its own: it may take its time, the tick does not wait, and of the
+    velocities that come meanwhile the newest is handed over next. What it raises is logged and counted.
+
+    Args:
+        on_twist: is given each new `Twist`.
+        command_linear_scale: of `cmdtransvel`, per m/s.
+        command_angular_scale: of `cmdrotvel`, per rad/s.
+        linear_scale: counts of `transpos` per m.
+        angular_scale: counts of `rotpos` per rad.
+        dead_band: m/s below which a forward velocity is taken for none.
+        needs_master: whether to hand over none when no client may write.
+        own_thread: False calls the function in the host's, for lockstep: the same each time.
+
+    Raises:
+        BadValue: a scale or a dead band that cannot be.
+    """
+
+    cmdtransvel = Write(Int32, unit="1e-5 m/s", doc="forward velocity")
+    cmdrotvel = Write(Int32, unit="rad/s / 40000", doc="turn rate, to the left")
+    transpos = Read(Int32, unit="1e-5 m", doc="travelled distance")
+    rotpos = Read(Int32, unit="rad / 40000", doc="heading")
+
+    def __init__(
+        self,
+        on_twist: Callable[[Twist], object],
+        *,
+        command_linear_scale: float = 1e5,
+        command_angular_scale: float = 4e4,
+        linear_scale: float = 1e5,
+        angular_scale: float = 4e4,
+        dead_band: float = DEAD_BAND,
+        needs_master: bool = True,
+        own_thread: bool = True,
+    ) -> None:
+        for scale in (command_linear_scale, command_angular_scale):
+            if not math.isfinite(scale) or scale == 0.0:
+                raise BadValue(f"{scale} is no scale of a command")
+        if not 0.0 <= dead_band < math.inf:
+            raise BadValue(f"dead_band is {dead_band}; expected 0 or more m/s")
+        self._on_twist = on_twist
+        self._scales = command_linear_scale, command_angular_scale
+        self._odometer = Odometer(linear_scale, angular_scale)
+        self._dead_band = dead_band
+        self._needs_master = needs_master
+        self._own_thread = own_thread
+        self._inbox = Inbox(latest)
+        self._subscription: Subscription | None = None
+        self._poses: deque[tuple[float, float, float]] = deque(maxlen=_MOST_POSES)
+        self._last: Twist | None = None
+
+    @property
+    def stats(self) -> SubscriptionStatistics | None:
+        """What became of the velocities; None before `init`, and without an own thread."""
+        return None if self._subscription is None else self._subscription.stats
+
+    def update_pose(self, x: float, y: float, theta: float) -> None:
+        """The robot is there: m, m, rad. From any thread; programs are told at the next tick.
+
+        Raises:
+            BadValue: not finite, or beyond 1000 km or a million rad.
+        """
+        if not all(abs(value) <= _FARTHEST for value in (x, y, theta)):
+            raise BadValue(f"{x}, {y}, {theta} is no pose: expected numbers up to {_FARTHEST:g}")
+        self._poses.append((float(x), float(y), float(theta)))
+
+    def init(self, config: object) -> None:
+        """Start the thread of the function."""
+        if self._own_thread:
+            self._subscription = Subscription(
+                self._inbox, self._on_twist, name=f"rhdlink {self.name}", detach=lambda subscription: None
+            )
+
+    def periodic(self, tick: int) -> None:
+        """Hand over a new velocity, and tell the poses that have come."""
+        poses, odometer = self._poses, self._odometer
+        if poses:
+            for _ in range(len(poses)):
+                odometer.update(*poses.popleft())
+            self.transpos, self.rotpos = odometer.transpos, odometer.rotpos
+        if self._needs_master and not self.host.writers:
+            self._hand_over(Twist(0.0, 0.0))
+        elif self.is_updated(VelocityBridge.cmdtransvel) or self.is_updated(VelocityBridge.cmdrotvel):
+            self._hand_over(self._commanded())
+
+    def terminate(self) -> None:
+        """Hand over no velocity, and wait for the function to take it."""
+        self._hand_over(Twist(0.0, 0.0))
+        if self._subscription is not None:
+            self._subscription.finish()
+
+    def _commanded(self) -> Twist:
+        linear = self.cmdtransvel / self._scales[0]
+        return Twist(0.0 if abs(linear) < self._dead_band else linear, self.cmdrotvel / self._scales[1])
+
+    def _hand_over(self, twist: Twist) -> None:
+        # None at the beginning is not worth a call: the robot stands.
+        if twist == (self._last or Twist(0.0, 0.0)):
+            return
+        self._last = twist
+        if self._own_thread:
+            self._inbox.offer([twist])
+        else:
+            self._on_twist(twist)
