@@ -1,7 +1,7 @@
 """The bridge between a velocity-omega robot and whatever drives it: velocities out, poses in, as plain calls.
 
-A program that writes `cmdtransvel` and `cmdrotvel`, MRC for one, commands a `Twist`. A robot that tells where it is with
-`update_pose` gives that program its `transpos` and `rotpos`.
+A program that writes `cmdtransvel` and `cmdrotvel`, MRC for one, commands a `Twist`. A robot that tells where it is
+with `update_pose` gives that program its `transpos` and `rotpos`.
 """
 
 from __future__ import annotations
