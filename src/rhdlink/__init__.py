@@ -38,10 +38,13 @@ from linkcore.subscription import Subscription
 
 from .background import Background
 from .client import Variables, connect
+from .config import BadConfiguration, Configuration, read_config
 from .database import Database, TimeStamp
 from .errors import AccessDenied, NotThere, WrongVariables
+from .host import Host, HostStatistics, PluginFailed
 from .kinds import Bool, Float32, Float64, Int32, Int64, Kind, Millionths, Scaled, Structure, Text, UInt32
 from .limits import Limits
+from .plugin import Plugin
 from .robots import Ackerman, Gps, Smr, VelocityOmega
 from .snapshot import Variable
 from .update import Change, Update
@@ -53,10 +56,12 @@ __all__ = [
     "Background",
     "Backoff",
     "BadAddress",
+    "BadConfiguration",
     "BadValue",
     "Bool",
     "Change",
     "Closed",
+    "Configuration",
     "ConnectFailed",
     "ConnectionEvent",
     "ConnectionLost",
@@ -65,6 +70,8 @@ __all__ = [
     "Float32",
     "Float64",
     "Gps",
+    "Host",
+    "HostStatistics",
     "Int32",
     "Int64",
     "Kind",
@@ -75,6 +82,8 @@ __all__ = [
     "Millionths",
     "NotThere",
     "PacketError",
+    "Plugin",
+    "PluginFailed",
     "Policy",
     "Read",
     "RemoteError",
@@ -97,4 +106,5 @@ __all__ = [
     "connect",
     "drop_oldest",
     "latest",
+    "read_config",
 ]
