@@ -194,6 +194,8 @@ def _numbers(values: Any, count: int, what: str) -> NDArray[np.float64]:
     if array.dtype.kind not in "fiubO":
         raise BadValue(f"{values!r} is not {what}: expected numbers")
     try:
+        if array.dtype.kind == "O":  # whole numbers beyond 64 bits, Decimal; numpy would make NaN of None
+            return np.array([float(each) for each in array], np.float64)
         return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise BadValue(f"{values!r} is not {what}: {error}") from None
@@ -396,7 +398,18 @@ class Structure(Kind[np.void, NDArray[np.void], Any]):
             raise BadValue(f"{values!r} is not {count} of {self}: {error}") from None
         if array.shape != (count,):
             raise BadValue(f"{self}: expected {count} values, got the shape {array.shape}")
-        return _words(array.tobytes(), order)
+        clean = np.zeros(count, wire)
+        _copy_fields(clean, array)
+        return _words(clean.tobytes(), order)
+
+
+def _copy_fields(to: NDArray[Any], source: NDArray[Any]) -> None:
+    """Copy the fields, and not what padding holds: that is of this program's memory and nobody's business."""
+    for name in to.dtype.names or ():
+        if to[name].dtype.names is None:
+            to[name] = source[name]
+        else:
+            _copy_fields(to[name], source[name])
 
 
 #: A signed 32-bit integer, what the original knows.
