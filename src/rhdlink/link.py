@@ -106,9 +106,9 @@ class Link:
         transport = self._transport
         transport.open(_left(until))
         self._stream = stream = ServerStream(width=self._width, limits=self._limits)
-        transport.send(encode_access(access), _left(until))
         handshake = None
         try:
+            transport.send(encode_access(access), _left(until))
             while handshake is None:
                 data, self.received = transport.receive(_left(until))
                 stream.feed(data)
@@ -140,10 +140,10 @@ class Link:
         """
         self._take()
         while (arrived := self._transport.receive_waiting()) is not None:
-            _left(until)
             data, self.received = arrived
             self._stream.feed(data)
             self._take()
+            _left(until)
 
     def settle(self, period: float | None, until: float) -> None:
         """Make sure that the batch nobody asked for is not still to come.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import select
 import socket
 import struct
 import threading
@@ -69,6 +70,12 @@ def leaks_no_socket() -> Iterator[None]:
     """A socket that nobody closed warns when it is collected: here, rather than in some later test."""
     yield
     gc.collect()
+
+
+def has_come(transport: TcpTransport) -> bool:
+    """Wait until there is something to receive."""
+    assert transport._socket is not None
+    return bool(select.select([transport._socket], [], [], PATIENCE)[0])
 
 
 def unused_port() -> int:
@@ -228,6 +235,37 @@ def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
             assert transport.receive()[0] == b"late"
             break
     transport.close()
+
+
+def test_a_receive_can_have_a_timeout_of_its_own(transport: TcpTransport, peer: Peer) -> None:
+    for timeout in (0.05, 0.05, 0.0, -1.0):
+        began = time.monotonic()
+        with pytest.raises(LinkTimeout, match=f"nothing within {max(timeout, 0):g} s"):
+            transport.receive(timeout)
+        assert max(timeout, 0) * 0.9 <= time.monotonic() - began < 2
+    peer.connections[-1].sendall(b"late")
+    assert transport.receive(PATIENCE)[0] == b"late"
+    peer.connections[-1].sendall(b"later")
+    assert transport.receive()[0] == b"later"  # with the patience that it was made with
+
+
+def test_what_has_come_already_is_received_without_waiting(transport: TcpTransport, peer: Peer) -> None:
+    assert transport.receive_waiting() is None
+    peer.connections[-1].sendall(b"there")
+    assert has_come(transport)
+    arrived = transport.receive_waiting()
+    assert arrived is not None
+    data, stamp = arrived
+    assert data == b"there"
+    assert stamp.age < PATIENCE
+    assert transport.receive_waiting() is None
+    peer.connections.pop().close()
+    assert has_come(transport)
+    with pytest.raises(ConnectionLost, match="closed the connection"):
+        transport.receive_waiting()
+    transport.close()
+    with pytest.raises(ConnectionLost, match="is not connected"):
+        transport.receive_waiting()
 
 
 def test_the_end_of_the_connection(transport: TcpTransport, peer: Peer) -> None:

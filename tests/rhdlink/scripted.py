@@ -1,0 +1,98 @@
+"""A server that does exactly what a test says, one script for each connection."""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import threading
+from collections.abc import Callable
+
+#: Seconds after which a client that says nothing has failed the test.
+PATIENCE = 10.0
+
+
+class Peer:
+    """The server's end of one connection.
+
+    Attributes:
+        heard: all that the client sent and a script has read.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self.heard = b""
+
+    def hear(self, expected: bytes) -> None:
+        """Read as much as this, which it has to be."""
+        there = self.read(len(expected))
+        assert there == expected, f"the client said {there!r}, expected {expected!r}"
+
+    def read(self, size: int) -> bytes:
+        data = b""
+        while len(data) < size:
+            more = self._socket.recv(size - len(data))
+            assert more, f"the client left after {data!r}"
+            data += more
+        self.heard += data
+        return data
+
+    def say(self, *data: bytes) -> None:
+        for each in data:
+            self._socket.sendall(each)
+
+    def is_left(self) -> bool:
+        """Wait for the client to leave; False if it says more instead."""
+        try:
+            return self._socket.recv(1) == b""
+        except ConnectionError:
+            return True
+
+    def hears_nothing(self) -> bool:
+        """Whether nothing has come so far."""
+        return not select.select([self._socket], [], [], 0)[0]
+
+    def reset(self) -> None:
+        """Leave as a program does that crashed."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+Script = Callable[[Peer], object]
+
+
+class ScriptedServer:
+    """Runs its scripts, one connection after another, in a thread.
+
+    Leaving the context waits for them to end, and raises what one of them raised.
+    """
+
+    def __init__(self, *scripts: Script) -> None:
+        self._scripts = scripts
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(PATIENCE)
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> ScriptedServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
+        if kind is not None:
+            self._listener.close()  # whatever went wrong, no more clients will come
+        self._thread.join(2 * PATIENCE)
+        self._listener.close()
+        if kind is None and self._failure is not None:
+            raise self._failure
+
+    def _run(self) -> None:
+        try:
+            for script in self._scripts:
+                connection, _ = self._listener.accept()
+                with connection:
+                    connection.settimeout(PATIENCE)
+                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    script(Peer(connection))
+        except BaseException as failure:
+            self._failure = failure

@@ -1,0 +1,807 @@
+"""The client against servers that say what a test, or a recorded server of the original, says."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import rhdlink
+from linkcore.errors import (
+    BadAddress,
+    BadValue,
+    Closed,
+    ConnectFailed,
+    ConnectionLost,
+    LinkTimeout,
+    LocalError,
+    PacketError,
+    WrongPeer,
+)
+from rhdlink import (
+    AccessDenied,
+    Backoff,
+    ConnectionState,
+    Int32,
+    NotThere,
+    Read,
+    Scaled,
+    Update,
+    Variables,
+    Write,
+    WrongVariables,
+)
+from rhdlink.address import Address, parse_address
+from rhdlink.database import Database, TimeStamp
+from rhdlink.wire import Row, ServerStream
+from tests.rhdlink import recorded
+from tests.rhdlink.scripted import Peer, Script, ScriptedServer
+from tests.waiting import until
+
+
+class Recording:
+    """What a recorded server said: its handshake, and its batches."""
+
+    def __init__(self, name: str) -> None:
+        data = recorded.from_server(name)
+        stream = ServerStream()
+        stream.feed(data)
+        assert stream.take_handshake() is not None
+        self.handshake = data[: stream.offset]
+        self.batches: list[bytes] = []
+        at = stream.offset
+        while (batch := stream.take_batch()) is not None:
+            self.batches.append(data[at : at + batch.size])
+            at += batch.size
+
+
+class Robot:
+    """A robot's side to script with: one read and two write variables, and a tick."""
+
+    def __init__(self, read: tuple[str, ...] = ("tick", "encl"), write: tuple[str, ...] = ("speedl", "speedr")) -> None:
+        self.database = Database([Row(name, 1) for name in read], [Row(name, 1) for name in write])
+
+    def greet(self, peer: Peer, access: str = "r") -> None:
+        peer.hear(b"a" + access.encode())
+        peer.say(self.database.encode_handshake(access))
+
+    def batch(self, tick: int, **values: int) -> bytes:
+        """A batch of the tick `tick`, which was at `tick` centiseconds."""
+        read = self.database.read
+        for name, value in {"tick": tick, **values}.items():
+            read.set(read.find(name) or 0, value, TimeStamp(1000, 10_000 * tick))
+        return b"dw\0\0\0\0" + read.encode(read.pending.take()) + b"ee"
+
+    def write(self, **values: int) -> bytes:
+        """What a writer that sets these says, but for its time stamps."""
+        write = Database(write=self.database.write.rows).write
+        for name, value in values.items():
+            write.set(write.find(name) or 0, value, TimeStamp(0, 0))
+        return b"rw" + write.encode(write.pending.take()) + b"ee"
+
+
+class Smr(Variables):
+    tick = Read(Int32)
+    encl = Read(Int32, unit="ticks", doc="left wheel")
+    speedl = Write(Scaled(0.01, unit="m/s"))
+
+
+def without_stamps(request: bytes) -> bytes:
+    """A request of a writer of one-word variables with all its time stamps 0."""
+    cut = bytearray(request)
+    for at in range(8, len(cut) - 2, 16):
+        cut[at + 4 : at + 12] = bytes(8)
+    return bytes(cut)
+
+
+@pytest.fixture(autouse=True)
+def leaves_no_thread() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    until(lambda: not set(threading.enumerate()) - before)
+
+
+# -- recorded servers --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["reader64", "reader64naive", "reader32", "reader_orig2014", "reader64_with_master"])
+def test_a_recorded_server_is_read_as_the_original_client_read_it(name: str) -> None:
+    recording, tables = Recording(name), recorded.printed(name)
+
+    def script(peer: Peer) -> None:
+        peer.hear(b"ar")
+        peer.say(recording.handshake)
+        for batch in recording.batches:
+            peer.hear(b"rree")
+            peer.say(batch)
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
+        for number, lines in enumerate(tables[:-1]):
+            if number:
+                robot.sync()
+            for line in lines:
+                assert robot[line.name].tolist() == line.values
+                assert robot.stamp(line.name).seconds == line.seconds
+                assert robot.updated(line.name) == line.updated
+        assert robot.width == (4 if name == "reader64naive" else 2)
+        # The original sends what was set once for ever; only here does one see that it is not new.
+        assert robot.updated("once")
+        assert not robot.fresh("once")
+        assert robot.fresh("tick")
+
+
+@pytest.mark.parametrize("name", ["writer64", "writer64naive", "writer32", "writer_orig2014"])
+def test_a_writer_says_what_the_original_client_said(name: str) -> None:
+    recording = Recording(name)
+    width = 4 if name == "writer64naive" else 2
+    asked = recorded.from_client(name)
+    size = (len(asked) - 2) // 50
+
+    def script(peer: Peer) -> None:
+        peer.hear(b"aw")
+        peer.say(recording.handshake)
+        for number, batch in enumerate(recording.batches):
+            theirs, ours = asked[2 + number * size :][:size], peer.read(size)
+            at = 8
+            for length in (1, 1, 4):  # but for the time stamps, which are its own
+                theirs, ours = (
+                    each[: at + 4] + bytes(4 * width) + each[at + 4 + 4 * width :] for each in (theirs, ours)
+                )
+                at += 4 * (1 + width + length)
+            assert ours == theirs
+            peer.say(batch)
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, access="w") as robot:
+        assert robot.access == "w"
+        for number in range(50):
+            robot["speedl"] = 10 + number
+            robot["speedr"] = -5 + number
+            robot["cmdarr"] = [0, 0, 0, 1000 + number]
+            assert robot.updated("speedl")
+            robot.sync()
+            assert not robot.updated("speedl")
+
+
+def test_a_second_writer_is_denied_access() -> None:
+    def script(peer: Peer) -> None:
+        peer.hear(b"aw")
+        peer.say(Recording("second_writer64").handshake)
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server, pytest.raises(AccessDenied, match="refuses write access"):
+        rhdlink.connect(server.address, access="w")
+
+
+def test_a_second_writer_can_make_do_with_reading() -> None:
+    recording = Recording("reader64")
+
+    def refuse(peer: Peer) -> None:
+        peer.hear(b"aw")
+        peer.say(Recording("second_writer64").handshake)
+        assert peer.is_left()  # the original would serve it all the same, as one who may write
+
+    def serve(peer: Peer) -> None:
+        peer.hear(b"ar")
+        peer.say(recording.handshake)
+        peer.hear(b"rree")
+        peer.say(recording.batches[0])
+
+    with (
+        ScriptedServer(refuse, serve) as server,
+        rhdlink.connect(server.address, access="w", fallback="r") as robot,
+    ):
+        assert robot.access == "r"
+        robot.sync()
+        with pytest.raises(AccessDenied, match="speedl cannot be set: the access is 'r'"):
+            robot["speedl"] = 5
+
+
+def test_a_server_that_grants_less_is_taken_at_its_word() -> None:
+    robot_side = Robot()
+
+    def script(peer: Peer) -> None:
+        peer.hear(b"aw")
+        peer.say(robot_side.database.encode_handshake("r"))
+
+    with ScriptedServer(script, script) as server:
+        with rhdlink.connect(server.address, access="w", fallback="r") as robot:
+            assert robot.access == "r"
+        with pytest.raises(AccessDenied):
+            rhdlink.connect(server.address, access="w")
+
+
+@pytest.mark.parametrize("name", ["late_first_sync64", "late_first_sync_orig2014"])
+def test_a_late_first_sync_is_in_step(name: str) -> None:
+    """The unasked batch has come before the first request: it is applied, and each sync gets its own answer."""
+    recording = Recording(name)
+    unasked, *answers = recording.batches
+    is_said = threading.Event()
+
+    def script(peer: Peer) -> None:
+        peer.hear(b"ar")
+        peer.say(recording.handshake + unasked)
+        is_said.set()
+        for batch in answers:
+            peer.hear(b"rree")
+            peer.say(batch)
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
+        assert is_said.wait(10)
+        ticks = []
+        for _ in answers:
+            robot.sync()
+            ticks.append(int(robot["tick"][0]))
+    stream = ServerStream()
+    stream.feed(recording.handshake + b"".join(answers))
+    assert stream.take_handshake() is not None
+    expected = []
+    while (batch := stream.take_batch()) is not None:
+        expected += [int(value[0]) for identity, _, value in batch.data[-1].items() if identity == 0]
+    assert ticks == expected
+
+
+def test_the_corrupted_reader_goes_on() -> None:
+    """The server's threads mixed another client's tables into the last answer: they say nothing new."""
+    recording = Recording("race_corrupted_reader64")
+
+    def script(peer: Peer) -> None:
+        peer.hear(b"ar")
+        peer.say(recording.handshake)
+        for batch in recording.batches:
+            peer.hear(b"rree")
+            peer.say(batch)
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
+        before = 0
+        for _ in recording.batches:
+            robot.sync()
+            assert int(robot["tick"][0]) >= before
+            before = int(robot["tick"][0])
+    assert b"speedl\0" in recording.batches[-1]
+
+
+# -- in step -----------------------------------------------------------------------------------
+
+
+def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind() -> None:
+    """The server sent it before the request reached it: what looks like the answer is not."""
+    side = Robot()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer)
+        peer.hear(b"rree")
+        peer.say(side.batch(1))  # unasked
+        peer.say(side.batch(2))  # the answer, one tick later
+        for tick in range(3, 7):
+            peer.hear(b"rree")
+            assert peer.hears_nothing()
+            peer.say(side.batch(tick))
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
+        robot.sync()
+        assert robot.tick in (1, 2)
+        for tick in range(3, 7):
+            robot.sync()
+            assert robot.tick == tick
+
+
+def test_a_server_that_sends_nothing_unasked_is_asked_once_for_each_sync() -> None:
+    side = Robot()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer)
+        for tick in range(1, 6):
+            peer.hear(b"rree")
+            assert peer.hears_nothing()
+            peer.say(side.batch(tick))
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
+        for tick in range(1, 6):
+            robot.sync()
+            assert robot.tick == tick
+
+
+def test_what_came_in_all_batches_of_a_sync_is_fresh() -> None:
+    side = Robot()
+    is_said = threading.Event()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer)
+        peer.say(side.batch(1, encl=5))
+        is_said.set()
+        peer.hear(b"rree")
+        peer.say(side.batch(2))
+        peer.hear(b"rree")
+        peer.say(side.batch(3))
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
+        assert not robot.fresh("encl")
+        assert is_said.wait(10)
+        robot.sync()
+        assert robot.encl == 5
+        assert robot.fresh("encl")
+        assert robot.updated("encl")
+        assert robot.changed("encl")
+        robot.sync()
+        assert not robot.fresh("encl")
+        assert not robot.updated("encl")
+
+
+def test_a_late_answer_is_collected_before_anything_else_is_said() -> None:
+    side = Robot()
+    go_on = threading.Event()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer, "w")
+        assert without_stamps(peer.read(26)) == side.write(speedl=1)
+        assert go_on.wait(10)
+        assert peer.hears_nothing()
+        peer.say(side.batch(1))
+        # Of all that was set meanwhile the newest is sent, and only now.
+        assert without_stamps(peer.read(26)) == side.write(speedl=300)
+        peer.say(side.batch(2))
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        robot.speedl = 0.01
+        with pytest.raises(LinkTimeout):
+            robot.sync(timeout=0.05)
+        for centimetres in (100, 200, 300):
+            robot.speedl = centimetres / 100
+            with pytest.raises(LinkTimeout):
+                robot.sync(timeout=0.02)
+        assert robot.connection is ConnectionState.CONNECTED
+        go_on.set()
+        robot.sync()
+        assert robot.tick == 2
+
+
+# -- values ------------------------------------------------------------------------------------
+
+
+def serving(side: Robot, access: str = "r", syncs: int = 0) -> Script:
+    def script(peer: Peer) -> None:
+        side.greet(peer, access)
+        for tick in range(1, syncs + 1):
+            peer.read(2)
+            while not peer.heard.endswith(b"ee"):
+                peer.read(1)
+            peer.say(side.batch(tick))
+        assert peer.is_left()
+
+    return script
+
+
+def test_values_by_name() -> None:
+    side = Robot()
+    with (
+        ScriptedServer(serving(side, "w", 1)) as server,
+        rhdlink.connect(f"rhd://{server.address}", access="w") as robot,
+    ):
+        assert type(robot) is Variables
+        robot.sync()
+        value = robot["tick"]
+        assert value.dtype == np.int32
+        assert (value.tolist(), value.flags.writeable) == ([1], False)
+        assert robot.stamp("tick") == (1000, 10_000)
+        assert "tick" in robot
+        assert "speedl" in robot
+        assert "nothing" not in robot
+        robot["speedr"] = np.int64(-7)
+        assert robot["speedr"].tolist() == [-7]
+        assert value.tolist() == [1]
+        for use in (lambda: robot["nothing"], lambda: robot.stamp("nothing"), lambda: robot.fresh("nothing")):
+            with pytest.raises(NotThere, match="no variable 'nothing'"):
+                use()
+        with pytest.raises(NotThere, match="no write variable 'tick'; it is a read variable"):
+            robot["tick"] = 1
+        for bad in (2**31, 1.5, [1, 2], "x"):
+            with pytest.raises(BadValue, match="speedl: "):
+                robot["speedl"] = bad
+
+
+def test_values_by_declaration() -> None:
+    side = Robot()
+    with ScriptedServer(serving(side, "w", 1)) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        assert type(robot) is Smr
+        robot.speedl = 0.5
+        assert robot["speedl"].tolist() == [50]
+        robot.sync()
+        assert robot.tick == 1
+        with pytest.raises(LocalError, match="encl is a read variable: the robot sets it"):
+            robot.encl = 5
+
+
+def test_a_reader_sets_nothing() -> None:
+    with (
+        ScriptedServer(serving(Robot())) as server,
+        rhdlink.connect(server.address, Smr) as robot,
+        pytest.raises(AccessDenied, match="speedl cannot be set"),
+    ):
+        robot.speedl = 0.5
+
+
+def test_all_that_a_robot_lacks_is_one_error() -> None:
+    class Wishes(Variables):
+        tick = Read(Int32)
+        encl = Write(Int32)
+        speedl = Write(Int32, 2)
+        wings = Read(Int32)
+
+    def script(peer: Peer) -> None:
+        Robot().greet(peer)
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server, pytest.raises(WrongVariables) as caught:
+        rhdlink.connect(server.address, Wishes)
+    assert caught.value.differences == (
+        "encl is a read variable, declared as write",
+        "speedl has 1 words, declared as 2 (<Write(Int32, 2) speedl>)",
+        "there is no read variable wings",
+    )
+
+
+def test_the_table_of_variables() -> None:
+    side = Robot(read=("tick", "encl", "<b>bold</b>"))
+    side.database.read.set(0, 41, TimeStamp(5, 6))
+    with ScriptedServer(serving(side)) as server, rhdlink.connect(server.address, Smr) as robot:
+        names = [(each.name, each.direction, each.identity) for each in robot.variables]
+        assert names == [
+            ("tick", "r", 0),
+            ("encl", "r", 1),
+            ("<b>bold</b>", "r", 2),
+            ("speedl", "w", 0),
+            ("speedr", "w", 1),
+        ]
+        tick, encl, *_, speedl, speedr = robot.variables
+        assert (tick.value, tick.stamp, tick.length) == (41, (5, 6), 1)
+        assert (encl.unit, encl.doc) == ("ticks", "left wheel")
+        assert type(speedl.value) is float
+        assert speedr.value.tolist() == [0]
+        shown = robot._repr_html_()
+        assert "&lt;b&gt;bold&lt;/b&gt;" in shown
+        assert "<b>" not in shown
+        assert "5.000006" in shown
+        assert "3 read and 2 write variables" in shown
+        assert server.address in repr(robot)
+    assert repr(Smr()) == "<Smr, not connected>"
+    assert "<tbody></tbody>" in Smr()._repr_html_()
+    with pytest.raises(LocalError, match="belongs to no robot yet"):
+        _ = Smr()["tick"]
+    Smr().close()
+
+
+# -- connections that fail ---------------------------------------------------------------------
+
+
+def nothing_more(peer: Peer) -> None:
+    assert peer.is_left()
+
+
+@pytest.mark.parametrize(
+    ("says", "error", "reason"),
+    [
+        (b"", LinkTimeout, "no handshake in time; 0 bytes of it came"),
+        (b"artw", LinkTimeout, "no handshake in time; 4 bytes of it came"),
+        (b"SSH-2.0-OpenSSH\r\n", WrongPeer, "is no RHD server"),
+        (b"ar" + b"tr\0\0\0\0", PacketError, "expected 'tw'"),
+        (b"artw\x7f\xff\xff\xff", PacketError, "counts 2147483647"),
+    ],
+)
+def test_no_handshake(says: bytes, error: type[Exception], reason: str) -> None:
+    def script(peer: Peer) -> None:
+        peer.hear(b"ar")
+        peer.say(says)
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server, pytest.raises(error, match=reason):
+        rhdlink.connect(server.address, timeout=0.2 if error is LinkTimeout else 10)
+
+
+def test_all_slots_of_the_server_are_in_use() -> None:
+    with (
+        ScriptedServer(lambda peer: None) as server,
+        pytest.raises(ConnectFailed, match=r"without a word; are all its client slots in use\?"),
+    ):
+        rhdlink.connect(server.address)
+
+
+def test_a_server_that_leaves_in_its_handshake() -> None:
+    def script(peer: Peer) -> None:
+        peer.hear(b"ar")
+        peer.say(b"artw\0\0")
+
+    with ScriptedServer(script) as server, pytest.raises(ConnectionLost, match="closed the connection"):
+        rhdlink.connect(server.address)
+
+
+def test_nobody_is_there() -> None:
+    with ScriptedServer() as server:
+        pass
+    with pytest.raises(ConnectFailed):
+        rhdlink.connect(server.address)
+
+
+@pytest.mark.parametrize("text", ["", " ", "a b", "http://x", "host:0", "host:65536", "host:x", "rhd://", "h/p", "u@h"])
+def test_addresses_that_cannot_be(text: str) -> None:
+    with pytest.raises(BadAddress):
+        rhdlink.connect(text)
+
+
+def test_addresses() -> None:
+    assert parse_address(" smr12 ") == Address("smr12", 24902)
+    assert parse_address("rhd://[::1]:8001") == Address("::1", 8001)
+    assert (str(Address("::1", 1)), str(Address("smr", 1))) == ("[::1]:1", "smr:1")
+
+
+def test_arguments_that_cannot_be() -> None:
+    for options in ({"access": "x"}, {"fallback": "w"}, {"timeout": 0}, {"width": 3}):
+        with pytest.raises(BadValue):
+            rhdlink.connect("localhost", **options)
+
+
+# -- connections that end ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", [Peer.reset, lambda peer: None, lambda peer: peer.say(b"dr\0\0\0\xff")])
+def test_a_lost_connection_is_made_again_and_names_are_found_again(ending: Callable[[Peer], object]) -> None:
+    before, after = Robot(), Robot(read=("new", "encl", "tick"), write=("speedr", "new", "speedl"))
+
+    def first(peer: Peer) -> None:
+        before.greet(peer, "w")
+        peer.read(26)
+        peer.say(before.batch(1, encl=7))
+        peer.read(26)
+        ending(peer)
+
+    def second(peer: Peer) -> None:
+        after.greet(peer, "w")
+        assert without_stamps(peer.read(26)) == after.write(speedl=300)
+        peer.say(after.batch(5, encl=8))
+        peer.hear(b"rwdw\0\0\0\0ee")
+        peer.say(after.batch(6))
+
+    with ScriptedServer(first, second) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        states: list[ConnectionState] = []
+        robot.subscribe_connection(lambda event: states.append(event.state))
+        robot.speedl = 1
+        robot.sync()
+        assert (robot.encl, robot.reconnects) == (7, 0)
+        robot.speedl = 2
+        with pytest.raises((ConnectionLost, PacketError)):
+            robot.sync()
+        assert robot.connection is ConnectionState.LOST
+        robot.speedl = 3
+        robot.sync()
+        assert (robot.encl, robot.tick, robot.reconnects) == (8, 5, 1)
+        assert "new" in robot
+        robot.sync()
+        assert robot.tick == 6
+    assert states == [
+        ConnectionState.LOST,
+        ConnectionState.CONNECTING,
+        ConnectionState.CONNECTED,
+        ConnectionState.CLOSED,
+    ]
+
+
+def test_what_was_set_before_the_connection_was_lost_is_forgotten() -> None:
+    side = Robot()
+
+    def first(peer: Peer) -> None:
+        side.greet(peer, "w")
+
+    def second(peer: Peer) -> None:
+        side.greet(peer, "w")
+        peer.hear(b"rwdw\0\0\0\0ee")
+        peer.say(side.batch(1))
+
+    with ScriptedServer(first, second) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        robot.speedl = 1
+        with pytest.raises(ConnectionLost):
+            robot.sync()
+        robot.sync()
+        assert not robot.updated("speedl")
+
+
+def test_a_robot_that_comes_back_as_another_is_refused() -> None:
+    def first(peer: Peer) -> None:
+        Robot().greet(peer)
+
+    def second(peer: Peer) -> None:
+        Robot(read=("tick",)).greet(peer)
+        assert peer.is_left()
+
+    def third(peer: Peer) -> None:
+        serving(Robot(), syncs=1)(peer)
+
+    with ScriptedServer(first, second, third) as server, rhdlink.connect(server.address, Smr) as robot:
+        with pytest.raises(ConnectionLost):
+            robot.sync()
+        with pytest.raises(WrongVariables, match="no read variable encl"):
+            robot.sync()
+        assert robot.connection is ConnectionState.LOST
+        robot.sync()
+        assert robot.tick == 1
+
+
+def test_close_wakes_who_syncs() -> None:
+    is_asked = threading.Event()
+
+    def script(peer: Peer) -> None:
+        Robot().greet(peer)
+        peer.hear(b"rree")
+        is_asked.set()
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server:
+        robot = rhdlink.connect(server.address, Smr)
+        raised: list[BaseException] = []
+
+        def sync() -> None:
+            try:
+                robot.sync()
+            except BaseException as error:
+                raised.append(error)
+
+        thread = threading.Thread(target=sync)
+        thread.start()
+        assert is_asked.wait(10)
+        robot.close()
+        thread.join(10)
+        assert [type(each) for each in raised] == [Closed]
+        robot.close()
+        assert robot.connection is ConnectionState.CLOSED
+        for use in (robot.sync, robot.background, lambda: robot.subscribe(print)):
+            with pytest.raises(Closed):
+                use()
+        assert robot.tick == 0  # what was known can still be read
+
+
+@pytest.mark.parametrize("timeout", [0, -1, float("nan")])
+def test_timeouts_that_cannot_be(timeout: float) -> None:
+    with (
+        ScriptedServer(nothing_more_after_greeting) as server,
+        rhdlink.connect(server.address) as robot,
+        pytest.raises(BadValue, match="expected a positive number"),
+    ):
+        robot.sync(timeout)
+
+
+def nothing_more_after_greeting(peer: Peer) -> None:
+    Robot().greet(peer)
+    assert peer.is_left()
+
+
+def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
+    side = Robot()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer)
+        try:
+            while True:
+                peer.say(side.batch(1) * 100)
+        except ConnectionError:
+            pass
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
+        # It is answered with what there is, or gives up when time is up; either way it returns.
+        for _ in range(3):
+            with contextlib.suppress(LinkTimeout):
+                robot.sync(timeout=0.2)
+        assert robot.tick == 1
+
+
+# -- in the background -------------------------------------------------------------------------
+
+
+def endless(side: Robot, access: str = "r") -> Script:
+    def script(peer: Peer) -> None:
+        side.greet(peer, access)
+        tick = 0
+        try:
+            while True:
+                peer.hear(b"rree")
+                tick += 1
+                peer.say(side.batch(tick, encl=tick // 2))
+        except (AssertionError, ConnectionError):
+            assert tick  # it left
+
+    return script
+
+
+def test_the_background_keeps_it_in_sync_and_tells_what_is_new() -> None:
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        updates: list[Update] = []
+        everything: list[Update] = []
+        robot.subscribe(updates.append, "encl", policy=rhdlink.block)
+        robot.subscribe(everything.append, policy=rhdlink.block)
+        with robot.background() as background:
+            until(lambda: len(updates) >= 20)
+            with pytest.raises(LocalError, match="kept in sync already"):
+                robot.background()
+        assert not background.is_running
+        assert background.failure is None
+        assert background.failures == 0
+        syncs = background.syncs
+        until(lambda: len(everything) == len(updates) == syncs)
+        assert all(set(each.changes) == {"tick", "encl"} for each in everything)
+        assert [each["tick"] for each in everything] == list(range(1, syncs + 1))
+        assert [each["encl"] for each in updates] == [tick // 2 for tick in range(1, syncs + 1)]
+        assert all(list(each.changes) == ["encl"] for each in updates)
+        assert "tick" not in updates[0]
+        # Fresh by its time stamp, changed by its value.
+        assert [each.changes["encl"].changed for each in updates[:4]] == [False, True, False, True]
+        assert updates[1].changes["encl"].stamp == (1000, 20_000)
+        robot.sync()
+        assert robot.tick == syncs + 1
+
+
+def test_the_background_reconnects() -> None:
+    side = Robot()
+
+    def fails(peer: Peer) -> None:
+        side.greet(peer)
+        peer.hear(b"rree")
+        peer.say(side.batch(1))
+
+    with ScriptedServer(fails, fails, endless(side)) as server, rhdlink.connect(server.address, Smr) as robot:
+        with robot.background(backoff=Backoff(first=0)) as background:
+            until(lambda: background.syncs > 10)
+        assert robot.reconnects == 2
+        assert background.failures >= 2
+
+
+def test_the_background_gives_up_when_it_is_told_to() -> None:
+    def fails(peer: Peer) -> None:
+        Robot().greet(peer)
+
+    with ScriptedServer(fails) as server:
+        robot = rhdlink.connect(server.address, Smr)
+        background = robot.background(backoff=Backoff(first=0, tries=0))
+        until(lambda: not background.is_running)
+        assert isinstance(background.failure, ConnectionLost)
+        robot.close()
+
+
+def test_the_background_takes_its_time() -> None:
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        with robot.background(period=0.001) as background:
+            until(lambda: background.syncs >= 5)
+        assert robot.tick == background.syncs
+        for period in (0, -1, float("inf")):
+            with pytest.raises(BadValue, match="expected a positive number"):
+                robot.background(period)
+
+
+def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:
+    with ScriptedServer(endless(Robot())) as server:
+        robot = rhdlink.connect(server.address, Smr)
+        ticks: list[int] = []
+        robot.subscribe(lambda update: ticks.append(update["tick"]), "tick", policy=rhdlink.block)
+        background = robot.background()
+        until(lambda: ticks)
+        robot.close()
+        assert not background.is_running
+        assert ticks == list(range(1, background.syncs + 1))
+
+
+def test_subscriptions_that_cannot_be() -> None:
+    with ScriptedServer(nothing_more_after_greeting) as server, rhdlink.connect(server.address) as robot:
+        with pytest.raises(NotThere):
+            robot.subscribe(print, "wings")
+        with pytest.raises(BadValue):
+            robot.subscribe(print, deadline=0)
+        with pytest.raises(BadValue):
+            robot.subscribe(print, on_deadline=print)
+
+
+def test_a_missed_deadline_is_told() -> None:
+    missed = threading.Event()
+    with ScriptedServer(nothing_more_after_greeting) as server, rhdlink.connect(server.address) as robot:
+        robot.subscribe(print, deadline=0.01, on_deadline=lambda age: missed.set())
+        assert missed.wait(10)
