@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rhdlink
+import rhdlink.link
 from linkcore.errors import (
     BadAddress,
     BadValue,
@@ -36,6 +37,7 @@ from rhdlink import (
 )
 from rhdlink.address import Address, parse_address
 from rhdlink.database import Database, TimeStamp
+from rhdlink.link import Link
 from rhdlink.wire import Row, ServerStream
 from tests.rhdlink import recorded
 from tests.rhdlink.scripted import Peer, Script, ScriptedServer
@@ -219,17 +221,20 @@ def test_a_late_first_sync_is_in_step(name: str) -> None:
     """The unasked batch has come before the first request: it is applied, and each sync gets its own answer."""
     recording = Recording(name)
     unasked, *answers = recording.batches
-    is_said = threading.Event()
+    is_connected, is_said = threading.Event(), threading.Event()
 
     def script(peer: Peer) -> None:
         peer.hear(b"ar")
-        peer.say(recording.handshake + unasked)
+        peer.say(recording.handshake)
+        assert is_connected.wait(10)
+        peer.say(unasked)
         is_said.set()
         for batch in answers:
             peer.hear(b"rree")
             peer.say(batch)
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
+        is_connected.set()
         assert is_said.wait(10)
         ticks = []
         for _ in answers:
@@ -267,14 +272,27 @@ def test_the_corrupted_reader_goes_on() -> None:
 # -- in step -----------------------------------------------------------------------------------
 
 
-def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind() -> None:
+def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The server sent it before the request reached it: what looks like the answer is not."""
     side = Robot()
+    is_settling = threading.Event()
+    settle = Link.settle
+
+    def settle_slowly(link: Link, period: float | None, end: float) -> None:
+        if link._has_answered:
+            is_settling.set()
+        settle(link, period, end)
+
+    monkeypatch.setattr(Link, "settle", settle_slowly)
+    monkeypatch.setattr(rhdlink.link, "_MOST", 10.0)  # so that a slow machine does not decide
 
     def script(peer: Peer) -> None:
         side.greet(peer)
         peer.hear(b"rree")
         peer.say(side.batch(1))  # unasked
+        assert is_settling.wait(10)
         peer.say(side.batch(2))  # the answer, one tick later
         for tick in range(3, 7):
             peer.hear(b"rree")
@@ -283,7 +301,7 @@ def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind()
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
         robot.sync()
-        assert robot.tick in (1, 2)
+        assert robot.tick == 1
         for tick in range(3, 7):
             robot.sync()
             assert robot.tick == tick
