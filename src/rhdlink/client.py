@@ -24,7 +24,6 @@ from .audience import Audience
 from .background import Background
 from .database import Database, Table, TimeStamp
 from .errors import AccessDenied, NotThere
-from .kinds import Int32
 from .limits import Limits
 from .link import Link, Transport
 from .snapshot import Variable, to_html
@@ -38,6 +37,9 @@ _log = logging.getLogger(__name__)
 
 #: "r" reads what the robot knows; "w" is its master and tells it what to do.
 Access = Literal["r", "w"]
+
+#: What a writer says that has set nothing: its request holds a data package all the same (section 4).
+_NOTHING_SET = b"dw\0\0\0\0"
 
 R = TypeVar("R", bound="Variables")
 
@@ -200,10 +202,11 @@ class Variables(Declarations):
             self._check_access(name)
             length = table.rows[identity].length
             try:
-                words = Int32.pack_many(np.atleast_1d(value), length, "little")
-            except BadValue as error:
+                if length > 1 and np.ndim(value) != 1:
+                    raise BadValue(f"expected {length} words, got {value!r}")
+                table.set(identity, value)
+            except ValueError as error:  # BadValue, or numpy's own for what is no array at all
                 raise BadValue(f"{name}: {error}") from None
-            table.set(identity, words)
 
     def __contains__(self, name: object) -> bool:
         return name in self._known.read or name in self._known.write
@@ -520,11 +523,13 @@ class Variables(Declarations):
         self._tell(ConnectionState.LOST, error)
 
     def _outgoing(self, link: Link) -> bytes:
-        """The data package of a request; empty for a reader, which has none."""
+        """The data package of a request; a reader's has none."""
         if link.access != "w":
             return b""
         with self._guard:
             write = self._known.write
+            if not write.pending:
+                return _NOTHING_SET
             ids = write.pending.take()
             write.updated[ids] = False
             return write.encode(ids, link.width)

@@ -219,7 +219,7 @@ class Table:
         wanted = np.asarray(ids, np.int64)
         key = (width, len(wanted))
         known = self._selections.get(key)
-        if known is not None and (known.ids is wanted or np.array_equal(known.ids, wanted)):
+        if known is not None and known.are(wanted):
             return known
         if len(wanted) and not 0 <= int(wanted.min()) <= int(wanted.max()) < len(self.rows):
             raise BadValue(f"ids {wanted} are not all among 0 to {len(self.rows) - 1}")

@@ -59,6 +59,7 @@ class Entries:
     """
 
     __slots__ = (
+        "_bytes",
         "_cells",
         "_expected",
         "_inside",
@@ -80,6 +81,7 @@ class Entries:
         sums = np.cumsum(lengths)
         total = int(sums[-1]) if count else 0
         self.ids = ids
+        self._bytes = ids.tobytes()
         self._expected = ids.astype(np.int32).tobytes()
         self.width = width
         self.starts: Ids = sums - lengths
@@ -112,6 +114,10 @@ class Entries:
     def cells(self) -> slice | Ids:
         """The values as an index of the table's flat storage."""
         return self._cells
+
+    def are(self, ids: Ids) -> bool:
+        """Whether they are of these variables, in this order."""
+        return ids is self.ids or ids.tobytes() == self._bytes
 
     # -- reading -------------------------------------------------------------------------------
 

@@ -418,6 +418,8 @@ class ServerStream(_Stream):
         if handshake is None:
             raise BadValue("take_batch() before the handshake has been taken")
         self._check()
+        if self._start == len(self._buffer):
+            return None
         while len(self._buffer) - self._at >= 2:
             kind, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
             if kind == 0x65:  # e
@@ -584,6 +586,8 @@ class ClientStream(_Stream):
         if self.access is None:
             raise BadValue("take_request() before the access request has been taken")
         self._check()
+        if self._start == len(self._buffer):
+            return None
         while len(self._buffer) - self._at >= 2:
             kind, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
             if kind == 0x65:  # e
