@@ -93,7 +93,8 @@ class TcpTransport:
             raise ConnectionLost(f"{self.name} is not connected")
         patience = self.silence if timeout is None else max(timeout, 0.0)
         try:
-            if patience != self._patience:
+            # A hundredth more is not worth a system call for each packet, where the timeout is what a deadline leaves.
+            if not 0.99 * self._patience <= patience <= self._patience:
                 _set_receive_timeout(connection, patience)
                 self._patience = patience
             data = connection.recv(_CHUNK)

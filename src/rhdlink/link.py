@@ -158,15 +158,16 @@ class Link:
         if self._is_settled or self._due or not self._has_answered:
             return
         patience = _MOST if period is None else min(1.5 * period + 2e-3, _MOST)
-        end = min(time.monotonic() + patience, until)
-        while not self._is_settled and (left := end - time.monotonic()) > 0:
+        patient = time.monotonic() + patience
+        while not self._is_settled and (left := min(patient, until) - time.monotonic()) > 0:
             try:
                 data, self.received = self._transport.receive(left)
             except LinkTimeout:
                 break
             self._stream.feed(data)
             self._take()
-        self._is_settled = True
+        if patient <= until:
+            self._is_settled = True  # else there was no time to be sure; the next sync goes on
 
     def collect(self, until: float) -> None:
         """Wait for the answers that are due, and deliver them.
@@ -202,6 +203,9 @@ class Link:
         except LinkTimeout as error:
             # Half a request may have gone out: whatever followed would be taken for its other half.
             raise ConnectionLost(str(error)) from error
+        except BaseException:  # interrupted: likewise
+            self._transport.close()
+            raise
         self._due += 1
         self.collect(until)
 

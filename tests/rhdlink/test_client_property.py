@@ -1,0 +1,94 @@
+"""Whatever a server says, the client ends with a value or an error of the tree."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import ConnectionLost, LinkError, LinkTimeout
+from linkcore.stamp import Stamp
+from rhdlink import Variables
+from rhdlink.database import Database
+from rhdlink.wire import Row
+
+HANDSHAKE = Database(read=[Row("tick", 1), Row("line", 8)], write=[Row("speed", 1)]).encode_handshake("w")
+
+
+class Says:
+    """A transport that says these things, one at each receive, and then no more."""
+
+    name = "says"
+
+    def __init__(self, *chunks: bytes) -> None:
+        self._chunks = deque(chunks)
+        self.sent = b""
+        self.is_open = False
+
+    def open(self, timeout: float) -> None:
+        self.is_open = True
+
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        if not self.is_open:
+            raise ConnectionLost("closed here")
+        if not self._chunks:
+            raise LinkTimeout("nothing more")
+        return self._chunks.popleft(), Stamp.now()
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        if not self.is_open:
+            raise ConnectionLost("closed here")
+        return (self._chunks.popleft(), Stamp.now()) if len(self._chunks) % 3 == 1 else None
+
+    def send(self, data: bytes, timeout: float) -> None:
+        if not self.is_open:
+            raise ConnectionLost("closed here")
+        self.sent += data
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+def connected(*chunks: bytes) -> tuple[Variables, Says]:
+    robot, transport = Variables(), Says(*chunks)
+    robot._connect("says", transport, {"access": "w", "fallback": None, "width": None, "limits": None}, 1.0)
+    return robot, transport
+
+
+pieces = st.sampled_from(
+    [b"aw", b"tw", b"tr", b"dw", b"dr", b"ee", b"\0\0\0\0", b"\0\0\0\1", b"\0\0\0\2", b"dr\0\0\0\0ee", HANDSHAKE]
+) | st.binary(min_size=1, max_size=12)
+
+
+@pytest.mark.property
+@given(st.lists(pieces, max_size=20))
+def test_any_handshake(chunks: list[bytes]) -> None:
+    try:
+        robot, _ = connected(*chunks)
+    except LinkError:
+        return
+    # What was understood is what was said; the last byte says nothing.
+    again = robot._known.encode_handshake("w", robot.width)
+    assert b"".join(chunks).startswith(again[:-1])
+
+
+@pytest.mark.property
+@given(st.lists(pieces, max_size=20))
+def test_anything_after_a_handshake(chunks: list[bytes]) -> None:
+    robot, transport = connected(HANDSHAKE, *chunks)
+    for number in itertools.count():
+        robot["speed"] = number
+        try:
+            robot.sync()
+        except LinkTimeout:
+            assert transport.is_open
+            break
+        except LinkError:
+            assert not transport.is_open
+            break
+    # Never more than one request that was not answered: one before each answer, and one for the timeout.
+    assert transport.sent.count(b"rw") <= number + 1
+    assert robot["line"].shape == (8,)
