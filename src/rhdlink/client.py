@@ -27,9 +27,10 @@ from .errors import AccessDenied, NotThere
 from .limits import Limits
 from .link import Link, Transport
 from .snapshot import Variable, to_html
+from .trial import WIDTHS
 from .update import Change, Update
 from .variables import Declaration, Declarations
-from .wire import WIDTHS, Batch
+from .wire import Batch
 
 __all__ = ["Access", "Variables", "connect"]
 

@@ -18,6 +18,8 @@ from linkcore.errors import BadValue, PacketError
 
 from .entries import Data, Entries, Layout, Stamps, Words
 from .limits import Limits
+from .trial import WIDTHS, Trial
+from .walk import Walk
 
 __all__ = [
     "END",
@@ -38,8 +40,6 @@ __all__ = [
 LONGEST_NAME = 32
 #: The end of a batch.
 END = b"ee"
-#: Words of a time stamp that are known: the canonical two, and those of 64-bit builds of the ordinary sources.
-WIDTHS = (2, 4)
 
 _INT = struct.Struct(">i")
 _ROW = struct.Struct(f">i{LONGEST_NAME + 1}s")
@@ -168,62 +168,6 @@ def _direction(letter: str) -> bytes:
 # -- decoding ----------------------------------------------------------------------------------
 
 
-class _Walk:
-    """A data package of which some is still to come: from entry to entry, as far as it is there.
-
-    The entries are first held against those of an earlier package with as many; from the first that
-    differs they are found one by one, since where an entry ends is only known from its id.
-    """
-
-    __slots__ = ("_guess", "_ids", "at", "count", "layout", "width")
-
-    def __init__(self, layout: Layout, width: int, count: int, guess: Entries | None) -> None:
-        self.layout = layout
-        self.width = width
-        self.count = count
-        self.at = 0  # bytes of the entries found, some of which may be still to come
-        self._guess = guess
-        self._ids: list[int] = []
-
-    def advance(self, buffer: bytes | bytearray, start: int) -> int | None:
-        """Find what entries are there; the offset of an id that cannot be, or None."""
-        if self._guess is not None:
-            self._follow(self._guess, buffer, start)
-        ids, at, end = self._ids, start + self.at, len(buffer)
-        sizes, head, count, read = self.layout.sizes, 4 * (1 + self.width), self.layout.count, _INT.unpack_from
-        try:
-            while len(ids) < self.count and at + 4 <= end:
-                (identity,) = read(buffer, at)
-                if not 0 <= identity < count:
-                    return at
-                ids.append(identity)
-                at += head + 4 * sizes[identity]
-        finally:
-            self.at = at - start
-        return None
-
-    def _follow(self, guess: Entries, buffer: bytes | bytearray, start: int) -> None:
-        """Take the entries that are as guessed; forget the guess if one is not."""
-        there = (len(buffer) - start) // 4
-        known, upto = len(self._ids), int(np.searchsorted(guess.at, there))
-        if upto == known:
-            return
-        words = np.frombuffer(buffer, _WIRE, there, start)[guess.at[known:upto]]
-        same = words == guess.ids[known:upto]
-        if not same.all():
-            upto = known + int(same.argmin())
-            self._guess = None
-        self._ids += guess.ids[known:upto].tolist()
-        if upto:
-            self.at = 4 * (int(guess.at[upto - 1]) + 1 + self.width + self.layout.sizes[self._ids[-1]])
-
-    def is_done(self, buffer: bytes | bytearray, start: int) -> bool:
-        return len(self._ids) == self.count and start + self.at <= len(buffer)
-
-    def entries(self) -> Entries:
-        return self._guess or Entries(self.layout, np.array(self._ids, np.int64), self.width)
-
-
 class _Stream:
     """Bytes of one connection in one direction, cut into batches.
 
@@ -240,7 +184,7 @@ class _Stream:
         self._buffer: bytes | bytearray = b""
         self._start = 0  # of the batch in the buffer
         self._at = 0  # of the package in the buffer
-        self._walk: _Walk | None = None
+        self._walk: Walk | None = None
         self._known: dict[tuple[str, int], Entries] = {}
         self._data: list[Data] = []
         self._failure: PacketError | None = None
@@ -310,7 +254,7 @@ class _Stream:
                 if guess.fits(words):
                     self._at = start + 4 * guess.size
                     return Data(direction, guess, words)
-            walk = self._walk = _Walk(layout, width, count, guess)
+            walk = self._walk = Walk(layout, width, count, guess)
         wrong = walk.advance(buffer, start)
         if wrong is not None:
             (identity,) = _INT.unpack_from(buffer, wrong)
@@ -364,7 +308,7 @@ class ServerStream(_Stream):
         self._granted: str | None = None
         self._rows: dict[str, tuple[Row, ...]] = {}
         self._layouts: dict[str, Layout] = {}
-        self._trials: list[_Trial] = []
+        self._trials: list[Trial] = []
 
     def take_handshake(self) -> Handshake | None:
         """The handshake, or None if it has not come whole.
@@ -480,7 +424,7 @@ class ServerStream(_Stream):
         48 bits to coincide.
         """
         if not self._trials:
-            self._trials = [_Trial(width, self._layouts["w"], self._layouts["r"]) for width in self._widths]
+            self._trials = [Trial(width, self._layouts["w"], self._layouts["r"]) for width in self._widths]
             self._bound(self._at - self._start + self._trials[0].size)
         for trial in self._trials:
             trial.advance(self._buffer, self._at)
@@ -494,46 +438,6 @@ class ServerStream(_Stream):
             f"the values after the tables fit stamps of {widths} words no longer; expected {last.expected!r}",
             self._at + last.wrong,
         )
-
-
-class _Trial:
-    """Whether the values of a handshake fit stamps of so many words.
-
-    Attributes:
-        width: the words.
-        wrong: offset of the first marker, count or id that does not fit, or None.
-        size: bytes of the values, with the end.
-        is_complete: all have come and fit.
-    """
-
-    def __init__(self, width: int, write: Layout, read: Layout) -> None:
-        self.width = width
-        self.wrong: int | None = None
-        self.expected = b""
-        self._marks: list[tuple[int, bytes]] = []
-        at = 0
-        for direction, layout in ((b"w", write), (b"r", read)):
-            self._marks.append((at, b"d" + direction + _INT.pack(layout.count)))
-            at += _HEAD
-            for identity, length in enumerate(layout.sizes):
-                self._marks.append((at, _INT.pack(identity)))
-                at += 4 * (1 + width + length)
-        self._marks.append((at, b"e"))
-        self.size = at + 2
-        self._next = 0
-        self.is_complete = False
-
-    def advance(self, buffer: bytes | bytearray, start: int) -> None:
-        end = len(buffer) - start
-        marks = self._marks
-        while self.wrong is None and self._next < len(marks):
-            at, expected = marks[self._next]
-            if at + len(expected) > end:
-                return
-            if buffer[start + at : start + at + len(expected)] != expected:
-                self.wrong, self.expected = at, expected
-            self._next += 1
-        self.is_complete = self.wrong is None and self.size <= end
 
 
 class ClientStream(_Stream):
