@@ -140,11 +140,17 @@ class RealtimeProtocol:
     decode: Callable[..., RealtimeState]
 
     def __init__(self) -> None:
+        self._sizes = 0
         self.framer = Framer(RealtimeBorder(self._learn))
         self.decode = RealtimeState.LAYOUTS.decode
 
     def _learn(self, size: int) -> None:
         """The border has learnt the size of this connection's packets, and the size tells the layout."""
+        if self._sizes:
+            # Another than before: packets of both wait to be decoded, so each goes by its own length.
+            self.decode = RealtimeState.LAYOUTS.decode
+            return
+        self._sizes += 1
         try:
             self.decode = RealtimeState.LAYOUTS.decoder(size) or RealtimeState.LAYOUTS.decode
         except PacketError:
