@@ -196,7 +196,11 @@ class PackageDecoder:
             decode, size = self._look_up(frame, at)
             if size > end - at:
                 raise PacketError(
-                    "sub-package does not fit", packet="RobotState", expected=size, actual=end - at, offset=at
+                    f"sub-package {frame[at + 4]} does not fit",
+                    packet="RobotState",
+                    expected=size,
+                    actual=end - at,
+                    offset=at,
                 )
             heads.append(frame[at : at + 5])
             parts.append((decode, slice(at, at + size)))
