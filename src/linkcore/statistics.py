@@ -18,10 +18,12 @@ class StreamStatistics:
         dropped: packets that at least one subscription dropped.
         failed: packets that could not be decoded.
         reconnects: connections after the first.
-        rate: packets a second, over the last second or so.
+        rate: packets a second, over the last second or so; 0 in the first half second of a connection.
         bytes: bytes received.
         skipped: bytes thrown away while looking for a lost border.
         resyncs: lost borders found again.
+        unknown: packets, or parts of one, of a type that no layout is known for.
+        tails: packets, or parts of one, that end in bytes which no known layout explains.
         age: seconds since the last packet; None before the first one.
     """
 
@@ -34,6 +36,8 @@ class StreamStatistics:
     bytes: int
     skipped: int
     resyncs: int
+    unknown: int
+    tails: int
     age: float | None
 
 

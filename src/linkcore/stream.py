@@ -17,9 +17,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from .backoff import Backoff
-from .errors import BadValue, Closed, LinkTimeout, PacketError, RemoteError
+from .errors import BadValue, Closed, LinkTimeout, PacketError, RemoteError, WrongPeer
 from .framing import Framer
 from .inbox import Inbox
+from .packet import State
 from .policy import Policy, block, drop_oldest, latest
 from .stamp import Stamp
 from .statistics import StreamStatistics
@@ -77,6 +78,10 @@ class Session(Protocol):
     """One connection's protocol, sans-IO; a stream makes a new one each time it connects."""
 
     framer: Framer
+    #: packets, or parts of one, of a type that no layout is known for
+    unknown: int
+    #: packets, or parts of one, that end in bytes which no known layout explains
+    tails: int
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
         """The typed packet in one frame; raises `PacketError`."""
@@ -111,7 +116,7 @@ class Feed(Generic[T]):
             RemoteError: the first connection could not be made, or the stream gave up.
             Closed: the stream was closed.
         """
-        inbox = self._stream.open_inbox(self._kind, latest)
+        inbox = self._stream.open_inbox(self._kind, latest, counts=False)
         try:
             packet = inbox.next(timeout)
             if packet is not None:
@@ -119,25 +124,29 @@ class Feed(Generic[T]):
                 return first
         finally:
             self._stream.close_inbox(inbox)
-        self._stream.raise_if_over()
-        raise LinkTimeout(f"no {self._kind.__name__} from {self._stream.name} within {timeout:g} s")
+        raise self._stream.why_nothing(self._kind, timeout)
 
-    def iterate(self, policy: Policy | None = None) -> Iterator[T]:
-        """Iterate with a policy of your own; a plain ``for`` keeps the newest state, or 1024 events.
+    def iterate(self, policy: Policy | None = None, timeout: float | None = None) -> Iterator[T]:
+        """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
 
-        Ends when the stream is closed, or a recording is over.
+        Ends when the stream is closed, or a recording is over. Without a timeout it waits for as
+        long as the backoff allows for a robot that went away; `ConnectionEvent` tells of that.
 
         Raises:
+            LinkTimeout: nothing came within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
         """
         stream = self._stream
         inbox = stream.open_inbox(self._kind, policy or stream.default_policy(self._kind, latest))
         try:
             while True:
-                packet = inbox.next()
-                if packet is None:
+                packet = inbox.next(timeout)
+                if packet is not None:
+                    yield from stream.expand(self._kind, packet)
+                elif inbox.is_over:
                     break
-                yield from stream.expand(self._kind, packet)
+                elif timeout is not None:
+                    raise stream.why_nothing(self._kind, timeout)
         finally:
             stream.close_inbox(inbox)
         if stream.failure is not None:
@@ -237,7 +246,7 @@ class Stream(Feed[T]):
         self._subscriptions: list[Subscription] = []
         self._newest: dict[type, Any] = {}
         self._received = self._dropped = self._failed = 0
-        self._bytes = self._connections = self._skipped = self._resyncs = 0
+        self._bytes = self._connections = self._skipped = self._resyncs = self._unknown = self._tails = 0
         self._arrived: float | None = None
         self._window = (time.monotonic(), 0)
         self._rate = 0.0
@@ -249,7 +258,12 @@ class Stream(Feed[T]):
 
         A class of packet, of a part of one, a base class of several, `ConnectionEvent`, or `Traffic`
         for the bytes as they came.
+
+        Raises:
+            BadValue: not a class that a stream can have.
         """
+        if not (isinstance(kind, type) and issubclass(kind, (State, ConnectionEvent, Traffic))):
+            raise BadValue(f"{kind!r} is no class of packets; expected one such as {self._kind.__name__}")
         return Feed(self, kind)
 
     def subscribe(
@@ -279,25 +293,28 @@ class Stream(Feed[T]):
     @property
     def stats(self) -> StreamStatistics:
         """The counters at this moment."""
-        with self._lock:
-            now = time.monotonic()
-            since, count = self._window
-            elapsed = now - since
-            # The last whole window, unless it is too old to be true.
-            rate = self._rate if elapsed < 2.0 and self._rate else (self._received - count) / max(elapsed, 1e-3)
-            framer = self._session.framer if self._session is not None else None
-            return StreamStatistics(
-                received=self._received,
-                delivered=self._received - self._dropped - self._failed,
-                dropped=self._dropped,
-                failed=self._failed,
-                reconnects=max(self._connections - 1, 0),
-                rate=rate,
-                bytes=self._bytes,
-                skipped=self._skipped + (framer.skipped if framer is not None else 0),
-                resyncs=self._resyncs + (framer.resyncs if framer is not None else 0),
-                age=None if self._arrived is None else now - self._arrived,
-            )
+        now = time.monotonic()
+        # Each is read once, what is part of another one first: they add up whatever the reader does meanwhile.
+        dropped, failed = self._dropped, self._failed
+        received = self._received
+        (since, count), rate, session = self._window, self._rate, self._session
+        elapsed = now - since
+        if elapsed > 2.0 or (not rate and elapsed > 0.5):
+            rate = (received - count) / elapsed  # the last whole window is too old, or there was none
+        return StreamStatistics(
+            received=received,
+            delivered=received - dropped - failed,
+            dropped=dropped,
+            failed=failed,
+            reconnects=max(self._connections - 1, 0),
+            rate=rate,
+            bytes=self._bytes,
+            skipped=self._skipped + (session.framer.skipped if session is not None else 0),
+            resyncs=self._resyncs + (session.framer.resyncs if session is not None else 0),
+            unknown=self._unknown + (session.unknown if session is not None else 0),
+            tails=self._tails + (session.tails if session is not None else 0),
+            age=None if self._arrived is None else now - self._arrived,
+        )
 
     def join(self, timeout: float | None = None) -> bool:
         """Wait until a recording is over and all of it is delivered; False when time is up."""
@@ -400,10 +417,13 @@ class Stream(Feed[T]):
             return (packet,)
         return [part for part in self._parts(packet) if isinstance(part, kind)] if self._parts is not None else ()
 
-    def open_inbox(self, kind: type, policy: Policy) -> Inbox:
-        """A queue of packets that are or hold a `kind`; see `close_inbox`."""
+    def open_inbox(self, kind: type, policy: Policy, counts: bool = True) -> Inbox:
+        """A queue of packets that are or hold a `kind`; see `close_inbox`.
+
+        Without `counts`, what it drops was not missed by anybody: the stream does not count it.
+        """
         wants: Callable[[Any], bool] | None = None
-        lost: Callable[[Any], None] | None = self._lose
+        lost: Callable[[Any], None] | None = self._lose if counts else None
         group: type = object
         if kind in (Traffic, ConnectionEvent):
             group, lost = kind, None
@@ -467,12 +487,16 @@ class Stream(Feed[T]):
             self._subscriptions.append(subscription)
         return subscription
 
-    def raise_if_over(self) -> None:
-        """Raise what ended the stream, if it has ended."""
+    def why_nothing(self, kind: type, timeout: float) -> Exception:
+        """What to raise when no packet of class `kind` came within `timeout` seconds."""
         if self.failure is not None:
-            raise self.failure
+            return self.failure
         if self._closing.is_set() or self._over:
-            raise Closed(f"{self.name} was closed, or is over")
+            return Closed(f"{self.name} was closed, or is over")
+        because = ""
+        if self._connection is not ConnectionState.CONNECTED and self._error is not None:
+            because = f"; it is not connected: {self._error}"
+        return LinkTimeout(f"no {kind.__name__} from {self.name} within {timeout:g} s{because}")
 
     # -- the reader thread ---------------------------------------------------------------------
 
@@ -491,6 +515,12 @@ class Stream(Feed[T]):
                 self._pump()
             except Finished:
                 break
+            except WrongPeer as raised:
+                error = raised
+                if not self._received:  # it never was the right one: trying again would not help
+                    failure = raised
+                    self._disconnected(raised)
+                    break
             except RemoteError as raised:
                 error = raised
             except Exception as raised:
@@ -530,6 +560,8 @@ class Stream(Feed[T]):
             if self._session is not None:
                 self._skipped += self._session.framer.skipped + len(self._session.framer.rest)
                 self._resyncs += self._session.framer.resyncs
+                self._unknown += self._session.unknown
+                self._tails += self._session.tails
             self._session = None
         if not self._closing.is_set():
             _log.info("%s: connection lost: %s", self.name, error)
@@ -538,6 +570,7 @@ class Stream(Feed[T]):
     def _finish(self, failure: Exception | None) -> None:
         self._transport.close()
         with self._lock:
+            self._newest = {}
             self.failure = failure
             if failure is not None:
                 self._reader = None  # the next use tries again

@@ -55,6 +55,7 @@ BAD = 666
 class CountSession:
     def __init__(self) -> None:
         self.framer = Framer(CountBorder())
+        self.unknown = self.tails = 0
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Count:
         count: Count = Count.LAYOUTS.decode(frame, None, stamp)
