@@ -104,10 +104,13 @@ class Inbox:
         """
         try:
             item = self._queue.get(True, timeout)
+            while item is _END:
+                behind = self._queue.qsize()
+                self._queue.put(_END)  # whoever asks again is told again
+                if not behind:
+                    return None
+                item = self._queue.get()  # the reader was in the middle of an offer when the end came
         except queue.Empty:
-            return None
-        if item is _END:
-            self._queue.put(_END)  # whoever asks again is told again
             return None
         if self._blocked and self._queue.qsize() <= self._limit // 2:
             self._room.release()  # not for each packet: the two threads would take turns
@@ -142,5 +145,6 @@ class Inbox:
 
     def _drop_all(self) -> None:
         with self._dropping:  # the reader and whoever closes may both come here
-            while self._drop_one():
-                pass
+            for _ in range(self._queue.qsize()):
+                # At most one of them is the end mark, which goes to the back.
+                self._drop_one()

@@ -78,10 +78,14 @@ class Session(Protocol):
     """One connection's protocol, sans-IO; a stream makes a new one each time it connects."""
 
     framer: Framer
-    #: packets, or parts of one, of a type that no layout is known for
-    unknown: int
-    #: packets, or parts of one, that end in bytes which no known layout explains
-    tails: int
+
+    @property
+    def unknown(self) -> int:
+        """Packets, or parts of one, of a type that no layout is known for."""
+
+    @property
+    def tails(self) -> int:
+        """Packets, or parts of one, that end in bytes which no known layout explains."""
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
         """The typed packet in one frame; raises `PacketError`."""
@@ -462,10 +466,15 @@ class Stream(Feed[T]):
         callback: Callable[[Any], object],
         *,
         policy: Policy,
-        deadline: float | None,
-        on_deadline: Callable[[float], object] | None,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+        linger: float = 0.0,
     ) -> Subscription:
-        """A callback on a queue of its own."""
+        """A callback on a queue of its own.
+
+        With `linger`, packets gather for so many seconds before they are handed over: it spares the
+        reader waking the other thread for each.
+        """
         inbox = self.open_inbox(kind, policy)
         whole = kind is self._kind or kind in (Traffic, ConnectionEvent)
 
@@ -481,6 +490,7 @@ class Stream(Feed[T]):
             expand=None if whole else lambda packet: self.expand(kind, packet),
             deadline=deadline,
             on_deadline=on_deadline,
+            linger=linger,
             detach=detach,
         )
         with self._lock:
@@ -590,8 +600,10 @@ class Stream(Feed[T]):
         progress = time.monotonic()
         while True:
             data, stamp = receive()
-            if self._inboxes[Traffic]:
-                self._tap(session.framer.rest, Chunk(data, stamp))
+            for inbox in self._inboxes[Traffic]:
+                if not inbox.received and session.framer.rest:
+                    inbox.offer((Chunk(session.framer.rest, stamp),))  # the head of the packet it came into
+                inbox.offer((Chunk(data, stamp),))
             frames = feed(data)
             if frames:
                 progress = stamp.monotonic
@@ -605,13 +617,6 @@ class Stream(Feed[T]):
             except PacketError:
                 packets, failed = self._decode_singly(session, frames, stamp)
             self._publish(packets, failed, len(data), stamp)
-
-    def _tap(self, rest: bytes, chunk: Chunk) -> None:
-        """Hand the bytes to those who want them as they came."""
-        for inbox in self._inboxes[Traffic]:
-            if inbox.received == 0 and rest:
-                inbox.offer((Chunk(rest, chunk.received),))  # the head of the packet it came into
-            inbox.offer((chunk,))
 
     def _decode_singly(self, session: Session, frames: list[bytes], stamp: Stamp) -> tuple[list[Any], int]:
         """All that can be decoded, and how many cannot: one bad packet takes no other with it."""

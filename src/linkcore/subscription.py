@@ -31,6 +31,7 @@ class Subscription:
         expand: Callable[[Any], Iterable[Any]] | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
+        linger: float = 0.0,
         detach: Callable[[Subscription], object],
     ) -> None:
         self.name = name
@@ -39,6 +40,7 @@ class Subscription:
         self._expand = expand
         self._deadline = deadline
         self._on_deadline = on_deadline
+        self._linger = linger
         self._detach = detach
         self._delivered = 0
         self._failed = 0
@@ -94,12 +96,16 @@ class Subscription:
 
     def _run(self) -> None:
         take, expand, callback, deadline = self.inbox.next, self._expand, self._callback, self._deadline
-        since, timeout = time.monotonic(), deadline
+        since, timeout = time.monotonic(), 0.0 if self._linger else deadline
         while True:
             item = take(timeout)
             if item is None:
                 if self.inbox.is_over:
                     return
+                if self._linger:
+                    # Nobody waits on the queue meanwhile, so nobody has to be woken by the reader.
+                    time.sleep(self._linger)
+                    continue
                 # Told once for each silence: a flood of calls would tell no more.
                 timeout = None
                 self._miss(time.monotonic() - since)

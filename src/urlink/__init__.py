@@ -36,6 +36,7 @@ from linkcore.subscription import Subscription
 
 from .decode import decode
 from .firmware import Firmware
+from .models import UnknownModel
 from .robot import Robot, connect
 from .schemas.enums import (
     AnalogDomain,
@@ -164,6 +165,7 @@ __all__ = [
     "ToolModeInfo",
     "Traffic",
     "UnknownMessage",
+    "UnknownModel",
     "UnknownSubPackage",
     "UnnamedMessage12",
     "VersionMessage",

@@ -56,6 +56,8 @@ def connect(
     Raises:
         BadAddress: nobody can read the address.
         BadRecording: the recording does not exist, or is none.
+        BadValue: a time that is not positive, or a simulated arm that does not run the firmware.
+        UnknownModel: no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
     if not timeout > 0 or not silence > 0:
@@ -198,6 +200,8 @@ class Robot:
             RemoteError: a stream could not be opened.
         """
         streams = [(name, self._stream(name)) for name in interfaces]
+        for _, stream in streams:
+            stream.start()  # before there is a file: a robot that is away leaves none behind
         recorder = Recorder(path)
         try:
             for name, stream in streams:

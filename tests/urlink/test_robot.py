@@ -35,8 +35,7 @@ QUICK = Backoff(first=0.01, most=0.1)
 
 
 def connect(controller: Controller, **options: object) -> urlink.Robot:
-    ports = "&".join(f"{name}={number}" for name, number in controller.ports.items())
-    return urlink.connect(f"ur://{controller.host}?{ports}", backoff=QUICK, **options)  # type: ignore[arg-type]
+    return urlink.connect(controller.address, backoff=QUICK, **options)  # type: ignore[arg-type]
 
 
 @pytest.fixture
