@@ -106,7 +106,8 @@ class Feed(Generic[T]):
         """The newest packet of this connection, or None. Never blocks.
 
         None before the first packet came and again as soon as the connection is lost: old data is
-        never shown as new. Begins to connect, if nothing has yet.
+        never shown as new. A recording that is over keeps its last one. Begins to connect, if
+        nothing has yet.
         """
         self._stream.start_quietly()
         newest: T | None = self._stream.newest(self._kind)
@@ -580,7 +581,8 @@ class Stream(Feed[T]):
     def _finish(self, failure: Exception | None) -> None:
         self._transport.close()
         with self._lock:
-            self._newest = {}
+            if failure is not None or self._closing.is_set():
+                self._newest = {}  # the last of a recording stays: it is no older than the others
             self.failure = failure
             if failure is not None:
                 self._reader = None  # the next use tries again

@@ -200,15 +200,15 @@ class Robot:
             RemoteError: a stream could not be opened.
         """
         streams = [(name, self._stream(name)) for name in interfaces]
-        for _, stream in streams:
-            stream.start()  # before there is a file: a robot that is away leaves none behind
         recorder = Recorder(path)
         try:
             for name, stream in streams:
                 info = {"name": name, "address": self.address, "firmware": str(self.firmware), "model": self.model}
                 recorder.add(stream, info)
         except BaseException:
+            # A robot that is away leaves no file behind.
             recorder.close()
+            recorder.path.unlink(missing_ok=True)
             raise
         return recorder
 

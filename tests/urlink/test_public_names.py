@@ -78,6 +78,7 @@ NAMES = [
     "ToolModeInfo",
     "Traffic",
     "UnknownMessage",
+    "UnknownModel",
     "UnknownSubPackage",
     "UnnamedMessage12",
     "VersionMessage",

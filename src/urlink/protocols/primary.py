@@ -160,13 +160,18 @@ class _Plan(NamedTuple):
 class PackageDecoder:
     """Whole packages to typed states.
 
+    Args:
+        version: the firmware whose layouts are the least that will do; None goes by sizes alone.
+        notice: told once of each kind of unknown part of a robot state.
+
     Attributes:
         unknown: packages, messages and sub-packages of a type that no layout is known for, so far.
         tails: those that end in bytes which no known layout explains, so far.
     """
 
-    def __init__(self, version: Version | None = None) -> None:
+    def __init__(self, version: Version | None = None, notice: Callable[[str], object] = str) -> None:
         self._version = version
+        self._notice = notice
         self.unknown = 0
         self.tails = 0
         self._plans: dict[int, _Plan] = {}
@@ -245,10 +250,9 @@ class PackageDecoder:
         unknown = [package for package in packages if isinstance(package, UnknownSubPackage)]
         tails = [package for package in packages if package.tail]
         for package in unknown:
-            _log.warning("robot state: sub-package type %d of %d bytes is unknown", package.type, len(bytes(package)))
+            self._notice(f"sub-package type {package.type} of {len(bytes(package))} bytes is unknown, and kept")
         for part in tails:
-            name, tail = type(part).__name__, part.tail
-            _log.warning("robot state: the last %d bytes of %s are unknown, and kept", len(tail), name)
+            self._notice(f"the last {len(part.tail)} bytes of {type(part).__name__} are unknown, and kept")
         return plan._replace(unknown=len(unknown), tails=len(tails))
 
     def _blame(self, plan: _Plan, frame: bytes) -> None:
@@ -329,7 +333,7 @@ class PrimaryProtocol:
 
     def __init__(self) -> None:
         self.framer = Framer(PackageBorder())
-        self._decoder = PackageDecoder()
+        self._decoder = PackageDecoder(notice=_log.warning)
         self.firmware: Firmware | None = None
 
     @property
