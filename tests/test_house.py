@@ -14,6 +14,7 @@ SOCKETS = {"linkcore.transport", "urlink.simulator.server"}
 #: The only modules that may start threads.
 THREADS = {
     "linkcore.stream",  # the reader of each stream
+    "linkcore.shortcut",  # who takes over the reading from a callback that keeps the reader
     "linkcore.subscription",  # one for each callback
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn

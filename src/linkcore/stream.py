@@ -22,6 +22,7 @@ from .framing import Framer
 from .inbox import Inbox
 from .packet import State
 from .policy import Policy, block, drop_oldest, latest
+from .shortcut import Relieved, Shortcut
 from .stamp import Stamp
 from .statistics import StreamStatistics
 from .subscription import Subscription
@@ -249,6 +250,9 @@ class Stream(Feed[T]):
         # Who gets packets (object), connection events, and everything as it came. Replaced, never changed.
         self._inboxes: dict[type, tuple[Inbox, ...]] = {object: (), ConnectionEvent: (), Traffic: ()}
         self._subscriptions: list[Subscription] = []
+        self._shortcut: Shortcut | None = None
+        # Where packets go: the inboxes, and last of all the shortcut in place of its own.
+        self._outlets: tuple[Inbox | Shortcut, ...] = ()
         self._newest: dict[type, Any] = {}
         self._received = self._dropped = self._failed = 0
         self._bytes = self._connections = self._skipped = self._resyncs = self._unknown = self._tails = 0
@@ -350,9 +354,11 @@ class Stream(Feed[T]):
         self._transport.close()
         reader, here = self._reader, threading.current_thread()
         with self._lock:
+            if self._shortcut is not None:
+                self._shortcut.end()
             inboxes = [inbox for group in self._inboxes.values() for inbox in group]
             subscriptions = list(self._subscriptions)
-        callers = [each.inbox for each in subscriptions if each.runs_in(here)]
+        callers = [each.inbox for each in subscriptions if each.runs_in(threading.get_ident())]
         for inbox in inboxes:
             # The caller's own queue will not be emptied while it waits here.
             if inbox.evicts or inbox in callers:
@@ -441,6 +447,7 @@ class Stream(Feed[T]):
         inbox = Inbox(policy, wants, lost)
         with self._lock:
             self._inboxes[group] = (*self._inboxes[group], inbox)
+            self._route()
         try:
             self.start()
         except Exception:
@@ -455,6 +462,10 @@ class Stream(Feed[T]):
         with self._lock:
             for group, inboxes in list(self._inboxes.items()):
                 self._inboxes[group] = tuple(each for each in inboxes if each is not inbox)
+            if self._shortcut is not None and self._shortcut.inbox is inbox:
+                self._shortcut.end()
+                self._shortcut = None
+            self._route()
 
     def close_inbox(self, inbox: Inbox) -> None:
         """Take a queue away; what waits in it is dropped and counted."""
@@ -493,10 +504,34 @@ class Stream(Feed[T]):
             on_deadline=on_deadline,
             linger=linger,
             detach=detach,
+            trust=self._trust if kind is self._kind and self._parts is None else None,
         )
         with self._lock:
             self._subscriptions.append(subscription)
         return subscription
+
+    def _route(self) -> None:
+        """Say anew where packets go; with the lock."""
+        inboxes, shortcut = self._inboxes[object], self._shortcut
+        others = inboxes if shortcut is None else [inbox for inbox in inboxes if inbox is not shortcut.inbox]
+        self._outlets = (*others, *([] if shortcut is None else [shortcut]))
+
+    def _trust(self, subscription: Subscription) -> None:
+        """Let the reader call this subscription back itself, if it does so for no other."""
+        with self._lock:
+            is_here = any(inbox is subscription.inbox for inbox in self._inboxes[object])
+            if self._shortcut is None and is_here and not self._closing.is_set():
+                self._shortcut = Shortcut(subscription, self._withdraw, self._read_on)
+                self._route()
+
+    def _withdraw(self, shortcut: Shortcut) -> None:
+        """Send a subscription that was slow back to its own thread."""
+        with self._lock:
+            if self._shortcut is shortcut:
+                self._shortcut = None
+                self._route()
+        shortcut.end()
+        shortcut.subscription.distrust()
 
     def why_nothing(self, kind: type, timeout: float) -> Exception:
         """What to raise when no packet of class `kind` came within `timeout` seconds."""
@@ -511,19 +546,28 @@ class Stream(Feed[T]):
 
     # -- the reader thread ---------------------------------------------------------------------
 
-    def _read(self) -> None:
+    def _read_on(self) -> None:
+        """Go on reading in place of a reader that a callback keeps."""
+        self._reader = threading.current_thread()
+        self._read(connected=True)
+
+    def _read(self, connected: bool = False) -> None:
         waits = self._backoff.waits()
         failure: Exception | None = None
         while not self._closing.is_set():
             error: Exception | None = None
             before = self._received
             try:
-                self._tell(ConnectionState.CONNECTING)
-                self._transport.open(self._timeout)
-                if self._closing.is_set():  # closed while connecting: it could not see this socket
-                    break
-                self._connected()
+                if not connected:
+                    self._tell(ConnectionState.CONNECTING)
+                    self._transport.open(self._timeout)
+                    if self._closing.is_set():  # closed while connecting: it could not see this socket
+                        break
+                    self._connected()
+                connected = False
                 self._pump()
+            except Relieved:
+                return
             except Finished:
                 break
             except WrongPeer as raised:
@@ -589,6 +633,8 @@ class Stream(Feed[T]):
             else:
                 self._over = True
             inboxes = [inbox for group in self._inboxes.values() for inbox in group]
+            if self._shortcut is not None:
+                self._shortcut.end()
         self._tell(ConnectionState.IDLE if failure is not None else ConnectionState.CLOSED, failure)
         self._settled.set()
         for inbox in inboxes:
@@ -650,8 +696,8 @@ class Stream(Feed[T]):
                 self._remember(packet)
                 for part in self._parts(packet):
                     self._remember(part)
-        for inbox in self._inboxes[object]:
-            inbox.offer(packets)
+        for outlet in self._outlets:
+            outlet.offer(packets)
 
     def _remember(self, packet: Any) -> None:
         # Taken out first, so that the newest stands last.

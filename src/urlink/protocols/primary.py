@@ -68,8 +68,8 @@ class PackageBorder:
         self._in_step = True
         return int(size)
 
-    def is_whole(self, buffer: bytes) -> bool:
-        return False
+    def whole(self, buffer: bytes) -> list[bytes]:
+        return []
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         kind = buffer[at + 4]

@@ -70,12 +70,20 @@ class RealtimeBorder:
         if self._learnt is not None:
             self._learnt(size)
 
-    def is_whole(self, buffer: bytes) -> bool:
-        # The common case: the controller writes a packet at a time, and the reader keeps up.
-        if not self.size or len(buffer) != self.size or int.from_bytes(buffer[:4], "big") != self.size:
-            return False
-        self._time = buffer[4:12]
-        return True
+    def whole(self, buffer: bytes) -> list[bytes]:
+        # In step, packets of one size follow each other: it is enough that each has its header.
+        size = self.size
+        count = len(buffer) // size if self._time else 0
+        if not count:
+            return []
+        end = count * size
+        for offset, byte in enumerate(size.to_bytes(4, "big")):
+            if buffer[offset:end:size].count(byte) != count:
+                return []
+        self._time = buffer[end - size + 4 : end - size + 12]
+        if end == size == len(buffer):
+            return [buffer]
+        return [buffer[at : at + size] for at in range(0, end, size)]
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
         # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
