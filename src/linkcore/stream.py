@@ -32,6 +32,9 @@ __all__ = ["Chunk", "ConnectionEvent", "ConnectionState", "Feed", "Session", "St
 
 _log = logging.getLogger(__name__)
 
+# A NamedTuple made without its own __new__, which is written in Python.
+_new = tuple.__new__
+
 T = TypeVar("T")
 K = TypeVar("K")
 
@@ -253,6 +256,7 @@ class Stream(Feed[T]):
         self._shortcut: Shortcut | None = None
         # Where packets go: the inboxes, and last of all the shortcut in place of its own.
         self._outlets: tuple[Inbox | Shortcut, ...] = ()
+        self._taps: tuple[Inbox, ...] = ()
         self._newest: dict[type, Any] = {}
         self._received = self._dropped = self._failed = 0
         self._bytes = self._connections = self._skipped = self._resyncs = self._unknown = self._tails = 0
@@ -512,6 +516,7 @@ class Stream(Feed[T]):
 
     def _route(self) -> None:
         """Say anew where packets go; with the lock."""
+        self._taps = self._inboxes[Traffic]
         inboxes, shortcut = self._inboxes[object], self._shortcut
         others = inboxes if shortcut is None else [inbox for inbox in inboxes if inbox is not shortcut.inbox]
         self._outlets = (*others, *([] if shortcut is None else [shortcut]))
@@ -648,10 +653,10 @@ class Stream(Feed[T]):
         progress = time.monotonic()
         while True:
             data, stamp = receive()
-            for inbox in self._inboxes[Traffic]:
+            for inbox in self._taps:
                 if not inbox.received and session.framer.rest:
-                    inbox.offer((Chunk(session.framer.rest, stamp),))  # the head of the packet it came into
-                inbox.offer((Chunk(data, stamp),))
+                    inbox.put(Chunk(session.framer.rest, stamp))  # the head of the packet it came into
+                inbox.put(_new(Chunk, (data, stamp)))
             frames = feed(data)
             if frames:
                 progress = stamp.monotonic
