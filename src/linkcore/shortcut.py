@@ -2,10 +2,11 @@
 
 Handing a packet to another thread costs more than reading it: on a machine that is otherwise idle
 most of the latency, and most of the processor time, is the waking of that thread. So a subscription
-that has proved quick is served by the reader. It is taken at its word only as long as it keeps it: a
-call that lasts longer sends it back to its own thread, and should a call not return, a second thread,
-which looks every `PATIENCE` seconds, takes over the reading. Then the others have waited that long,
-once; nothing is lost, since what is not read waits in the socket.
+that has proved quick is served by the reader. It is taken at its word only as long as it keeps it: two
+calls within a second that last longer send it back to its own thread (one may be the machine's
+fault), and should a call not return, a second thread, which looks every `PATIENCE` seconds, takes
+over the reading. Then the others have waited that long, once; nothing is lost, since what is not read
+waits in the socket.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ class Shortcut:
         self._read_on = read_on
         self._role = threading.Lock()
         self._since: float | None = None
+        self._slow = float("-inf")
         self._relieved = False
         self._ended = threading.Lock()
         self._ended.acquire()
@@ -72,7 +74,9 @@ class Shortcut:
         if not done:
             self.inbox.offer(packets)
         elif time.monotonic() - since > QUICK * len(packets):
-            self._withdraw(self)
+            if since - self._slow < 1.0:
+                self._withdraw(self)
+            self._slow = since
 
     def end(self) -> None:
         """Watch no longer."""

@@ -19,6 +19,7 @@ _log = logging.getLogger(__name__)
 
 #: Calls in a row that have to be quick before the reader makes them itself.
 _TRUST = 64
+_MOST_TRUST = 1024
 
 
 class Subscription:
@@ -139,7 +140,7 @@ class Subscription:
 
     def distrust(self) -> None:
         """It was slow: it has to prove itself anew, and for longer."""
-        self._needed *= 4
+        self._needed = min(self._needed * 4, _MOST_TRUST)
 
     # -- its own thread ------------------------------------------------------------------------
 

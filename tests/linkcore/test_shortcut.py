@@ -122,13 +122,16 @@ def test_a_callback_that_was_slow_goes_back_to_its_own_thread(stream: Stream[Cou
     callback = Callback()
     subscription = stream.subscribe(callback, policy=block)
     feeding.until_trusted(callback, subscription)
-    callback.gate = threading.Event()
-    feeding.send()
-    assert callback.stuck.wait(10)
-    timer = threading.Timer(0.002, callback.gate.set)  # longer than quick, shorter than patience
-    timer.start()
-    until(lambda: subscription.stats.delivered == feeding.sent)
-    timer.join()
+    for _ in range(2):  # once may be the machine's fault
+        callback.stuck.clear()
+        callback.gate = threading.Event()
+        feeding.send()
+        assert callback.stuck.wait(10)
+        assert callback.thread.endswith("reader")
+        timer = threading.Timer(0.002, callback.gate.set)  # longer than quick, shorter than patience
+        timer.start()
+        until(lambda: subscription.stats.delivered == feeding.sent)
+        timer.join()
     callback.gate = None
     feeding.send()
     until(lambda: subscription.stats.delivered == feeding.sent)
