@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from .errors import BadRecording, LinkTimeout
+from .events import Chunk, ConnectionEvent, Traffic
 from .policy import block
 from .recording import Kind, RecordingWriter
-from .stream import Chunk, ConnectionEvent, Stream, Traffic
+from .stream import Stream
 from .subscription import Subscription
 
 __all__ = ["Recorder"]

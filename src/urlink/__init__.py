@@ -27,11 +27,13 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
+from linkcore.events import Chunk, ConnectionEvent, ConnectionState, Traffic
+from linkcore.feed import Feed
 from linkcore.packet import State
 from linkcore.policy import Policy, block, drop_oldest, latest
 from linkcore.recorder import Recorder
 from linkcore.stamp import Stamp
-from linkcore.stream import Chunk, ConnectionEvent, ConnectionState, Feed, Stream, Traffic
+from linkcore.stream import Stream
 from linkcore.subscription import Subscription
 
 from .decode import decode

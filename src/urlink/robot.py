@@ -15,7 +15,8 @@ from linkcore.packet import State
 from linkcore.recorder import Recorder
 from linkcore.recording import Recording
 from linkcore.replay import ReplayClock, ReplayTransport
-from linkcore.stream import Session, Stream
+from linkcore.session import Session
+from linkcore.stream import Stream
 from linkcore.transport import TcpTransport, Transport
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address

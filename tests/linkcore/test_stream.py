@@ -11,8 +11,9 @@ import pytest
 
 from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.events import Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.policy import Policy, block, drop_oldest, latest
-from linkcore.stream import Chunk, ConnectionEvent, ConnectionState, Stream, Traffic
+from linkcore.stream import Stream
 from linkcore.transport import Finished
 from tests.linkcore.script import BAD, Count, CountSession, ScriptedTransport, counts
 from tests.waiting import until

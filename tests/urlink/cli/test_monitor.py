@@ -16,8 +16,8 @@ import pytest
 from rich.console import Console
 
 import urlink
+from linkcore.events import ConnectionState
 from linkcore.statistics import StreamStatistics
-from linkcore.stream import ConnectionState
 from urlink.cli import monitor
 from urlink.cli.glance import Glance, Status, status_of
 from urlink.cli.picture import Picture
