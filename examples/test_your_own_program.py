@@ -7,7 +7,6 @@ give it a robot, and let things go wrong.
 """
 
 from collections.abc import Iterator
-from urllib.parse import urlencode
 
 import pytest
 
@@ -34,24 +33,19 @@ def controller() -> Iterator[Controller]:
         yield controller
 
 
-def address_of(controller: Controller) -> str:
-    """The ports are free ones, so that tests can run side by side."""
-    return f"ur://{controller.host}?{urlencode(controller.ports)}"
-
-
 def test_says_why_the_robot_stopped(controller: Controller) -> None:
     controller.faults.protective_stop()
-    assert wait_until_stopped(address_of(controller)) == "PROTECTIVE_STOP"
+    assert wait_until_stopped(controller.address) == "PROTECTIVE_STOP"
 
 
 def test_survives_a_reboot_into_another_firmware(controller: Controller) -> None:
     # Times are seconds since the controller was made. It comes back with its modes as new.
     controller.schedule("reboot=5.12@0.3", "emergency_stop@2")
-    assert wait_until_stopped(address_of(controller)) == "ROBOT_EMERGENCY_STOP"
+    assert wait_until_stopped(controller.address) == "ROBOT_EMERGENCY_STOP"
 
 
 def test_notices_a_robot_that_is_connected_but_silent(controller: Controller) -> None:
-    address = address_of(controller)
+    address = controller.address
     with urlink.connect(address) as robot:
         robot.realtime.wait()
         controller.faults.stall(30)
@@ -62,4 +56,4 @@ def test_notices_a_robot_that_is_connected_but_silent(controller: Controller) ->
 def test_does_not_mind_how_the_network_cuts_the_bytes(controller: Controller) -> None:
     controller.faults.split([7, 1460, 1])
     controller.faults.emergency_stop()
-    assert wait_until_stopped(address_of(controller)) == "ROBOT_EMERGENCY_STOP"
+    assert wait_until_stopped(controller.address) == "ROBOT_EMERGENCY_STOP"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -42,8 +41,11 @@ class Backoff:
         >>> list(Backoff(first=0.1, most=0.3, jitter=0, tries=4).waits())
         [0.1, 0.2, 0.3, 0.3]
         """
+        # Here, because it brings hashlib with it, and whoever imports us should not pay for that.
+        import random
+
         wait, done = self.first, 0
         while self.tries is None or done < self.tries:
-            yield min(wait, self.most) * (1 + random.uniform(-self.jitter, self.jitter))
+            yield min(wait * (1 + random.uniform(-self.jitter, self.jitter)), self.most)
             wait = min(wait * self.factor, self.most)
             done += 1

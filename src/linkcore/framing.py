@@ -24,8 +24,8 @@ class Border(Protocol):
     def size_at(self, buffer: bytes, at: int) -> int:
         """Size of the packet whose header begins at `at`, or 0 if no packet can begin there."""
 
-    def is_whole(self, buffer: bytes) -> bool:
-        """Whether the buffer, which begins at a border, is one packet for certain; False if in doubt."""
+    def whole(self, buffer: bytes) -> list[bytes]:
+        """The packets with which the buffer begins, as far as that can be told quickly and for certain."""
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         """Whether the whole packet at `at` cannot be one, so that its size is not to be trusted.
@@ -75,12 +75,10 @@ class Framer:
             WrongPeer: what comes is no such stream at all.
         """
         border = self._border
-        if not self._rest and not self._lost and border.is_whole(data):
-            return [data]
         buffer = self._rest + data if self._rest else data
         end = len(buffer)
-        at = 0
-        frames: list[bytes] = []
+        frames = [] if self._lost else border.whole(buffer)
+        at = sum(map(len, frames))
         while end - at >= border.header:
             if self._lost:
                 found, certain = border.find(buffer, at)

@@ -50,6 +50,7 @@ class Inbox:
         self._wants = wants
         self._lost = lost
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._put, self._size = self._queue.put, self._queue.qsize
         self._room = threading.Semaphore(0)
         self._blocked = False
         self._dropping = threading.Lock()
@@ -57,7 +58,7 @@ class Inbox:
     @property
     def waiting(self) -> int:
         """Packets in the queue."""
-        return max(self._queue.qsize() - self._ended, 0)
+        return max(self._size() - self._ended, 0)
 
     # -- the reader's side ---------------------------------------------------------------------
 
@@ -65,22 +66,32 @@ class Inbox:
         """Hand packets over; waits only under the policy `block`."""
         if self._wants is not None:
             items = list(filter(self._wants, items))
-        if self._ended or not items:
+        if self._ended:
             return
         self.received += len(items)
-        put, size, limit = self._queue.put, self._queue.qsize, self._limit
-        if self.evicts:
-            for item in items:
-                if size() >= limit:
-                    self._drop_one()
-                put(item)
-        else:
-            for item in items:
-                while size() >= limit and not self.closed:
-                    self._wait_for_room()
-                put(item)
+        for item in items:
+            if self._size() >= self._limit:
+                self._make_room()
+            self._put(item)
         if self.closed:
             self._drop_all()
+
+    def put(self, item: Any) -> None:
+        """Hand over one packet that is wanted: `offer` without the detours."""
+        if self._size() >= self._limit or self._ended:
+            self.offer((item,))
+            return
+        self.received += 1
+        self._put(item)
+        if self.closed:
+            self._drop_all()
+
+    def _make_room(self) -> None:
+        if self.evicts:
+            self._drop_one()
+            return
+        while self._size() >= self._limit and not self.closed:
+            self._wait_for_room()
 
     def _wait_for_room(self) -> None:
         self._blocked = True
@@ -93,7 +104,7 @@ class Inbox:
         with self._dropping:
             if not self._ended:
                 self._ended = True
-                self._queue.put(_END)
+                self._put(_END)
 
     # -- the consumer's side -------------------------------------------------------------------
 
@@ -104,12 +115,15 @@ class Inbox:
         """
         try:
             item = self._queue.get(True, timeout)
+            while item is _END:
+                behind = self._size()
+                self._put(_END)  # whoever asks again is told again
+                if not behind:
+                    return None
+                item = self._queue.get()  # the reader was in the middle of an offer when the end came
         except queue.Empty:
             return None
-        if item is _END:
-            self._queue.put(_END)  # whoever asks again is told again
-            return None
-        if self._blocked and self._queue.qsize() <= self._limit // 2:
+        if self._blocked and self._size() <= self._limit // 2:
             self._room.release()  # not for each packet: the two threads would take turns
         return item
 
@@ -133,7 +147,7 @@ class Inbox:
         except queue.Empty:  # the consumer was quicker
             return False
         if item is _END:
-            self._queue.put(_END)
+            self._put(_END)
             return False
         self.dropped += 1
         if self._lost is not None:
@@ -142,5 +156,6 @@ class Inbox:
 
     def _drop_all(self) -> None:
         with self._dropping:  # the reader and whoever closes may both come here
-            while self._drop_one():
-                pass
+            for _ in range(self._size()):
+                # At most one of them is the end mark, which goes to the back.
+                self._drop_one()

@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import BadValue, PacketError
 from .shapes import Raw, Shape
-from .version import Since, Version
+from .version import Since, Version, version_text
 
 if TYPE_CHECKING:
     from .packet import State
@@ -239,7 +239,7 @@ class Layout:
         self._struct = None if self.has_text else struct.Struct("".join(codes))
 
     def __repr__(self) -> str:
-        version = ".".join(map(str, self.first))
+        version = version_text(self.first)
         return f"<Layout {self.packet.__name__} since {version}, {self.size}{'+' if self.has_text else ''} bytes>"
 
     # -- from the wire -------------------------------------------------------------------------
@@ -248,7 +248,7 @@ class Layout:
         return PacketError(
             "packet too short",
             packet=self.packet.__name__,
-            version=".".join(map(str, self.first)),
+            version=version_text(self.first),
             expected=self.size,
             actual=len(data),
             offset=len(data),

@@ -14,17 +14,16 @@ properties read from them, so nothing is lost and equality is equality of bytes.
 
 from __future__ import annotations
 
-import html
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from .errors import PacketError
-from .layout import Layout, Wire
+from .layout import Layout, Row, Wire
 from .shapes import OpenInt
-from .version import Since, Version, parse_version
+from .version import Since, Version, parse_version, version_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -143,6 +142,10 @@ class State:
     def __deepcopy__(self, memo: object) -> Self:
         return self
 
+    def dissect(self) -> Iterator[Row]:
+        """Every stretch of the packet's bytes with offset, name, value and unit; the unknown tail last."""
+        return self._layout.dissect(self._data)
+
     def to_dict(self) -> dict[str, Any]:
         """name -> plain Python value of every field sent: numbers, lists, text; codes by name."""
         return {name: _plain(getattr(self, name)) for name in self._layout.places}
@@ -154,6 +157,8 @@ class State:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
+        import html  # notebooks have it already; whoever imports us should not pay for it
+
         rows = "".join(
             f"<tr><td>{name}</td><td>{html.escape(_short(getattr(self, name)))}</td>"
             f"<td>{html.escape(place.wire.unit)}</td><td>{html.escape(place.wire.doc)}</td></tr>"
@@ -250,7 +255,7 @@ class Layouts:
         known = [border for border, block in self._of if block == has_block and border <= version]
         layout = self._of[max(known), has_block] if known else None
         if layout is None or not self._fields(version, has_block):
-            text = ".".join(map(str, version))
+            text = version_text(version)
             raise PacketError("not sent by this firmware", packet=self.cls.__name__, version=text)
         return layout
 
@@ -283,7 +288,7 @@ class Layouts:
             raise PacketError(
                 "packet too short",
                 packet=self.cls.__name__,
-                version=None if version is None else ".".join(map(str, version)),
+                version=None if version is None else version_text(version),
                 expected=least,
                 actual=size,
                 offset=size,

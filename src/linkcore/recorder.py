@@ -9,12 +9,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from .errors import BadRecording, LinkTimeout
+from .events import Chunk, ConnectionEvent, Traffic
 from .policy import block
 from .recording import Kind, RecordingWriter
-from .stream import Chunk, ConnectionEvent, Stream, Traffic
+from .stream import Stream
 from .subscription import Subscription
 
 __all__ = ["Recorder"]
+
+
+#: Seconds for which bytes gather before they are written; what a killed program can lose at most.
+_GATHER = 0.02
 
 
 class Recorder:
@@ -55,9 +60,14 @@ class Recorder:
                 event = json.dumps({"state": item.state.value, "error": error}).encode()
                 writer.write(Kind.EVENT, channel, item.received, event)
 
-        subscription = stream.subscribe(write, Traffic, policy=block)
+        subscription = stream.open_subscription(Traffic, write, policy=block, linger=_GATHER)
         self._subscriptions.append(subscription)
         return subscription
+
+    @property
+    def failure(self) -> str | None:
+        """Why the disk took no more, or None while all is well."""
+        return self._writer.failure
 
     def close(self, timeout: float = 5.0) -> None:
         """Write what still waits, and close the file, within `timeout` seconds; idempotent.

@@ -1,7 +1,7 @@
-"""From the socket to the subscribers: the reader thread, and everything that hangs on it.
+"""From the socket to the subscribers: the connection, and the thread that reads it.
 
-    transport -> framer -> decoder -> inboxes -> callbacks
-    [----------- reader thread -----------]   [own threads]
+    transport -> framer -> decoder -> distribution -> inboxes -> callbacks
+    [------------------ reader thread ----------]   [own threads]
 
 A `Stream` reconnects by itself and keeps its subscriptions meanwhile. What it hands out is typed:
 `Stream.of` gives the same stream seen as the packets of one class.
@@ -9,176 +9,33 @@ A `Stream` reconnects by itself and keeps its subscriptions meanwhile. What it h
 
 from __future__ import annotations
 
-import enum
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 from .backoff import Backoff
-from .errors import BadValue, Closed, LinkTimeout, PacketError, RemoteError
-from .framing import Framer
+from .distribution import Distribution
+from .errors import BadValue, Closed, LinkTimeout, PacketError, RemoteError, WrongPeer
+from .events import ConnectionEvent, ConnectionState, Traffic
+from .feed import Feed
 from .inbox import Inbox
-from .policy import Policy, block, drop_oldest, latest
+from .packet import State
+from .policy import Policy, block, drop_oldest
+from .session import Session
+from .shortcut import Relieved
 from .stamp import Stamp
-from .statistics import StreamStatistics
+from .statistics import StreamStatistics, Tally
 from .subscription import Subscription
 from .transport import Finished, Transport
 
-__all__ = ["Chunk", "ConnectionEvent", "ConnectionState", "Feed", "Session", "Stream", "Traffic"]
+__all__ = ["Stream"]
 
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 K = TypeVar("K")
-
-
-class ConnectionState(enum.Enum):
-    """What a stream's connection is doing."""
-
-    IDLE = "idle"
-    CONNECTING = "connecting"
-    CONNECTED = "connected"
-    LOST = "lost"
-    CLOSED = "closed"
-
-
-class ConnectionEvent(NamedTuple):
-    """A change of a stream's connection; subscribe to it as to a packet.
-
-    Attributes:
-        state: the new state.
-        stream: name of the stream.
-        error: what ended the connection, or None.
-        received: when it was noticed.
-    """
-
-    state: ConnectionState
-    stream: str
-    error: Exception | None
-    received: Stamp
-
-
-class Traffic:
-    """Everything as it came: subscribe to it for each `Chunk` and each `ConnectionEvent`, in order."""
-
-    IS_EVENT = True
-
-
-class Chunk(NamedTuple):
-    """Bytes as they came, and when."""
-
-    data: bytes
-    received: Stamp
-
-
-class Session(Protocol):
-    """One connection's protocol, sans-IO; a stream makes a new one each time it connects."""
-
-    framer: Framer
-
-    def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
-        """The typed packet in one frame; raises `PacketError`."""
-
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> Sequence[Any]:
-        """The typed packets in many frames; raises `PacketError` if one of them is bad."""
-
-
-class Feed(Generic[T]):
-    """The packets of one class on a stream: iterate, subscribe, look at the newest, wait for the next."""
-
-    def __init__(self, stream: Stream[Any], kind: type[T]) -> None:
-        self._stream = stream
-        self._kind = kind
-
-    @property
-    def latest(self) -> T | None:
-        """The newest packet of this connection, or None. Never blocks.
-
-        None before the first packet came and again as soon as the connection is lost: old data is
-        never shown as new. Begins to connect, if nothing has yet.
-        """
-        self._stream.start_quietly()
-        newest: T | None = self._stream.newest(self._kind)
-        return newest
-
-    def wait(self, timeout: float = 5.0) -> T:
-        """The next packet that arrives.
-
-        Raises:
-            LinkTimeout: none came within `timeout` seconds.
-            RemoteError: the first connection could not be made, or the stream gave up.
-            Closed: the stream was closed.
-        """
-        inbox = self._stream.open_inbox(self._kind, latest)
-        try:
-            packet = inbox.next(timeout)
-            if packet is not None:
-                first: T = next(iter(self._stream.expand(self._kind, packet)))
-                return first
-        finally:
-            self._stream.close_inbox(inbox)
-        self._stream.raise_if_over()
-        raise LinkTimeout(f"no {self._kind.__name__} from {self._stream.name} within {timeout:g} s")
-
-    def iterate(self, policy: Policy | None = None) -> Iterator[T]:
-        """Iterate with a policy of your own; a plain ``for`` keeps the newest state, or 1024 events.
-
-        Ends when the stream is closed, or a recording is over.
-
-        Raises:
-            RemoteError: the first connection could not be made, or the stream gave up.
-        """
-        stream = self._stream
-        inbox = stream.open_inbox(self._kind, policy or stream.default_policy(self._kind, latest))
-        try:
-            while True:
-                packet = inbox.next()
-                if packet is None:
-                    break
-                yield from stream.expand(self._kind, packet)
-        finally:
-            stream.close_inbox(inbox)
-        if stream.failure is not None:
-            raise stream.failure
-
-    def __iter__(self) -> Iterator[T]:
-        return self.iterate()
-
-    def subscribe(
-        self,
-        callback: Callable[[T], object],
-        *,
-        policy: Policy | None = None,
-        deadline: float | None = None,
-        on_deadline: Callable[[float], object] | None = None,
-    ) -> Subscription:
-        """Call `callback` with each packet, in a thread of its own, until closed.
-
-        Args:
-            callback: may be slow and may raise; neither harms anybody else.
-            policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by
-                default `drop_oldest(256)`, and 1024 for events.
-            deadline: seconds within which a packet has to come.
-            on_deadline: called with the seconds since the last packet, once for each silence that
-                lasts longer than `deadline`; by default the log gets a warning.
-
-        Raises:
-            RemoteError: the first connection could not be made.
-            Closed: the stream was closed.
-        """
-        if deadline is not None and not deadline > 0:
-            raise BadValue(f"deadline is {deadline}; expected a positive number of seconds")
-        if on_deadline is not None and deadline is None:
-            raise BadValue("on_deadline was given without a deadline")
-        return self._stream.open_subscription(
-            self._kind,
-            callback,
-            policy=policy or self._stream.default_policy(self._kind, drop_oldest(256)),
-            deadline=deadline,
-            on_deadline=on_deadline,
-        )
 
 
 class Stream(Feed[T]):
@@ -218,11 +75,12 @@ class Stream(Feed[T]):
         self._transport = transport
         self._session_factory = session
         self._session: Session | None = None
-        self._parts = parts
         self._backoff = backoff or Backoff()
         self._timeout = timeout
         self._silence = silence
         self._lossless = lossless
+        self._distribution = Distribution(kind, parts, self._read_on)
+        self._tally = Tally()
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._opened = False
@@ -232,15 +90,6 @@ class Stream(Feed[T]):
         self._settled = threading.Event()  # the first connection was made, or could not be
         self._reader: threading.Thread | None = None
         self._connection = ConnectionState.IDLE
-        # Who gets packets (object), connection events, and everything as it came. Replaced, never changed.
-        self._inboxes: dict[type, tuple[Inbox, ...]] = {object: (), ConnectionEvent: (), Traffic: ()}
-        self._subscriptions: list[Subscription] = []
-        self._newest: dict[type, Any] = {}
-        self._received = self._dropped = self._failed = 0
-        self._bytes = self._connections = self._skipped = self._resyncs = 0
-        self._arrived: float | None = None
-        self._window = (time.monotonic(), 0)
-        self._rate = 0.0
 
     # -- what users hold -----------------------------------------------------------------------
 
@@ -249,7 +98,12 @@ class Stream(Feed[T]):
 
         A class of packet, of a part of one, a base class of several, `ConnectionEvent`, or `Traffic`
         for the bytes as they came.
+
+        Raises:
+            BadValue: not a class that a stream can have.
         """
+        if not (isinstance(kind, type) and issubclass(kind, (State, ConnectionEvent, Traffic))):
+            raise BadValue(f"{kind!r} is no class of packets; expected one such as {self._kind.__name__}")
         return Feed(self, kind)
 
     def subscribe(
@@ -279,25 +133,8 @@ class Stream(Feed[T]):
     @property
     def stats(self) -> StreamStatistics:
         """The counters at this moment."""
-        with self._lock:
-            now = time.monotonic()
-            since, count = self._window
-            elapsed = now - since
-            # The last whole window, unless it is too old to be true.
-            rate = self._rate if elapsed < 2.0 and self._rate else (self._received - count) / max(elapsed, 1e-3)
-            framer = self._session.framer if self._session is not None else None
-            return StreamStatistics(
-                received=self._received,
-                delivered=self._received - self._dropped - self._failed,
-                dropped=self._dropped,
-                failed=self._failed,
-                reconnects=max(self._connections - 1, 0),
-                rate=rate,
-                bytes=self._bytes,
-                skipped=self._skipped + (framer.skipped if framer is not None else 0),
-                resyncs=self._resyncs + (framer.resyncs if framer is not None else 0),
-                age=None if self._arrived is None else now - self._arrived,
-            )
+        dropped = self._distribution.dropped  # first: what was dropped has been received
+        return self._tally.statistics(dropped, self._session)
 
     def join(self, timeout: float | None = None) -> bool:
         """Wait until a recording is over and all of it is delivered; False when time is up."""
@@ -311,9 +148,7 @@ class Stream(Feed[T]):
             reader.join(left())
             if reader.is_alive():
                 return False
-        with self._lock:
-            subscriptions = list(self._subscriptions)
-        return all(subscription.join(left()) for subscription in subscriptions)
+        return all(subscription.join(left()) for subscription in self._distribution.subscriptions)
 
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect and end every subscription and iteration; within `timeout` seconds.
@@ -326,22 +161,15 @@ class Stream(Feed[T]):
         until = time.monotonic() + timeout
         self._closing.set()
         self._transport.close()
-        reader, here = self._reader, threading.current_thread()
-        with self._lock:
-            inboxes = [inbox for group in self._inboxes.values() for inbox in group]
-            subscriptions = list(self._subscriptions)
-        callers = [each.inbox for each in subscriptions if each.runs_in(here)]
-        for inbox in inboxes:
-            # The caller's own queue will not be emptied while it waits here.
-            if inbox.evicts or inbox in callers:
-                inbox.close()
-        if reader is not None and reader is not here:
+        distribution, reader = self._distribution, self._reader
+        subscriptions = distribution.subscriptions
+        distribution.close_evicting()
+        if reader is not None and reader is not threading.current_thread():
             reader.join(max(until - time.monotonic(), 0.0))
         for subscription in subscriptions:
             subscription.join(until - time.monotonic())
         if reader is not None and reader.is_alive():
-            for inbox in inboxes:
-                inbox.close()
+            distribution.close_all()
         self._connection = ConnectionState.CLOSED
         self._settled.set()
 
@@ -385,37 +213,18 @@ class Stream(Feed[T]):
 
     def newest(self, kind: type[K]) -> K | None:
         """The newest packet of class `kind` on the present connection."""
-        newest = self._newest
-        if kind in newest:
-            exact: K = newest[kind]
-            return exact
-        for packet in reversed(list(newest.values())):
-            if isinstance(packet, kind):
-                return packet
-        return None
+        return self._distribution.newest(kind)
 
     def expand(self, kind: type[K], packet: Any) -> Iterable[K]:
         """What of class `kind` a packet is or holds."""
-        if isinstance(packet, kind):
-            return (packet,)
-        return [part for part in self._parts(packet) if isinstance(part, kind)] if self._parts is not None else ()
+        return self._distribution.expand(kind, packet)
 
-    def open_inbox(self, kind: type, policy: Policy) -> Inbox:
-        """A queue of packets that are or hold a `kind`; see `close_inbox`."""
-        wants: Callable[[Any], bool] | None = None
-        lost: Callable[[Any], None] | None = self._lose
-        group: type = object
-        if kind in (Traffic, ConnectionEvent):
-            group, lost = kind, None
-        elif kind is not self._kind or self._parts is not None:
-            expand = self.expand
+    def open_inbox(self, kind: type, policy: Policy, counts: bool = True) -> Inbox:
+        """A queue of packets that are or hold a `kind`; see `close_inbox`.
 
-            def wants(packet: Any) -> bool:
-                return any(True for _ in expand(kind, packet))
-
-        inbox = Inbox(policy, wants, lost)
-        with self._lock:
-            self._inboxes[group] = (*self._inboxes[group], inbox)
+        Without `counts`, what it drops was not missed by anybody: the stream does not count it.
+        """
+        inbox = self._distribution.add_inbox(kind, policy, counts)
         try:
             self.start()
         except Exception:
@@ -425,15 +234,9 @@ class Stream(Feed[T]):
             inbox.end()
         return inbox
 
-    def detach_inbox(self, inbox: Inbox) -> None:
-        """Give a queue no more; what waits in it can still be taken."""
-        with self._lock:
-            for group, inboxes in list(self._inboxes.items()):
-                self._inboxes[group] = tuple(each for each in inboxes if each is not inbox)
-
     def close_inbox(self, inbox: Inbox) -> None:
         """Take a queue away; what waits in it is dropped and counted."""
-        self.detach_inbox(inbox)
+        self._distribution.remove_inbox(inbox)
         inbox.close()
 
     def open_subscription(
@@ -442,55 +245,62 @@ class Stream(Feed[T]):
         callback: Callable[[Any], object],
         *,
         policy: Policy,
-        deadline: float | None,
-        on_deadline: Callable[[float], object] | None,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+        linger: float = 0.0,
     ) -> Subscription:
-        """A callback on a queue of its own."""
+        """A callback on a queue of its own.
+
+        With `linger`, packets gather for so many seconds before they are handed over: it spares the
+        reader waking the other thread for each.
+        """
         inbox = self.open_inbox(kind, policy)
-        whole = kind is self._kind or kind in (Traffic, ConnectionEvent)
+        name = f"{self.name} {kind.__name__}"
+        return self._distribution.add_subscription(name, kind, callback, inbox, deadline, on_deadline, linger)
 
-        def detach(subscription: Subscription) -> None:
-            self.detach_inbox(subscription.inbox)
-            with self._lock:
-                self._subscriptions = [each for each in self._subscriptions if each is not subscription]
-
-        subscription = Subscription(
-            inbox,
-            callback,
-            name=f"{self.name} {kind.__name__}",
-            expand=None if whole else lambda packet: self.expand(kind, packet),
-            deadline=deadline,
-            on_deadline=on_deadline,
-            detach=detach,
-        )
-        with self._lock:
-            self._subscriptions.append(subscription)
-        return subscription
-
-    def raise_if_over(self) -> None:
-        """Raise what ended the stream, if it has ended."""
+    def why_nothing(self, kind: type, timeout: float) -> Exception:
+        """What to raise when no packet of class `kind` came within `timeout` seconds."""
         if self.failure is not None:
-            raise self.failure
+            return self.failure
         if self._closing.is_set() or self._over:
-            raise Closed(f"{self.name} was closed, or is over")
+            return Closed(f"{self.name} was closed, or is over")
+        because = ""
+        if self._connection is not ConnectionState.CONNECTED and self._error is not None:
+            because = f"; it is not connected: {self._error}"
+        return LinkTimeout(f"no {kind.__name__} from {self.name} within {timeout:g} s{because}")
 
     # -- the reader thread ---------------------------------------------------------------------
 
-    def _read(self) -> None:
+    def _read_on(self) -> None:
+        """Go on reading in place of a reader that a callback keeps."""
+        self._reader = threading.current_thread()
+        self._read(connected=True)
+
+    def _read(self, connected: bool = False) -> None:
         waits = self._backoff.waits()
         failure: Exception | None = None
         while not self._closing.is_set():
             error: Exception | None = None
-            before = self._received
+            before = self._tally.received
             try:
-                self._tell(ConnectionState.CONNECTING)
-                self._transport.open(self._timeout)
-                if self._closing.is_set():  # closed while connecting: it could not see this socket
-                    break
-                self._connected()
+                if not connected:
+                    self._tell(ConnectionState.CONNECTING)
+                    self._transport.open(self._timeout)
+                    if self._closing.is_set():  # closed while connecting: it could not see this socket
+                        break
+                    self._connected()
+                connected = False
                 self._pump()
+            except Relieved:
+                return
             except Finished:
                 break
+            except WrongPeer as raised:
+                error = raised
+                if not self._tally.received:  # it never was the right one: trying again would not help
+                    failure = raised
+                    self._disconnected(raised)
+                    break
             except RemoteError as raised:
                 error = raised
             except Exception as raised:
@@ -504,7 +314,7 @@ class Stream(Feed[T]):
             if not self._opened and not self._patient:
                 failure = error
                 break
-            if self._received > before:
+            if self._tally.received > before:
                 waits = self._backoff.waits()  # reset by success: by packets, not by a mere connection
             wait = next(waits, None)
             if wait is None:
@@ -514,52 +324,46 @@ class Stream(Feed[T]):
         self._finish(failure)
 
     def _connected(self) -> None:
-        with self._lock:
-            self._session = self._session_factory()
-            self._connections += 1
-            self._opened = True
-            self._window = (time.monotonic(), self._received)
-            self._rate = 0.0
+        self._session = self._session_factory()
+        self._tally.connected()
+        self._opened = True
         self._tell(ConnectionState.CONNECTED)
         self._settled.set()
 
     def _disconnected(self, error: Exception | None) -> None:
         self._transport.close()
-        with self._lock:
-            self._newest = {}
-            if self._session is not None:
-                self._skipped += self._session.framer.skipped + len(self._session.framer.rest)
-                self._resyncs += self._session.framer.resyncs
-            self._session = None
+        self._distribution.forget()
+        session, self._session = self._session, None
+        if session is not None:
+            self._tally.disconnected(session)
         if not self._closing.is_set():
             _log.info("%s: connection lost: %s", self.name, error)
         self._tell(ConnectionState.LOST, error)
 
     def _finish(self, failure: Exception | None) -> None:
         self._transport.close()
+        if failure is not None or self._closing.is_set():
+            self._distribution.forget()  # the last of a recording stays: it is no older than the others
         with self._lock:
             self.failure = failure
             if failure is not None:
                 self._reader = None  # the next use tries again
             else:
                 self._over = True
-            inboxes = [inbox for group in self._inboxes.values() for inbox in group]
         self._tell(ConnectionState.IDLE if failure is not None else ConnectionState.CLOSED, failure)
         self._settled.set()
-        for inbox in inboxes:
-            inbox.end()
+        self._distribution.end()
 
     def _pump(self) -> None:
         """Read until the transport raises."""
         session, transport, silence = self._session, self._transport, self._silence
         assert session is not None
-        feed, receive = session.framer.feed, transport.receive
+        framer, distribution, tally = session.framer, self._distribution, self._tally
         progress = time.monotonic()
         while True:
-            data, stamp = receive()
-            if self._inboxes[Traffic]:
-                self._tap(session.framer.rest, Chunk(data, stamp))
-            frames = feed(data)
+            data, stamp = transport.receive()
+            distribution.tap(data, framer.rest, stamp)
+            frames = framer.feed(data)
             if frames:
                 progress = stamp.monotonic
             elif silence is not None and time.monotonic() - progress > silence:
@@ -571,14 +375,9 @@ class Stream(Feed[T]):
                 )
             except PacketError:
                 packets, failed = self._decode_singly(session, frames, stamp)
-            self._publish(packets, failed, len(data), stamp)
-
-    def _tap(self, rest: bytes, chunk: Chunk) -> None:
-        """Hand the bytes to those who want them as they came."""
-        for inbox in self._inboxes[Traffic]:
-            if inbox.received == 0 and rest:
-                inbox.offer((Chunk(rest, chunk.received),))  # the head of the packet it came into
-            inbox.offer((chunk,))
+            tally.count(len(packets), failed, len(data), stamp)
+            if packets:
+                distribution.publish(packets)
 
     def _decode_singly(self, session: Session, frames: list[bytes], stamp: Stamp) -> tuple[list[Any], int]:
         """All that can be decoded, and how many cannot: one bad packet takes no other with it."""
@@ -590,51 +389,11 @@ class Stream(Feed[T]):
                 self._report(error)
         return packets, len(frames) - len(packets)
 
-    def _publish(self, packets: Sequence[Any], failed: int, size: int, stamp: Stamp) -> None:
-        # Only the reader writes these, so they need no lock.
-        self._bytes += size
-        self._failed += failed
-        self._received += len(packets) + failed
-        since, before = self._window
-        arrived = stamp[0]
-        if arrived - since >= 1.0:
-            self._rate = (self._received - before) / (arrived - since)
-            self._window = (arrived, self._received)
-        if not packets:
-            return
-        self._arrived = arrived
-        if self._parts is None:
-            self._newest[self._kind] = packets[-1]
-        else:
-            for packet in packets:
-                self._remember(packet)
-                for part in self._parts(packet):
-                    self._remember(part)
-        for inbox in self._inboxes[object]:
-            inbox.offer(packets)
-
-    def _remember(self, packet: Any) -> None:
-        # Taken out first, so that the newest stands last.
-        self._newest.pop(type(packet), None)
-        self._newest[type(packet)] = packet
-
-    def _lose(self, packet: Any) -> None:
-        """A subscription drops a packet: counted once, however many do."""
-        with self._lock:
-            try:
-                packet._lost  # noqa: B018
-            except AttributeError:
-                packet._lost = True
-                self._dropped += 1
-
     def _report(self, error: PacketError) -> None:
-        failed = self._failed + 1
+        failed = self._tally.failed + 1
         if failed & (failed - 1) == 0:  # each power of two: bad packets at 500 Hz must not fill the disk
             _log.warning("%s: bad packet, %d so far: %s", self.name, failed, error)
 
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
         self._connection = state
-        event = ConnectionEvent(state, self.name, error, Stamp.now())
-        for group in (ConnectionEvent, Traffic):
-            for inbox in self._inboxes[group]:
-                inbox.offer((event,))
+        self._distribution.tell(ConnectionEvent(state, self.name, error, Stamp.now()))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from .inbox import Inbox
+from .shortcut import QUICK
 from .statistics import SubscriptionStatistics
 
 __all__ = ["Subscription"]
@@ -16,9 +17,15 @@ __all__ = ["Subscription"]
 _log = logging.getLogger(__name__)
 
 
+#: Calls in a row that have to be quick before the reader makes them itself.
+_TRUST = 64
+_MOST_TRUST = 1024
+
+
 class Subscription:
     """Delivers packets to a callback in a thread of its own, until closed.
 
+    A callback that has proved quick is called by the reader itself instead; see `linkcore.shortcut`.
     Made by `Stream.subscribe`; a context manager that closes itself.
     """
 
@@ -28,21 +35,31 @@ class Subscription:
         callback: Callable[[Any], object],
         *,
         name: str,
+        detach: Callable[[Subscription], object],
+        trust: Callable[[Subscription], object] | None = None,
         expand: Callable[[Any], Iterable[Any]] | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
-        detach: Callable[[Subscription], object],
+        linger: float = 0.0,
     ) -> None:
         self.name = name
         self.inbox = inbox
         self._callback = callback
+        self._detach = detach
+        self._trust = trust
         self._expand = expand
         self._deadline = deadline
         self._on_deadline = on_deadline
-        self._detach = detach
+        self._linger = linger
         self._delivered = 0
         self._failed = 0
         self._missed = 0
+        self._last = time.monotonic()
+        self._quick = 0
+        self._needed = _TRUST
+        # Whoever calls back holds the turn, so that there is never more than one call at a time.
+        self._turn = threading.Lock()
+        self._holder = 0
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
@@ -78,13 +95,22 @@ class Subscription:
 
     def join(self, timeout: float | None) -> bool:
         """Wait until the subscription has ended and delivered everything; False when time is up."""
-        if self._thread is not threading.current_thread():
-            self._thread.join(None if timeout is None else max(timeout, 0.0))
-        return not self._thread.is_alive()
+        until = None if timeout is None else time.monotonic() + max(timeout, 0.0)
+        if self.runs_in(threading.get_ident()):
+            return not self._thread.is_alive()
+        self._thread.join(timeout if timeout is None else max(timeout, 0.0))
+        if self._thread.is_alive():
+            return False
+        # The reader may be in the callback.
+        left = -1 if until is None else max(until - time.monotonic(), 0.0)
+        if not self._turn.acquire(timeout=left):
+            return False
+        self._turn.release()
+        return True
 
-    def runs_in(self, thread: threading.Thread) -> bool:
-        """Whether its callback is called in this thread."""
-        return thread is self._thread
+    def runs_in(self, thread: int) -> bool:
+        """Whether its callback is called in the thread of this identity."""
+        return thread in (self._thread.ident, self._holder)
 
     def __enter__(self) -> Subscription:
         return self
@@ -92,30 +118,85 @@ class Subscription:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    # -- the reader's side ---------------------------------------------------------------------
+
+    def deliver(self, packets: Sequence[Any]) -> bool:
+        """Call back with each packet here and now; False where others have to come first."""
+        if not self._turn.acquire(False):
+            return False
+        try:
+            inbox = self.inbox
+            if inbox.waiting or inbox.closed:
+                return False
+            self._holder = threading.get_ident()
+            inbox.received += len(packets)
+            self._call(packets)
+            self._holder = 0
+            if self._deadline is not None:
+                self._last = time.monotonic()
+            return True
+        finally:
+            self._turn.release()
+
+    def distrust(self) -> None:
+        """It was slow: it has to prove itself anew, and for longer."""
+        self._needed = min(self._needed * 4, _MOST_TRUST)
+
+    # -- its own thread ------------------------------------------------------------------------
+
     def _run(self) -> None:
-        take, expand, callback, deadline = self.inbox.next, self._expand, self._callback, self._deadline
-        since, timeout = time.monotonic(), deadline
+        take, deadline = self.inbox.next, self._deadline
+        timeout = 0.0 if self._linger else deadline
+        told = -1.0
         while True:
-            item = take(timeout)
-            if item is None:
-                if self.inbox.is_over:
-                    return
-                # Told once for each silence: a flood of calls would tell no more.
-                timeout = None
-                self._miss(time.monotonic() - since)
-                continue
+            packet = take(timeout)
+            if packet is not None:
+                began = time.monotonic()
+                with self._turn:
+                    self._call((packet,))
+                self._last = time.monotonic()
+                timeout = 0.0 if self._linger else deadline
+                if self._trust is not None:
+                    self._judge(self._trust, self._last - began)
+            elif self.inbox.is_over:
+                return
+            elif self._linger:
+                # Nobody waits on the queue meanwhile, so nobody has to be woken by the reader.
+                time.sleep(self._linger)
+            elif deadline is not None:
+                last = self._last
+                age = time.monotonic() - last
+                # The reader may have called back in the meantime. Told once for each silence.
+                timeout = deadline - age if age < deadline else deadline
+                if age >= deadline and told != last:
+                    told = last
+                    self._miss(age)
+
+    def _judge(self, trust: Callable[[Subscription], object], seconds: float) -> None:
+        self._quick = self._quick + 1 if seconds < QUICK else 0
+        if self._quick >= self._needed and self.inbox.waiting == 0:
+            self._quick = 0
+            trust(self)
+
+    def _call(self, packets: Iterable[Any]) -> None:
+        callback = self._callback
+        rest = iter(packets if self._expand is None else map(self._expand, packets))
+        while True:
+            delivered = 0
             try:
-                if expand is None:
-                    callback(item)
-                else:
-                    for part in expand(item):
-                        callback(part)
-                self._delivered += 1
+                for packet in rest:
+                    if self._expand is None:
+                        callback(packet)
+                    else:
+                        for part in packet:
+                            callback(part)
+                    delivered += 1
+                return
             except Exception:
                 self._failed += 1
                 self._complain(f"callback of {self.name} raised; its subscription goes on")
-            if deadline is not None:
-                since, timeout = time.monotonic(), deadline
+            finally:
+                self._delivered += delivered
 
     def _miss(self, age: float) -> None:
         self._missed += 1

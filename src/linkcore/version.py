@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from .errors import BadVersion
 
-__all__ = ["Since", "Version", "parse_version"]
+__all__ = ["Since", "Version", "parse_version", "version_text"]
 
 #: ``(major, minor, ...)``; longer tuples compare as tuples do, so any NamedTuple of integers will do.
 Version = tuple[int, ...]
@@ -29,6 +29,11 @@ def parse_version(text: str | Version) -> Version:
     if len(parts) < 2 or not all(part.isascii() and part.isdigit() and len(part) < 7 for part in parts):
         raise BadVersion(f"{text!r} is not a version; expected something like '5.11'")
     return tuple(int(part) for part in parts)
+
+
+def version_text(version: Version) -> str:
+    """``(3, 10)`` -> ``"3.10"``; versions that are more than a tuple say it themselves."""
+    return ".".join(map(str, version)) if type(version) is tuple else str(version)
 
 
 class Since:

@@ -27,15 +27,18 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
+from linkcore.events import Chunk, ConnectionEvent, ConnectionState, Traffic
+from linkcore.feed import Feed
 from linkcore.packet import State
 from linkcore.policy import Policy, block, drop_oldest, latest
 from linkcore.recorder import Recorder
 from linkcore.stamp import Stamp
-from linkcore.stream import Chunk, ConnectionEvent, ConnectionState, Feed, Stream, Traffic
+from linkcore.stream import Stream
 from linkcore.subscription import Subscription
 
 from .decode import decode
 from .firmware import Firmware
+from .models import UnknownModel
 from .robot import Robot, connect
 from .schemas.enums import (
     AnalogDomain,
@@ -164,6 +167,7 @@ __all__ = [
     "ToolModeInfo",
     "Traffic",
     "UnknownMessage",
+    "UnknownModel",
     "UnknownSubPackage",
     "UnnamedMessage12",
     "VersionMessage",

@@ -10,18 +10,9 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from linkcore.errors import BadAddress, BadVersion
 
 from .firmware import Firmware, release_of
+from .ports import PORTS
 
-__all__ = ["PORTS", "Address", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
-
-#: interface -> TCP port of a controller
-PORTS: Mapping[str, int] = {
-    "primary": 30001,
-    "secondary": 30002,
-    "realtime": 30003,
-    "primary_readonly": 30011,
-    "secondary_readonly": 30012,
-    "realtime_readonly": 30013,
-}
+__all__ = ["Address", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +21,14 @@ class RobotAddress:
 
     host: str
     ports: Mapping[str, int] = field(default_factory=lambda: dict(PORTS))
+
+    def __str__(self) -> str:
+        """The address as `parse_address` reads it, with the ports that are not the usual ones."""
+        # From this machine a server that listens everywhere is reached here.
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(self.host, self.host)
+        host = f"[{host}]" if ":" in host else host
+        options = "&".join(f"{name}={port}" for name, port in self.ports.items() if PORTS.get(name) != port)
+        return f"ur://{host}?{options}" if options else host
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,8 @@ def release_of(firmware: Firmware) -> Release:
     rows = [row for row in RELEASES if row.since <= firmware]
     same = [row for row in rows if row.since.major == firmware.major]
     if not rows or (not same and firmware.major < RELEASES[-1].since.major):
-        raise BadVersion(f"nothing is known of firmware {firmware}; the table begins with {RELEASES[0].since}")
+        known = ", ".join(f"{major}.x" for major in sorted({row.since.major for row in RELEASES}))
+        raise BadVersion(f"nothing is known of firmware {firmware}; the table has {known}, from {RELEASES[0].since} on")
     return (same or rows)[-1]
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from linkcore.errors import ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from linkcore.errors import BadVersion, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from linkcore.transport import TcpTransport
 
-from .firmware import Firmware, infer
+from .firmware import Firmware, infer, release_of
 from .models import model_of
 from .protocols.primary import PrimaryProtocol
 from .schemas.robot_state import ConfigurationData, RobotState
@@ -69,7 +69,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
                 if isinstance(packet, RobotState):
                     state = state or packet
                     configuration = configuration or packet.configuration_data
-            if session.firmware is not None and configuration is not None:
+            if session.firmware is not None and (configuration is not None or _says_no_more(session.firmware, state)):
                 break
             if session.firmware is not None or state is not None:
                 until = min(until, time.monotonic() + _GRACE)
@@ -92,6 +92,14 @@ def identify(host: str, port: int, timeout: float) -> Identity:
             f"{transport.name} did not say who it is within {timeout:g} s; it began with {received[:32]!r}"
         )
     return Identity(firmware, session.firmware is not None, _model_name(configuration, firmware))
+
+
+def _says_no_more(firmware: Firmware, state: RobotState | None) -> bool:
+    """Before 1.8 no state has the configuration, so there is nothing to wait for."""
+    try:
+        return state is not None and 6 not in release_of(firmware).state
+    except BadVersion:
+        return False
 
 
 def _model_name(configuration: ConfigurationData | None, firmware: Firmware) -> str | None:

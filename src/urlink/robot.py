@@ -15,7 +15,8 @@ from linkcore.packet import State
 from linkcore.recorder import Recorder
 from linkcore.recording import Recording
 from linkcore.replay import ReplayClock, ReplayTransport
-from linkcore.stream import Session, Stream
+from linkcore.session import Session
+from linkcore.stream import Stream
 from linkcore.transport import TcpTransport, Transport
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
@@ -56,6 +57,8 @@ def connect(
     Raises:
         BadAddress: nobody can read the address.
         BadRecording: the recording does not exist, or is none.
+        BadValue: a time that is not positive, or a simulated arm that does not run the firmware.
+        UnknownModel: no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
     if not timeout > 0 or not silence > 0:
@@ -204,7 +207,9 @@ class Robot:
                 info = {"name": name, "address": self.address, "firmware": str(self.firmware), "model": self.model}
                 recorder.add(stream, info)
         except BaseException:
+            # A robot that is away leaves no file behind.
             recorder.close()
+            recorder.path.unlink(missing_ok=True)
             raise
         return recorder
 

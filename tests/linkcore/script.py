@@ -34,8 +34,8 @@ class CountBorder:
     def size_at(self, buffer: bytes, at: int) -> int:
         return 5 if buffer[at] == 5 else 0
 
-    def is_whole(self, buffer: bytes) -> bool:
-        return False
+    def whole(self, buffer: bytes) -> list[bytes]:
+        return []
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
         return False
@@ -55,6 +55,7 @@ BAD = 666
 class CountSession:
     def __init__(self) -> None:
         self.framer = Framer(CountBorder())
+        self.unknown = self.tails = 0
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Count:
         count: Count = Count.LAYOUTS.decode(frame, None, stamp)

@@ -43,7 +43,6 @@ def test_jitter_varies_each_wait_by_its_share(first: float, factor: float, most:
         assert exact * (1 - jitter) - 1e-9 <= wait <= exact * (1 + jitter) + 1e-9
 
 
-@pytest.mark.xfail(reason="jitter is added to the bound")
 def test_no_wait_exceeds_the_most_with_jitter_either() -> None:
     assert max(first_waits(Backoff(first=1, factor=2, most=4, jitter=0.5), 200)) <= 4
 

@@ -21,8 +21,8 @@ class HashBorder:
         digits = buffer[at + 1 : at + 3]
         return int(digits) if buffer[at : at + 1] == b"#" and digits.isdigit() and int(digits) >= 4 else 0
 
-    def is_whole(self, buffer: bytes) -> bool:
-        return False
+    def whole(self, buffer: bytes) -> list[bytes]:
+        return []
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         if buffer[at + size - 1 : at + size] == b".":

@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 import linkcore.replay
 from linkcore.backoff import Backoff
 from linkcore.errors import BadRecording, BadValue, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.recorder import Recorder
 from linkcore.recording import Kind, Recording, RecordingWriter
 from linkcore.replay import ReplayClock, ReplayTransport
 from linkcore.stamp import Stamp
-from linkcore.stream import ConnectionEvent, ConnectionState, Stream
+from linkcore.stream import Stream
 from linkcore.transport import Finished
 from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
 from tests.waiting import until

@@ -11,8 +11,9 @@ import pytest
 
 from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.events import Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.policy import Policy, block, drop_oldest, latest
-from linkcore.stream import Chunk, ConnectionEvent, ConnectionState, Stream, Traffic
+from linkcore.stream import Stream
 from linkcore.transport import Finished
 from tests.linkcore.script import BAD, Count, CountSession, ScriptedTransport, counts
 from tests.waiting import until
@@ -33,6 +34,10 @@ def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
     adds_up(stream)
 
 
+def own_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("script")]
+
+
 def adds_up(stream: Stream[Count]) -> None:
     stats = stream.stats
     assert stats.received == stats.delivered + stats.dropped + stats.failed
@@ -41,7 +46,7 @@ def adds_up(stream: Stream[Count]) -> None:
 def test_nothing_starts_before_it_is_used(stream: Stream[Count], transport: ScriptedTransport) -> None:
     assert transport.opened == 0
     assert stream.connection is ConnectionState.IDLE
-    assert threading.active_count() == 1
+    assert not own_threads()
 
 
 def test_delivers_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
@@ -180,7 +185,7 @@ def test_close_frees_a_reader_that_waits_for_room(stream: Stream[Count], transpo
     stream.close(timeout=0.5)
     assert time.monotonic() - began < 5
     wake.set()
-    until(lambda: threading.active_count() == 1)
+    until(lambda: not own_threads())
     adds_up(stream)
 
 
@@ -195,7 +200,7 @@ def test_close_from_the_callback(stream: Stream[Count], transport: ScriptedTrans
     stream.subscribe(close)
     transport.put(counts(1, 2, 3))
     assert closed.wait(10)
-    until(lambda: threading.active_count() == 1)
+    until(lambda: not own_threads())
     assert stream.connection is ConnectionState.CLOSED
 
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 import urlink
 from linkcore.errors import BadAddress, BadRecording
-from urlink.address import PORTS, RecordingAddress, RobotAddress, SimulatorAddress, parse_address
+from urlink.address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from urlink.firmware import Firmware
+from urlink.ports import PORTS
 
 
 @pytest.mark.parametrize(
@@ -163,3 +164,12 @@ def test_a_recording_without_the_interface_says_so_at_once(tmp_path: Path) -> No
         with pytest.raises(BadRecording, match="holds no realtime; it holds primary"):
             replayed.realtime  # noqa: B018
         assert list(replayed.primary)
+
+
+def test_a_robot_address_is_written_as_it_is_read() -> None:
+    assert str(RobotAddress("127.0.0.1")) == "127.0.0.1"
+    assert str(RobotAddress("::", dict(PORTS))) == "[::1]"
+    somewhere = RobotAddress("0.0.0.0", {**PORTS, "realtime": 5})
+    assert str(somewhere) == "ur://127.0.0.1?realtime=5"
+    for address in (RobotAddress("::1", {**PORTS, "primary": 7}), RobotAddress("robot", dict.fromkeys(PORTS, 9))):
+        assert parse_address(str(address)) == address

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from urlink import (
     SafetyMode,
     VersionMessage,
 )
+from urlink.address import RobotAddress
 from urlink.firmware import RELEASES, Firmware, release_of
 from urlink.models import MODELS
 from urlink.simulator import Controller
@@ -35,15 +37,15 @@ QUICK = Backoff(first=0.01, most=0.1)
 
 
 def connect(controller: Controller, **options: object) -> urlink.Robot:
-    ports = "&".join(f"{name}={number}" for name, number in controller.ports.items())
-    return urlink.connect(f"ur://{controller.host}?{ports}", backoff=QUICK, **options)  # type: ignore[arg-type]
+    return urlink.connect(controller.address, backoff=QUICK, **options)  # type: ignore[arg-type]
 
 
 @pytest.fixture
 def controller() -> Iterator[Controller]:
+    before = set(threading.enumerate())
     with Controller("UR5e", "5.11") as controller:
         yield controller
-    assert threading.active_count() == 1
+    assert set(threading.enumerate()) <= before
 
 
 @pytest.fixture
@@ -87,6 +89,7 @@ def test_every_model_says_who_it_is(name: str) -> None:
 
 
 def test_in_one_line() -> None:
+    before = set(threading.enumerate())
     with urlink.connect("sim://ur10?firmware=3.4") as robot:
         assert (robot.model, robot.firmware) == ("UR10", Firmware(3, 4))
         for count, state in enumerate(robot.realtime):
@@ -96,7 +99,7 @@ def test_in_one_line() -> None:
         assert robot.controller is not None
         assert robot.controller.ports
     assert robot.controller.ports == {}
-    assert threading.active_count() == 1
+    assert set(threading.enumerate()) <= before
 
 
 def test_streams_open_when_first_used(controller: Controller, robot: urlink.Robot) -> None:
@@ -132,6 +135,38 @@ def test_primary_by_type(controller: Controller, robot: urlink.Robot) -> None:
 
 def test_secondary_has_states(robot: urlink.Robot) -> None:
     assert robot.secondary.wait(5).joint_data is not None
+
+
+def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path: Path) -> None:
+    with Controller() as controller:
+        robot = connect(controller)
+    with robot, pytest.raises(urlink.ConnectFailed):
+        robot.record(tmp_path / "run.urlog")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stream_to_the_wrong_port_says_so(controller: Controller) -> None:
+    ports = {**controller.ports, "realtime": controller.ports["secondary"]}
+    with urlink.connect(str(RobotAddress(controller.host, ports)), backoff=QUICK) as robot:
+        with pytest.raises(urlink.WrongPeer, match="primary or secondary"):
+            next(iter(robot.realtime))
+        with pytest.raises(urlink.WrongPeer, match="primary or secondary"):
+            robot.realtime.wait(5)
+
+
+def test_what_waits_in_vain_says_why(controller: Controller, robot: urlink.Robot) -> None:
+    robot.realtime.wait(5)
+    controller.close()
+    until(lambda: robot.realtime.connection is not ConnectionState.CONNECTED)
+    with pytest.raises(urlink.LinkTimeout, match=r"not connected: .*refused"):
+        robot.realtime.wait(0.2)
+    with pytest.raises(urlink.LinkTimeout):
+        next(iter(robot.realtime.iterate(timeout=0.05)))
+
+
+def test_only_packets_can_be_asked_for(robot: urlink.Robot) -> None:
+    with pytest.raises(urlink.BadValue, match="no class of packets"):
+        robot.primary.of(RobotMode)
 
 
 def test_several_robots_in_one_process() -> None:
@@ -320,6 +355,7 @@ def test_fault_appended_bytes_are_kept_as_tails(controller: Controller, robot: u
     state = robot.realtime.wait(5)
     assert state.tail == b"\x01" * 16
     assert state.payload_inertia is not None
+    assert robot.realtime.stats.tails > 0
     whole = robot.primary.wait(5)
     # The configuration grew by 4 bytes in 5.25, so that much of its tail is known.
     tails = {len(package.tail) for package in whole if not isinstance(package, urlink.ConfigurationData)}
@@ -340,9 +376,10 @@ def test_fault_unknown_packages(controller: Controller, robot: urlink.Robot) -> 
     unknown = [package for package in state if isinstance(package, urlink.UnknownSubPackage)]
     assert (unknown[0].type, unknown[0].payload) == (77, b"a new part")
     assert robot.primary.stats.failed == 0
+    assert robot.primary.stats.unknown >= 2
 
 
-def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink.Robot, tmp_path: object) -> None:
+def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
     """What a user does with a bug report: record it, and replay it without the robot."""
     path = f"{tmp_path}/fault.urlog"
     with robot.record(path, ["realtime"]):

@@ -523,7 +523,7 @@ def test_the_robot_mode_list_is_that_of_the_generation() -> None:
     assert RealtimeState("1.8", robot_mode=0).robot_mode is RobotModeCB2.RUNNING
     assert RealtimeState("3.0", robot_mode=7).robot_mode is RobotMode.RUNNING
     assert RobotModeData("1.8", robot_mode=7).robot_mode is RobotModeCB2.NO_POWER
-    assert RobotModeData("5.4", robot_mode=200).robot_mode == 200
+    assert RobotModeData("5.4", robot_mode=100).robot_mode == 100
 
 
 def test_unknown_codes_decode() -> None:

@@ -15,6 +15,7 @@ from linkcore.errors import BadRecording, PacketError
 from linkcore.layout import Row
 from linkcore.packet import State
 from linkcore.recording import Kind, Recording
+from linkcore.version import version_text
 
 from ..decode import INTERFACES, Interface, decode
 from ..firmware import Firmware, release_of
@@ -273,8 +274,8 @@ def _header(data: bytes) -> Iterator[Row]:
 
 def _decoded(state: State, data: bytes, offset: int) -> Piece:
     layout = state._layout
-    first = None if layout.first == (0, 0) else ".".join(map(str, layout.first))
-    return Piece(offset, data, type(state).__name__, first, list(layout.dissect(data)))
+    first = None if layout.first == (0, 0) else version_text(layout.first)
+    return Piece(offset, data, type(state).__name__, first, list(state.dissect()))
 
 
 def _row_lines(row: Row, start: int) -> Iterator[str]:

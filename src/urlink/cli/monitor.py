@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from linkcore.errors import LinkError, LinkTimeout
-from linkcore.stream import ConnectionEvent, ConnectionState, Stream
+from linkcore.events import ConnectionEvent, ConnectionState
+from linkcore.stream import Stream
 
 from ..robot import Robot, connect
 from ..schemas.robot_message import RobotMessage, UnnamedMessage12, VersionMessage

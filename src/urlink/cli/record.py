@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import time
 
+from linkcore.events import ConnectionState
 from linkcore.recording import Recording
-from linkcore.stream import ConnectionState
 
 from ..decode import INTERFACES
 from ..robot import connect

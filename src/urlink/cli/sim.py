@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import time
 
-from ..address import PORTS
 from .interruption import Interruption
 from .options import Subparsers, add_command, seconds
 from .tap import tell
 
-__all__ = ["add_parser", "address_of"]
+__all__ = ["add_parser"]
 
 _DESCRIPTION = """\
 Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
@@ -73,18 +72,9 @@ def run(args: argparse.Namespace) -> int:
     with Interruption() as interruption, controller:
         until = None if args.duration is None else time.monotonic() + args.duration
         tell(f"{controller.model.name}, firmware {controller.firmware}; Ctrl-C ends it; connect to")
-        print(address_of(controller.host, controller.ports), flush=True)
+        print(controller.address, flush=True)
         while until is None or time.monotonic() < until:
             if interruption.wait(1.0 if until is None else min(1.0, until - time.monotonic())):
                 break
     interruption.raise_if_any()
     return 0
-
-
-def address_of(host: str, ports: dict[str, int]) -> str:
-    """The address by which the ports are reached."""
-    # From this machine a server that listens everywhere is reached here.
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(host, host)
-    host = f"[{host}]" if ":" in host else host
-    options = "&".join(f"{name}={port}" for name, port in ports.items() if PORTS.get(name) != port)
-    return f"ur://{host}?{options}" if options else host

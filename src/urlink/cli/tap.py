@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from linkcore.errors import LinkTimeout
+from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.packet import State
 from linkcore.policy import drop_oldest
-from linkcore.stream import ConnectionEvent, ConnectionState, Stream
+from linkcore.stream import Stream
 
 from .terminal import safe
 

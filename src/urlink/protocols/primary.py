@@ -7,6 +7,7 @@ Source: reference ur-primary.
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
 from collections.abc import Callable, Sequence
@@ -25,6 +26,8 @@ from ..schemas.robot_message import MESSAGES, PACKAGES, OtherPackage, UnknownMes
 from ..schemas.robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
 __all__ = ["PackageBorder", "PackageDecoder", "PrimaryProtocol"]
+
+_log = logging.getLogger(__name__)
 
 _HEAD = struct.Struct(">iB")
 _ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
@@ -65,8 +68,8 @@ class PackageBorder:
         self._in_step = True
         return int(size)
 
-    def is_whole(self, buffer: bytes) -> bool:
-        return False
+    def whole(self, buffer: bytes) -> list[bytes]:
+        return []
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
         kind = buffer[at + 4]
@@ -149,18 +152,39 @@ class _Plan(NamedTuple):
     where: struct.Struct
     heads: tuple[bytes, ...]
     parts: list[tuple[Callable[..., SubPackage], slice]]
+    #: how many of them no layout is known for, and how many end in bytes that none explains
+    unknown: int
+    tails: int
 
 
 class PackageDecoder:
     """Whole packages to typed states.
 
-    Attributes:
+    Args:
         version: the firmware whose layouts are the least that will do; None goes by sizes alone.
+        notice: told once of each kind of unknown part of a robot state.
+
+    Attributes:
+        unknown: packages, messages and sub-packages of a type that no layout is known for, so far.
+        tails: those that end in bytes which no known layout explains, so far.
     """
 
-    def __init__(self, version: Version | None = None) -> None:
-        self.version = version
+    def __init__(self, version: Version | None = None, notice: Callable[[str], object] = str) -> None:
+        self._version = version
+        self._notice = notice
+        self.unknown = 0
+        self.tails = 0
         self._plans: dict[int, _Plan] = {}
+
+    @property
+    def version(self) -> Version | None:
+        """The firmware whose layouts are the least that will do; None goes by sizes alone."""
+        return self._version
+
+    @version.setter
+    def version(self, version: Version | None) -> None:
+        self._version = version
+        self._plans = {}  # they were made for another
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
         """The typed state of one whole package.
@@ -173,20 +197,26 @@ class PackageDecoder:
             return self._robot_state(frame, stamp)
         if kind == _ROBOT_MESSAGE:
             return self._robot_message(frame, stamp)
-        cls = PACKAGES.get(kind)
-        if cls is None:
-            return OtherPackage.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
-        return cls.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
+        return self._counted(PACKAGES.get(kind, OtherPackage), frame, None, stamp)
+
+    def _counted(self, cls: type[State], frame: bytes, version: Version | None, stamp: Stamp | None) -> State:
+        state: State = cls.LAYOUTS.decode(frame, version, stamp)
+        self.unknown += cls in (OtherPackage, UnknownMessage)
+        self.tails += bool(state.tail)
+        return state
 
     def _robot_state(self, frame: bytes, stamp: Stamp | None) -> RobotState:
         plan = self._plans.get(len(frame))
         if plan is None or plan.where.unpack(frame) != plan.heads:
             plan = self._plan(frame)
         try:
-            return RobotState.of(frame, tuple([decode(frame[part], stamp) for decode, part in plan.parts]), stamp)
+            packages = tuple([decode(frame[part], stamp) for decode, part in plan.parts])
         except PacketError:
             self._blame(plan, frame)
             raise
+        self.unknown += plan.unknown
+        self.tails += plan.tails
+        return RobotState.of(frame, packages, stamp)
 
     def _plan(self, frame: bytes) -> _Plan:
         """Find the sub-packages of a robot state."""
@@ -196,16 +226,34 @@ class PackageDecoder:
             decode, size = self._look_up(frame, at)
             if size > end - at:
                 raise PacketError(
-                    "sub-package does not fit", packet="RobotState", expected=size, actual=end - at, offset=at
+                    f"sub-package {frame[at + 4]} does not fit",
+                    packet="RobotState",
+                    expected=size,
+                    actual=end - at,
+                    offset=at,
                 )
             heads.append(frame[at : at + 5])
             parts.append((decode, slice(at, at + size)))
             where.append(f"5s{size - 5}x")
             at += size
-        plan = _Plan(struct.Struct("".join(where)), tuple(heads), parts)
+        plan = self._judged(_Plan(struct.Struct("".join(where)), tuple(heads), parts, 0, 0), frame)
         if len(self._plans) < 64:  # lengths come from the wire: keep no more than a few
             self._plans[end] = plan
         return plan
+
+    def _judged(self, plan: _Plan, frame: bytes) -> _Plan:
+        """The plan with the counts of what is unknown, after decoding once."""
+        try:
+            packages = [decode(frame[part], None) for decode, part in plan.parts]
+        except PacketError:
+            return plan  # the decoding itself will say why
+        unknown = [package for package in packages if isinstance(package, UnknownSubPackage)]
+        tails = [package for package in packages if package.tail]
+        for package in unknown:
+            self._notice(f"sub-package type {package.type} of {len(bytes(package))} bytes is unknown, and kept")
+        for part in tails:
+            self._notice(f"the last {len(part.tail)} bytes of {type(part).__name__} are unknown, and kept")
+        return plan._replace(unknown=len(unknown), tails=len(tails))
 
     def _blame(self, plan: _Plan, frame: bytes) -> None:
         """Say which sub-package it was, and where."""
@@ -272,8 +320,8 @@ class PackageDecoder:
         cls: Any = MESSAGES.get(frame[_MESSAGE_HEAD - 1], UnknownMessage)
         if cls is VersionMessage:
             # It is what tells the version, so only its own bytes can tell its layout.
-            return cls.LAYOUTS.decode(frame, None, stamp)  # type: ignore[no-any-return]
-        return cls.LAYOUTS.decode(frame, self._version_for(cls), stamp)  # type: ignore[no-any-return]
+            return self._counted(cls, frame, None, stamp)
+        return self._counted(cls, frame, self._version_for(cls), stamp)
 
 
 class PrimaryProtocol:
@@ -285,8 +333,18 @@ class PrimaryProtocol:
 
     def __init__(self) -> None:
         self.framer = Framer(PackageBorder())
-        self._decoder = PackageDecoder()
+        self._decoder = PackageDecoder(notice=_log.warning)
         self.firmware: Firmware | None = None
+
+    @property
+    def unknown(self) -> int:
+        """Packages, messages and sub-packages of a type that no layout is known for, so far."""
+        return self._decoder.unknown
+
+    @property
+    def tails(self) -> int:
+        """Those that end in bytes which no known layout explains, so far."""
+        return self._decoder.tails
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
         """The typed state of one whole package.
@@ -297,7 +355,7 @@ class PrimaryProtocol:
         state = self._decoder.decode(frame, stamp)
         if isinstance(state, VersionMessage):
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
-            self._decoder = PackageDecoder(self.firmware)
+            self._decoder.version = self.firmware
         return state
 
     def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[State]:

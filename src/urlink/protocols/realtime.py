@@ -7,11 +7,11 @@ that the CB2 simulator leaks into the stream. Source: reference ur-realtime, sec
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
 from collections.abc import Callable, Sequence
 
-from linkcore.errors import PacketError
 from linkcore.framing import Framer
 from linkcore.stamp import Stamp
 from linkcore.version import Version
@@ -20,6 +20,8 @@ from ..schemas.headers import DASHBOARD_GREETING, PACKAGE_SIZES, REALTIME_SIZES
 from ..schemas.realtime import RealtimeState
 
 __all__ = ["RealtimeBorder", "RealtimeProtocol"]
+
+_log = logging.getLogger(__name__)
 
 # Two zero bytes, then a size of 4 + 8k between 500 and 4096.
 _HEADER = re.compile(
@@ -68,12 +70,20 @@ class RealtimeBorder:
         if self._learnt is not None:
             self._learnt(size)
 
-    def is_whole(self, buffer: bytes) -> bool:
-        # The common case: the controller writes a packet at a time, and the reader keeps up.
-        if not self.size or len(buffer) != self.size or int.from_bytes(buffer[:4], "big") != self.size:
-            return False
-        self._time = buffer[4:12]
-        return True
+    def whole(self, buffer: bytes) -> list[bytes]:
+        # In step, packets of one size follow each other: it is enough that each has its header.
+        size = self.size
+        count = len(buffer) // size if self._time else 0
+        if not count:
+            return []
+        end = count * size
+        for offset, byte in enumerate(size.to_bytes(4, "big")):
+            if buffer[offset:end:size].count(byte) != count:
+                return []
+        self._time = buffer[end - size + 4 : end - size + 12]
+        if end == size == len(buffer):
+            return [buffer]
+        return [buffer[at : at + size] for at in range(0, end, size)]
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
         # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
@@ -141,24 +151,38 @@ class RealtimeProtocol:
 
     def __init__(self) -> None:
         self.framer = Framer(RealtimeBorder(self._learn))
-        self.decode = RealtimeState.LAYOUTS.decode
+        self.unknown = 0
+        self.tails = 0
+        self._size: int | None = None
+        self.decode = self._decode_any
 
     def _learn(self, size: int) -> None:
         """The border has learnt the size of this connection's packets, and the size tells the layout."""
-        try:
-            self.decode = RealtimeState.LAYOUTS.decoder(size) or RealtimeState.LAYOUTS.decode
-        except PacketError:
-            self.decode = RealtimeState.LAYOUTS.decode  # which says of each packet what is wrong
+        if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
+            _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
+        elif self._size is None:
+            self._size = size
+            self.decode = RealtimeState.LAYOUTS.decoder(size) or self._decode_any
+            return
+        # An unknown size, or another than before: packets of both may wait to be decoded.
+        self._size = 0
+        self.decode = self._decode_any
+
+    def _decode_any(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
+        """The state in a packet that goes by its own length, and may have a tail."""
+        state: RealtimeState = RealtimeState.LAYOUTS.decode(frame, None, stamp)
+        self.tails += bool(state.tail)
+        return state
 
     def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[RealtimeState]:
-        """The states of many packets; where they are all of one length, faster than singly.
+        """The states of many packets; where they are all of the connection's length, faster than singly.
 
         Raises:
             PacketError: shorter than every layout.
         """
-        if len({*map(len, frames)}) != 1:  # none, or the border was lost and found with another length
-            return [RealtimeState.LAYOUTS.decode(frame, None, stamp) for frame in frames]
-        return RealtimeState.LAYOUTS.fitting(len(frames[0]))[0].decode_all(frames, stamp)
+        if not frames or not self._size:
+            return [self._decode_any(frame, stamp) for frame in frames]
+        return RealtimeState.LAYOUTS.fitting(self._size)[0].decode_all(frames, stamp)
 
 
 def decode_realtime(frame: bytes, version: Version | None, stamp: Stamp | None = None) -> RealtimeState:

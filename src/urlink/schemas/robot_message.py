@@ -176,7 +176,7 @@ class UnknownMessage(RobotMessage):
 class SafetyComplianceTolerances(State):
     """Package 24, sent on connecting to the primary interface; 22 doubles without public names."""
 
-    tolerances: Vector = wire(Float64b[22], "", "unnamed tolerances", since="3.10")
+    tolerances: Vector = wire(Float64b[22], "", "unnamed tolerances", since="3.10/5.4")
 
 
 @packet(header=PACKAGE, type=25)

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Generic, NoReturn, TypeVar, overload
 
-from construct import Float32b, Float64b, Int8ub, Int16sb, Int16ub, Int32sb, Int32ub, Int64ub
+from construct import Float32b, Float64b, Int8sb, Int8ub, Int16sb, Int16ub, Int32sb, Int32ub, Int64ub
 
 from linkcore.errors import BadValue
+from linkcore.layout import Row
 from linkcore.packet import IntVector, State, Vector, packet, wire
 from linkcore.shapes import Coded, Raw
 from linkcore.stamp import Stamp
@@ -76,7 +77,7 @@ class RobotModeData(SubPackage):
     is_program_running: bool = wire(_Bool, "", "a program runs")
     is_program_paused: bool = wire(_Bool, "", "the program is paused")
     robot_mode: RobotMode | RobotModeCB2 = wire(
-        Coded(Int8ub, RobotMode), "", "robot mode", before=("3.0", Coded(Int8ub, RobotModeCB2))
+        Coded(Int8sb, RobotMode), "", "robot mode", before=("3.0", Coded(Int8ub, RobotModeCB2))
     )
     control_mode: ControlMode | None = wire(Coded(Int8ub, ControlMode), "", "control mode", since="3.0")
     target_speed_fraction: float = wire(Float64b, "1", "speed slider (CB2: speed fraction)")
@@ -426,6 +427,18 @@ class RobotState(State):
     def tail(self) -> bytes:
         """Nothing: tails are kept by the sub-packages."""
         return b""
+
+    def dissect(self) -> Iterator[Row]:
+        """Every stretch of the package's bytes; the fields carry the names of their sub-packages."""
+        at = 0
+        for part in PACKAGE.subcons:
+            data = self._data[at : at + part.sizeof()]
+            yield Row(at, data, part.name, part.parse(data), "", "header")
+            at += len(data)
+        for package in self.packages:
+            for row in package.dissect():
+                yield row._replace(offset=at + row.offset, name=f"{snake_case(type(package).__name__)}.{row.name}")
+            at += len(bytes(package))
 
     def __reduce__(self) -> tuple[object, ...]:
         return (RobotState.of, (self._data, self._values, self._stamp))

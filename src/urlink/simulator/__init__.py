@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
+from ..ports import PORTS
 from .controller import Controller, Counters
 from .faults import Faults, ScheduledFault, parse_fault
-from .ports import PORTS
 
 __all__ = ["PORTS", "Controller", "Counters", "Faults", "ScheduledFault", "parse_fault"]

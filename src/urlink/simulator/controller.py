@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Literal
 
 from linkcore.errors import BadValue, LocalError
 from urlink import models
+from urlink.address import RobotAddress
 from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
 
+from ..ports import PORTS, interface
 from .arm import Arm
 from .faults import FAULTS, Faults, ScheduledFault, parse_fault
 from .modes import Modes
 from .motion import Demonstration, Motion
 from .packets import Packets, greeting, safety_messages
-from .ports import PORTS, interface
 from .signals import Signals
 
 if TYPE_CHECKING:
@@ -293,6 +294,17 @@ class Controller:
     def ports(self) -> dict[str, int]:
         """Name of each port that is served -> its number; empty until started."""
         return {} if self._server is None else dict(self._server.ports)
+
+    @property
+    def address(self) -> str:
+        """What `urlink.connect` takes to reach it.
+
+        Raises:
+            LocalError: it has not been started.
+        """
+        if self._server is None:
+            raise LocalError("a controller that has not been started has no address")
+        return str(RobotAddress(self.host, self.ports))
 
     @property
     def is_serving(self) -> bool:

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from linkcore.errors import BadValue, LocalError
 from urlink.firmware import Firmware
 
+from ..ports import PORTS, interface
 from . import tampering
 from .packets import package
-from .ports import PORTS, interface
 
 if TYPE_CHECKING:
     from .controller import Controller

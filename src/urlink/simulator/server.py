@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 from linkcore.errors import BadAddress, LinkTimeout
 
+from ..ports import interface
 from .controller import STATE_RATE
-from .ports import interface
 
 if TYPE_CHECKING:
     from .controller import Controller

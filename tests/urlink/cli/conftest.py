@@ -13,7 +13,6 @@ import urlink.cli
 from linkcore.recording import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
-from urlink.cli.sim import address_of
 from urlink.schemas.robot_state import MasterboardData, ToolData
 from urlink.simulator import Controller
 
@@ -46,14 +45,14 @@ def controller() -> Iterator[Controller]:
 
 @pytest.fixture(scope="session")
 def address(controller: Controller) -> str:
-    return address_of(controller.host, controller.ports)
+    return controller.address
 
 
 @pytest.fixture(scope="session")
 def old_address() -> Iterator[str]:
     """A simulated CB2 controller: no safety mode, no program state, no outputs in real time."""
     with Controller("UR5", "1.8") as controller:
-        yield address_of(controller.host, controller.ports)
+        yield controller.address
 
 
 @pytest.fixture

@@ -154,9 +154,7 @@ def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> Non
 
 def test_lost_connections_are_told(spawn: Spawn) -> None:
     with Controller("UR5e", "5.11") as controller:
-        from urlink.cli.sim import address_of
-
-        process = spawn("echo", address_of(controller.host, controller.ports), "time")
+        process = spawn("echo", controller.address, "time")
         assert process.stdout is not None
         assert process.stderr is not None
         assert process.stdout.readline()

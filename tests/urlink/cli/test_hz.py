@@ -13,7 +13,18 @@ from urlink.simulator import Controller
 from .conftest import Run, write
 
 _STATS = StreamStatistics(
-    received=9, delivered=6, dropped=2, failed=1, reconnects=3, rate=0.0, bytes=0, skipped=0, resyncs=0, age=None
+    received=9,
+    delivered=6,
+    dropped=2,
+    failed=1,
+    reconnects=3,
+    rate=0.0,
+    bytes=0,
+    skipped=0,
+    resyncs=0,
+    unknown=0,
+    tails=0,
+    age=None,
 )
 _COUNTERS = "received 9 dropped 2 failed 1 reconnects 3"
 

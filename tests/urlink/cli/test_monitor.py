@@ -16,21 +16,31 @@ import pytest
 from rich.console import Console
 
 import urlink
+from linkcore.events import ConnectionState
 from linkcore.statistics import StreamStatistics
-from linkcore.stream import ConnectionState
 from urlink.cli import monitor
 from urlink.cli.glance import Glance, Status, status_of
 from urlink.cli.picture import Picture
 from urlink.cli.plain import age_text, line
 from urlink.cli.reading import Reading, read
-from urlink.cli.sim import address_of
 from urlink.firmware import RELEASES, Firmware
 from urlink.simulator import Controller
 
 from .conftest import HOSTILE, Run, assert_harmless, write
 
 _STATS = StreamStatistics(
-    received=7, delivered=5, dropped=1, failed=1, reconnects=2, rate=125.0, bytes=0, skipped=3, resyncs=0, age=0.1
+    received=7,
+    delivered=5,
+    dropped=1,
+    failed=1,
+    reconnects=2,
+    rate=125.0,
+    bytes=0,
+    skipped=3,
+    resyncs=0,
+    unknown=0,
+    tails=0,
+    age=0.1,
 )
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
@@ -108,7 +118,7 @@ def test_nothing_came_in_time(run: Run, controller: Controller, address: str) ->
 
 def test_lost_connection_is_loud_and_its_data_old() -> None:
     with Controller("UR5e", "5.11") as controller:
-        where = address_of(controller.host, controller.ports)
+        where = controller.address
         with urlink.connect(where, silence=0.7, backoff=urlink.Backoff(first=0.2, most=0.2)) as robot:
             glances = monitor.watch(robot, "realtime")
             fresh = until(glances, lambda glance: glance.status is Status.CONNECTED)
@@ -134,7 +144,7 @@ def test_lost_connection_is_loud_and_its_data_old() -> None:
 
 def test_controller_that_comes_back_with_other_firmware() -> None:
     with Controller("UR5e", "5.4") as controller:
-        where = address_of(controller.host, controller.ports)
+        where = controller.address
         with urlink.connect(where, backoff=urlink.Backoff(first=0.05, most=0.1)) as robot:
             glances = monitor.watch(robot, "realtime")
             until(glances, lambda glance: glance.status is Status.CONNECTED)

@@ -9,7 +9,6 @@ import pytest
 
 from linkcore.recording import Kind, Recording
 from urlink import decode
-from urlink.cli.sim import address_of
 from urlink.simulator import Controller
 
 from .conftest import Run
@@ -60,7 +59,7 @@ def test_lost_connections_are_in_the_file(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with Controller("UR5e", "5.11") as controller:
         controller.schedule(*(f"cut@{half / 2}" for half in range(1, 60)))
-        where = address_of(controller.host, controller.ports)
+        where = controller.address
         status, out, _ = run("record", where, str(path), "--interface", "realtime", "--duration", "2")
     assert status == 0
     assert "connections, lost " in out

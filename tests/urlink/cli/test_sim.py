@@ -8,20 +8,10 @@ import pytest
 
 import urlink
 from urlink import SafetyMode
-from urlink.address import RobotAddress, parse_address
-from urlink.cli.sim import address_of
-from urlink.simulator import PORTS
 
 from .conftest import Run
 
 Spawn = Callable[..., "subprocess.Popen[str]"]
-
-
-def test_address() -> None:
-    assert address_of("127.0.0.1", dict(PORTS)) == "127.0.0.1"
-    assert address_of("0.0.0.0", {**PORTS, "realtime": 5}) == "ur://127.0.0.1?realtime=5"
-    assert address_of("::", dict(PORTS)) == "[::1]"
-    assert parse_address(address_of("::1", {"primary": 7})) == RobotAddress("::1", {**PORTS, "primary": 7})
 
 
 def test_duration(run: Run) -> None:

@@ -1,0 +1,127 @@
+"""The rules of the house, read from the imports of every module in src/."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+SRC = Path(__file__).resolve().parents[1] / "src"
+
+#: The only modules that may import `socket`.
+SOCKETS = {"linkcore.transport", "urlink.simulator.server"}
+
+#: The only modules that may start threads.
+THREADS = {
+    "linkcore.stream",  # the reader of each stream
+    "linkcore.shortcut",  # who takes over the reading from a callback that keeps the reader
+    "linkcore.subscription",  # one for each callback
+    "urlink.simulator.server",  # one for each simulated controller
+    "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
+}
+
+#: Part of urlink -> the parts of urlink that it may import; the parts that are not named may import all but the cli.
+BELOW: dict[str, set[str]] = {
+    "schemas": {"schemas"},
+    "firmware": {"firmware", "schemas"},
+    "models": {"models", "schemas"},
+    "protocols": {"protocols", "schemas", "firmware"},
+}
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(SRC).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): path for path in sorted(SRC.rglob("*.py"))}
+
+
+def imports(module: str) -> Iterator[str]:
+    """The full name of everything that a module imports, wherever in it, also for its types only."""
+    path = MODULES[module]
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")
+            base = parts[: len(parts) - node.level + 1] if node.level else []
+            origin = ".".join([*base, *([node.module] if node.module else [])])
+            for alias in node.names:
+                # `from . import models` imports a module, `from .models import Model` a name in one.
+                whole = f"{origin}.{alias.name}"
+                yield whole if whole in MODULES else origin
+
+
+def part(module: str) -> str:
+    """What of its package a module belongs to: `urlink.schemas.enums` to `schemas`."""
+    return [*module.split("."), ""][1]
+
+
+def within(module: str, package: str) -> bool:
+    return module == package or module.startswith(f"{package}.")
+
+
+def test_the_imports_are_read() -> None:
+    """Of one module of each way to import, so that the rules below are not true of nothing."""
+    assert {"linkcore", "urlink"} <= {module.partition(".")[0] for module in MODULES}
+    assert {"json", "linkcore.errors", "linkcore.stream"} <= set(imports("linkcore.recorder"))
+    assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= set(
+        imports("urlink.simulator.controller")
+    )
+    assert {"urlink.schemas.headers", "linkcore.framing"} <= set(imports("urlink.protocols.realtime"))
+    assert "urlink.decode" in set(imports("urlink"))
+
+
+def offenders(is_wrong: Callable[[str, str], bool]) -> list[str]:
+    """ "module imports name", for each such pair that is wrong."""
+    return [f"{module} imports {name}" for module in MODULES for name in imports(module) if is_wrong(module, name)]
+
+
+def test_linkcore_knows_no_robot() -> None:
+    robots = ("urlink", "rhdlink")
+    assert offenders(lambda module, name: within(module, "linkcore") and name.partition(".")[0] in robots) == []
+
+
+def test_the_two_packages_do_not_know_each_other() -> None:
+    others = {"urlink": "rhdlink", "rhdlink": "urlink"}
+    assert offenders(lambda module, name: others.get(module.partition(".")[0]) == name.partition(".")[0]) == []
+
+
+def test_imports_point_downward() -> None:
+    def is_wrong(module: str, name: str) -> bool:
+        allowed = BELOW.get(part(module)) if within(module, "urlink") else None
+        return allowed is not None and within(name, "urlink") and part(name) not in allowed
+
+    assert offenders(is_wrong) == []
+
+
+def test_only_the_command_line_imports_the_command_line() -> None:
+    assert offenders(lambda module, name: part(module) != "cli" and name in MODULES and part(name) == "cli") == []
+
+
+def test_sockets_are_in_two_modules() -> None:
+    networks = {"socket", "socketserver", "asyncio"}
+    assert offenders(lambda module, name: name in networks and module not in SOCKETS) == []
+
+
+def starts_threads(module: str) -> bool:
+    names = {"Thread", "Timer", "ThreadPoolExecutor", "start_new_thread"}
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        called = node.func if isinstance(node, ast.Call) else None
+        if (isinstance(called, ast.Attribute) and called.attr in names) or (
+            isinstance(called, ast.Name) and called.id in names
+        ):
+            return True
+    return False
+
+
+def test_threads_are_started_where_it_is_declared() -> None:
+    assert {module for module in MODULES if starts_threads(module)} == THREADS
+
+
+def test_what_is_declared_is_there() -> None:
+    """A rule about a module that is gone protects nothing."""
+    assert MODULES.keys() >= SOCKETS | THREADS
+    assert BELOW.keys() <= {part(module) for module in MODULES}
+    assert {module for module in MODULES if "socket" in imports(module)} == SOCKETS

@@ -1,0 +1,86 @@
+"""Importing urlink starts nothing, touches no network and brings in nothing that is not needed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+#: What the commands, the simulator and the plots need, and a reading program does not.
+NOT_NEEDED = (
+    "rich",
+    "matplotlib",
+    "lark",
+    "urlink.simulator",
+    "urlink.cli",
+    "hypothesis",
+    "asyncio",
+    "multiprocessing",
+)
+
+# A fresh interpreter: in this one everything has been imported already.
+PROGRAM = """
+import json, sys, threading
+import numpy
+told = []
+sys.addaudithook(lambda event, arguments: told.append(event))
+before = set(sys.modules)
+{statement}
+events = sorted({{event for event in told if event.split(".")[0] in ("socket", "subprocess", "os", "_thread")}})
+print(json.dumps({{
+    "events": events,
+    "threads": threading.active_count(),
+    "modules": sorted(set(sys.modules)),
+}}))
+"""
+
+
+def outcome(statement: str) -> dict[str, Any]:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", PROGRAM.format(statement=statement)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    told: dict[str, Any] = json.loads(done.stdout)
+    return told
+
+
+@pytest.fixture(scope="module")
+def imported() -> dict[str, Any]:
+    return outcome("import urlink")
+
+
+def test_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -> None:
+    assert imported["threads"] == 1
+    assert [event for event in imported["events"] if not event.startswith("os.")] == []
+
+
+@pytest.mark.parametrize(
+    ("statement", "event"),
+    [
+        ("import socket; socket.socket().close()", "socket.__new__"),
+        ("import threading; threading.Thread(target=print).start()", "_thread.start_new_thread"),
+    ],
+)
+def test_it_would_be_noticed(statement: str, event: str) -> None:
+    if event.startswith("_thread") and sys.version_info < (3, 12):
+        # Before, starting a thread told no hook; but it can be counted.
+        statement = "import threading; threading.Thread(target=threading.Event().wait, daemon=True).start()"
+        assert outcome(statement)["threads"] == 2
+    else:
+        assert event in outcome(statement)["events"]
+
+
+@pytest.mark.parametrize("name", NOT_NEEDED)
+def test_does_not_import(imported: dict[str, Any], name: str) -> None:
+    assert "urlink" in imported["modules"]
+    assert [each for each in imported["modules"] if each == name or each.startswith(f"{name}.")] == []
+
+
+def test_the_simulator_is_imported_by_who_asks_for_it() -> None:
+    assert "urlink.simulator" in outcome("import urlink.simulator")["modules"]
+    # Its sockets only by who starts it.
+    assert "urlink.simulator.server" not in outcome("import urlink.simulator")["modules"]

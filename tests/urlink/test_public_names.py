@@ -1,0 +1,110 @@
+"""The public names of urlink. A change here is a change for users, and stands in the changelog."""
+
+from __future__ import annotations
+
+import inspect
+
+import urlink
+
+NAMES = [
+    "AdditionalInfo",
+    "AnalogDomain",
+    "Backoff",
+    "BadAddress",
+    "BadRecording",
+    "BadValue",
+    "BadVersion",
+    "CalibrationData",
+    "CartesianInfo",
+    "Chunk",
+    "Closed",
+    "ConfigurationData",
+    "ConnectFailed",
+    "ConnectionEvent",
+    "ConnectionLost",
+    "ConnectionState",
+    "ControlMode",
+    "DigitalBits",
+    "Feed",
+    "Firmware",
+    "ForceModeData",
+    "JointData",
+    "JointMode",
+    "KeyMessage",
+    "KinematicsInfo",
+    "LaserPointer",
+    "LinkError",
+    "LinkTimeout",
+    "LocalError",
+    "MasterboardData",
+    "MessageSource",
+    "MessageType",
+    "OtherPackage",
+    "PackageType",
+    "PacketError",
+    "Policy",
+    "PopupMessage",
+    "ProgramLabelMessage",
+    "ProgramState",
+    "ProgramStateMessage",
+    "RealtimeState",
+    "Recorder",
+    "RemoteError",
+    "ReportLevel",
+    "RequestValueMessage",
+    "Robot",
+    "RobotCommMessage",
+    "RobotMessage",
+    "RobotMode",
+    "RobotModeCB2",
+    "RobotModeData",
+    "RobotState",
+    "RobotType",
+    "RuntimeExceptionMessage",
+    "SafetyComplianceTolerances",
+    "SafetyData",
+    "SafetyMode",
+    "SafetyModeMessage",
+    "SingularityInfo",
+    "Stamp",
+    "State",
+    "Stream",
+    "SubPackage",
+    "Subscription",
+    "TextMessage",
+    "ToolCommunicationInfo",
+    "ToolData",
+    "ToolMode",
+    "ToolModeInfo",
+    "Traffic",
+    "UnknownMessage",
+    "UnknownModel",
+    "UnknownSubPackage",
+    "UnnamedMessage12",
+    "VersionMessage",
+    "WrongPeer",
+    "block",
+    "connect",
+    "decode",
+    "drop_oldest",
+    "latest",
+]
+
+
+def test_public_names() -> None:
+    assert sorted(urlink.__all__) == NAMES
+    assert sorted(NAMES) == NAMES
+    assert len(set(NAMES)) == len(NAMES)
+
+
+def test_each_is_there_and_says_what_it_is() -> None:
+    for name in NAMES:
+        value = getattr(urlink, name)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            assert inspect.getdoc(value), f"{name} has no docstring"
+
+
+def test_nothing_public_is_forgotten() -> None:
+    """What the package imports for users is in `__all__`; modules are no names."""
+    there = {name for name, value in vars(urlink).items() if not name.startswith("_") and not inspect.ismodule(value)}
+    assert there - {"annotations"} == set(NAMES)
