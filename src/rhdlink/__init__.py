@@ -31,9 +31,9 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
+from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.policy import Policy, block, drop_oldest, latest
 from linkcore.stamp import Stamp
-from linkcore.stream import ConnectionEvent, ConnectionState
 from linkcore.subscription import Subscription
 
 from .background import Background

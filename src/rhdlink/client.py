@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
+from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.policy import Policy, drop_oldest
 from linkcore.stamp import Stamp
-from linkcore.stream import ConnectionEvent, ConnectionState
 from linkcore.subscription import Subscription
 from linkcore.transport import TcpTransport
 
