@@ -9,7 +9,7 @@ from pathlib import Path
 SRC = Path(__file__).resolve().parents[1] / "src"
 
 #: The only modules that may import `socket`.
-SOCKETS = {"linkcore.transport", "urlink.simulator.server"}
+SOCKETS = {"linkcore.transport", "urlink.simulator.server", "rhdlink.server"}
 
 #: The only modules that may start threads.
 THREADS = {
@@ -17,6 +17,8 @@ THREADS = {
     "linkcore.shortcut",  # who takes over the reading from a callback that keeps the reader
     "linkcore.subscription",  # one for each callback
     "urlink.simulator.server",  # one for each simulated controller
+    "rhdlink.background",  # keeps a robot in sync
+    "rhdlink.host",  # one for each host that does not run in its caller's
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }
 
@@ -100,7 +102,7 @@ def test_only_the_command_line_imports_the_command_line() -> None:
     assert offenders(lambda module, name: part(module) != "cli" and name in MODULES and part(name) == "cli") == []
 
 
-def test_sockets_are_in_two_modules() -> None:
+def test_sockets_are_where_it_is_declared() -> None:
     networks = {"socket", "socketserver", "asyncio"}
     assert offenders(lambda module, name: name in networks and module not in SOCKETS) == []
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording, PacketError
 from linkcore.layout import Row
 from linkcore.packet import State
@@ -25,7 +26,6 @@ from ..schemas.robot_message import VersionMessage
 from ..schemas.robot_state import RobotState
 from .options import Subparsers, add_command, positive_int
 from .stretches import Stretch, cut, guess_interface
-from .terminal import safe, strict_json
 from .values import as_text, plain
 
 __all__ = ["Piece", "add_parser", "dissect"]

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from linkcore.cli.terminal import strict_json
 from linkcore.packet import State
 
 from ..decode import INTERFACES
@@ -17,7 +18,6 @@ from ..schemas.robot_state import RobotState
 from .fields import KINDS, NoSuchField, getter
 from .options import Subparsers, add_address, add_command, positive_int, seconds
 from .tap import Tap
-from .terminal import strict_json
 from .values import as_json, as_line, as_text, plain
 
 __all__ = ["add_options", "add_parser", "echo", "kind_of", "shower"]
@@ -49,6 +49,7 @@ def add_parser(subparsers: Subparsers) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What to print, and how."""
     parser.add_argument("fields", metavar="FIELD", nargs="*", help="print only these fields")
+    parser.set_defaults(trailing="fields")
     parser.add_argument(
         "--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"
     )

@@ -6,12 +6,13 @@ import argparse
 import textwrap
 from typing import Any
 
+from linkcore.cli.terminal import safe, strict_json
+
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from ..firmware import release_of
 from ..robot import Robot, connect
 from ..schemas.robot_state import SUB_PACKAGES
 from .options import Subparsers, add_address, add_command
-from .terminal import safe, strict_json
 
 __all__ = ["add_parser"]
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from linkcore.cli.interruption import Interruption
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.stream import Stream
@@ -18,7 +19,6 @@ from linkcore.stream import Stream
 from ..robot import Robot, connect
 from ..schemas.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from .glance import Glance, Status, status_of
-from .interruption import Interruption
 from .options import Subparsers, add_address, add_command, add_interface, seconds
 from .plain import line
 from .reading import Reading, read

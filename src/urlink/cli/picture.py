@@ -13,10 +13,11 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from linkcore.cli.terminal import safe
+
 from .glance import Glance, Status
 from .plain import age_text
 from .reading import Reading
-from .terminal import safe
 
 __all__ = ["WIDTH", "Picture"]
 

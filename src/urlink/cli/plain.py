@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from linkcore.cli.terminal import safe
+
 from .glance import Glance, Status
-from .terminal import safe
 
 __all__ = ["age_text", "line"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import time
 
+from linkcore.cli.interruption import Interruption
 from linkcore.events import ConnectionState
 from linkcore.recording import Recording
 
 from ..decode import INTERFACES
 from ..robot import connect
-from .interruption import Interruption
 from .options import Subparsers, add_address, add_command, positive_int, seconds
 from .summary import summarise
 from .tap import tell

@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from urllib.parse import quote
 
+from linkcore.cli.terminal import strict_json
 from linkcore.recording import Recording
 
 from ..robot import connect
 from .echo import add_options, echo, kind_of, shower
 from .options import Subparsers, add_command
 from .summary import summarise
-from .terminal import strict_json
 
 __all__ = ["add_parser"]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import time
 
-from .interruption import Interruption
+from linkcore.cli.interruption import Interruption
+
 from .options import Subparsers, add_command, seconds
 from .tap import tell
 

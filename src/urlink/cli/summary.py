@@ -7,12 +7,12 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from linkcore.cli.terminal import safe
 from linkcore.errors import PacketError, WrongPeer
 from linkcore.recording import Kind, Record, Recording
 
 from ..protocols.primary import PrimaryProtocol
 from ..protocols.realtime import RealtimeProtocol
-from .terminal import safe
 
 __all__ = ["Channel", "Summary", "summarise"]
 

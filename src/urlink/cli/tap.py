@@ -6,13 +6,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from linkcore.cli.terminal import safe
 from linkcore.errors import LinkTimeout
 from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.packet import State
 from linkcore.policy import drop_oldest
 from linkcore.stream import Stream
-
-from .terminal import safe
 
 __all__ = ["Tap", "tell"]
 

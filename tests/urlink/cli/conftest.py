@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,14 +11,10 @@ import pytest
 import urlink.cli
 from linkcore.recording import Kind, RecordingWriter
 from linkcore.stamp import Stamp
+from tests.harm import HOSTILE
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.schemas.robot_state import MasterboardData, ToolData
 from urlink.simulator import Controller
-
-#: Clears the screen, renames the window, colours by C1, deletes, turns the direction of writing, ends the line.
-HOSTILE = "safe\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202egnp\u2066\u2028\r\nsecond"
-#: None of these may reach a terminal; a newline only where a line of ours ends.
-FORBIDDEN = "\x1b\x07\x9b\x7f\u202e\u2066\u2028\r"
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -103,21 +98,6 @@ def write(
             at += 0.01
     writer.close()
     return path
-
-
-def strict(text: str) -> Any:
-    """JSON as the standard has it: without NaN and Infinity."""
-
-    def refuse(name: str) -> Any:
-        raise AssertionError(f"{name} is no JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
-
-def assert_harmless(*texts: str) -> None:
-    for text in texts:
-        found = [character for character in FORBIDDEN if character in text]
-        assert not found, f"{found} reached the terminal"
 
 
 @pytest.fixture

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.recording import Kind, RecordingWriter
 from linkcore.stamp import Stamp
+from tests.harm import HOSTILE, assert_harmless, strict
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.cli.dissect import Piece, dissect
 from urlink.cli.stretches import cut, guess_interface
 from urlink.firmware import RELEASES
 from urlink.simulator import Controller
 
-from .conftest import HOSTILE, Run, assert_harmless, strict
+from .conftest import Run
 
 _CAPTURES = Path(__file__).parents[4] / "shared" / "captures" / "ur"
 _OF_THESE_INTERFACES = sorted(path for path in _CAPTURES.glob("*.bin") if "rtde" not in path.name)

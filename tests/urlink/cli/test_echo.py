@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.harm import HOSTILE, assert_harmless, strict
 from urlink import RealtimeState
 from urlink.cli.tap import Tap
 from urlink.robot import connect
 from urlink.simulator import Controller
 
-from .conftest import HOSTILE, Run, assert_harmless, strict, write
+from .conftest import Run, write
 
 Spawn = Callable[..., "subprocess.Popen[str]"]
 

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.harm import HOSTILE, assert_harmless, strict
 from urlink.firmware import RELEASES, release_of
 from urlink.simulator import Controller
 
-from .conftest import HOSTILE, Run, assert_harmless, strict, write
+from .conftest import Run, write
 
 
 def test_text(run: Run, controller: Controller, address: str) -> None:

@@ -18,6 +18,7 @@ from rich.console import Console
 import urlink
 from linkcore.events import ConnectionState
 from linkcore.statistics import StreamStatistics
+from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
 from urlink.cli.glance import Glance, Status, status_of
 from urlink.cli.picture import Picture
@@ -26,7 +27,7 @@ from urlink.cli.reading import Reading, read
 from urlink.firmware import RELEASES, Firmware
 from urlink.simulator import Controller
 
-from .conftest import HOSTILE, Run, assert_harmless, write
+from .conftest import Run, write
 
 _STATS = StreamStatistics(
     received=7,

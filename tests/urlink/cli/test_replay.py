@@ -8,11 +8,12 @@ import pytest
 
 from linkcore.recording import Kind, RecordingWriter
 from linkcore.stamp import Stamp
+from tests.harm import HOSTILE, assert_harmless, strict
 from urlink import RealtimeState
 from urlink.firmware import RELEASES
 from urlink.simulator import Controller
 
-from .conftest import HOSTILE, Run, assert_harmless, strict, write
+from .conftest import Run, write
 
 
 def test_summary(run: Run, recording: Path) -> None:

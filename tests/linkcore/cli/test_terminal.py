@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from urlink.cli.terminal import safe, strict_json
-
-from .conftest import HOSTILE, assert_harmless, strict
+from linkcore.cli.terminal import safe, strict_json
+from tests.harm import HOSTILE, assert_harmless, strict
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,122 @@
+"""The frame around every command: how it begins, how it fails, how it is ended from outside."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.metadata
+import io
+import logging
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+from ..errors import LinkError
+from .interruption import Interrupted, raise_on_sigterm
+from .options import Subparsers
+from .terminal import safe
+
+__all__ = ["Command", "program"]
+
+#: The distribution that all of it comes in.
+_DISTRIBUTION = "urlink"
+
+
+class Command(Protocol):
+    """A module with a subcommand; `run` of the parsed arguments does it and returns the exit status."""
+
+    def add_parser(self, subparsers: Subparsers) -> None:
+        """Declare the command."""
+
+
+def program(
+    name: str, commands: Sequence[Command], description: str, epilog: str, argv: Sequence[str] | None = None
+) -> int:
+    """Run the command line of the package `name`; returns the exit status and never raises."""
+    parser = argparse.ArgumentParser(
+        prog=name,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"{name} {_version()}")
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
+    for command in commands:
+        command.add_parser(subparsers)
+    try:
+        args, extra = parser.parse_known_args(argv)
+        # argparse gives up on what can be given many times where it stands after an option.
+        trailing = getattr(args, "trailing", None)
+        if extra and trailing is not None and not any(each.startswith("-") for each in extra):
+            getattr(args, trailing).extend(extra)
+        elif extra:
+            args.usage_error(f"unrecognized arguments: {' '.join(extra)}")
+    except SystemExit as exit_:  # argparse has said what is wrong, or has shown the help
+        return int(exit_.code or 0)
+    for stream in (sys.stdout, sys.stderr):
+        # Text from the wire must not fail on a terminal that is not UTF-8.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        with raise_on_sigterm(), _logging(name, args.verbose):
+            status: int = args.run(args)
+            sys.stdout.flush()
+            return status
+    except SystemExit as exit_:
+        return int(exit_.code or 0)
+    except Interrupted as signal_:
+        return 128 + signal_.number
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # Whoever reads has had enough, as `head` has. What is left in the buffer would fail again at exit.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except LinkError as error:
+        print(f"{name}: {safe(str(error))}", file=sys.stderr)
+        return 1
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version(_DISTRIBUTION)
+    except importlib.metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+class _SafeFormatter(logging.Formatter):
+    """Log lines quote what came over the wire, so they are made safe as well."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        text = super().format(record)
+        return "\n".join(map(safe, text.split("\n")))
+
+
+class _Stderr(logging.Handler):
+    """Writes to whatever stderr is at the time: a live view puts lines above its picture."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with contextlib.suppress(BrokenPipeError):
+            print(self.format(record), file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _logging(name: str, verbose: int) -> Iterator[None]:
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    handler = _Stderr()
+    handler.setFormatter(_SafeFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    loggers = [logging.getLogger(each) for each in ("linkcore", name)]
+    before = [(logger.level, logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.addHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = False
+    try:
+        yield
+    finally:
+        for logger, (old_level, old_propagate) in zip(loggers, before, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(old_level)
+            logger.propagate = old_propagate
