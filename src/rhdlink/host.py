@@ -431,7 +431,7 @@ class Host:
 
     def _wait_for_tick(self, service: Service, server: Server) -> None:
         if self._pacing == "lockstep":
-            server.serve(None, lambda: self._is_stopping or any(guest.is_asking for guest in service.pacemakers))
+            server.serve(None, lambda: self._is_stopping or service.is_asked)
             return
         if self._pacing == "free":
             server.serve(time.monotonic(), self._stops)
@@ -465,4 +465,4 @@ class Host:
 
 def _is_awaited(service: Service) -> bool:
     """Whether there is one writer, and it has not asked."""
-    return service.writers == 1 and not any(guest.is_asking for guest in service.pacemakers)
+    return service.writers == 1 and not service.is_asked

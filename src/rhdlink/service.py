@@ -132,6 +132,7 @@ class Service:
         self._limits = limits or Limits(batch=1024 + 4 * (layout.words + layout.count * (1 + width)))
         ClientStream(layout, width=width, limits=self._limits)
         self._seats: list[Guest | None] = [None] * clients
+        self._sole_writer: Guest | None = None
         self._last_words: list[Data] = []
         self.refused_writes = 0
         self.refused_clients = 0
@@ -148,11 +149,12 @@ class Service:
         return sum(guest.access == "w" for guest in self.guests)
 
     @property
-    def pacemakers(self) -> list[Guest]:
-        """The clients whose request makes the next tick in lockstep: the sole writer, or else all."""
-        guests = self.guests
-        writers = [guest for guest in guests if guest.access == "w"]
-        return writers if len(writers) == 1 else guests
+    def is_asked(self) -> bool:
+        """Whether the sole writer asks for the next tick; or any client, while there is none."""
+        sole = self._sole_writer
+        if sole is not None:
+            return sole.is_asking
+        return any(guest is not None and guest.is_asking for guest in self._seats)
 
     # -- connections -----------------------------------------------------------------------------------
 
@@ -186,6 +188,7 @@ class Service:
             return
         self._seats[guest.seat] = None
         guest.seat = None
+        self._find_sole_writer()
         while guest.failure is None and guest.access == "w" and guest.request is not None:
             if guest.request.ready != "r":
                 self._last_words += guest.request.data
@@ -205,12 +208,17 @@ class Service:
         guest.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
         guest.seat = self._seats.index(None)
         self._seats[guest.seat] = guest
+        self._find_sole_writer()
         database = self._database
         # Others may not have been told yet of what was set before now. This client is told by the handshake.
         self._spread_news()
         guest.read_news, guest.write_news = Pending(len(database.read)), Pending(len(database.write))
         self._take_request(guest)
         return database.encode_handshake(guest.access, self._width)
+
+    def _find_sole_writer(self) -> None:
+        writers = [guest for guest in self.guests if guest.access == "w"]
+        self._sole_writer = writers[0] if len(writers) == 1 else None
 
     def _take_request(self, guest: Guest) -> None:
         request = guest.request = guest.stream.take_request()
@@ -284,12 +292,11 @@ class Service:
         read, write = self._database.read, self._database.write
         packages = _Packages(self._width)
         # The sole writer knows what it wrote (section 4).
-        sole = self.writers == 1
         all_read = np.flatnonzero(read.updated) if self._resend == "original" and ready else None
         replies = []
         for guest in ready:
             written = guest.write_news.take()
-            own = b"" if sole and guest.access == "w" else packages.of(write, written)
+            own = b"" if guest is self._sole_writer else packages.of(write, written)
             ids = guest.read_news.take() if all_read is None else all_read
             replies.append((guest, own + packages.of(read, ids) + END))
         return replies

@@ -1,0 +1,240 @@
+"""How long a sync takes between a client and a host of rhdlink, next to a bare echo of as many bytes.
+
+Client and host are processes of their own on one machine, in lockstep: each request is one tick of the host, which
+sets variables and answers. The echo sends a request of the same size to a process that does nothing but answer with as
+many bytes. Both are measured in turns, so that they meet the same machine; the figure to look at is their ratio. It
+rises many times over where a sleeping process is slow to wake: an echo that answers at once never lets the other side
+fall asleep. Hence the CPU time that both sides of a sync need is printed too.
+
+Jitter is how late a host's ticks come when it keeps time by itself, with a reader that syncs at each of them.
+
+    python benchmarks/rhd_sync.py            # some 60 s
+    python benchmarks/rhd_sync.py --quick    # some 10 s
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import socket
+import statistics
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+import numpy as np
+
+import rhdlink
+from rhdlink import Host, Plugin
+
+#: Microseconds of the C client and the C server in lockstep, section 14 of the protocol notes, on another machine.
+_C = {"10 of 10": 20.8, "100 of 100": 72.0, "1000 of 1000": 505.0, "1 of 1000": 77.0}
+
+
+class Case(NamedTuple):
+    name: str
+    lengths: tuple[int, ...]
+    changing: int
+    most: float
+
+
+CASES = (
+    Case("10 of 10", (1,) * 10, 10, 3.0),
+    Case("100 of 100", (1,) * 100, 100, 3.0),
+    Case("1000 of 1000", (1,) * 1000, 1000, 4.0),
+    Case("1 of 1000", (1,) * 1000, 1, 3.0),
+    Case("100 of 100, mixed lengths", (1, 2, 3, 8, 1, 17, 1, 4, 6, 1) * 10, 100, 4.0),
+    Case("1000 of 1000, mixed lengths", (1, 2, 3, 8, 1, 17, 1, 4, 6, 1) * 100, 1000, 4.0),
+)
+
+
+class Changing(Plugin):
+    """Sets the first of its variables anew at each tick."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+
+    def init(self, config: object) -> None:
+        table = self.host.database.read
+        ids = [table.add(f"v{number}", length) for number, length in enumerate(self._case.lengths)]
+        self._table = table
+        self._selection = table.select(ids[: self._case.changing])
+        self._words = np.arange(sum(self._case.lengths[: self._case.changing]), dtype=np.int32)
+        self.host.database.write.add("speed")
+
+    def periodic(self, tick: int) -> None:
+        self._words += 1
+        self._table.set_many(self._selection, self._words)
+
+
+def serve(ports: Connection, case: Case) -> None:
+    with Host([Changing(case)], port=0, pacing="lockstep") as host:
+        ports.send(host.port)
+        while ports.recv():
+            ports.send((time.process_time(), host.tick))
+
+
+def echo(ports: Connection, asked: int, answered: int) -> None:
+    answer = bytes(answered)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ports.send(server.getsockname()[1])
+        link, _ = server.accept()
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with link:
+            while True:
+                left = asked
+                while left:
+                    data = link.recv(min(left, 1 << 16))
+                    if not data:
+                        return
+                    left -= len(data)
+                link.sendall(answer)
+
+
+def timed(call: Callable[[], object], seconds: float) -> float:
+    """Microseconds of one call, in the median of rounds of many."""
+    rounds = []
+    until = time.perf_counter() + seconds
+    while time.perf_counter() < until:
+        began = time.perf_counter()
+        for _ in range(100):
+            call()
+        rounds.append((time.perf_counter() - began) / 100)
+    return statistics.median(rounds) * 1e6
+
+
+def sizes(case: Case) -> tuple[int, int]:
+    """Bytes of a request with one value, and of its answer, with the tick in it."""
+    return 2 + 6 + 16 + 2, 6 + 16 + sum(12 + 4 * length for length in case.lengths[: case.changing]) + 2
+
+
+def measure(case: Case, seconds: float, turns: int) -> dict[str, object]:
+    spawn = multiprocessing.get_context("spawn")
+    asked, answered = sizes(case)
+    ours, theirs = spawn.Pipe()
+    host = spawn.Process(target=serve, args=(theirs, case))
+    host.start()
+    port = ours.recv()
+    other_ours, other_theirs = spawn.Pipe()
+    bare = spawn.Process(target=echo, args=(other_theirs, asked, answered))
+    bare.start()
+    request = bytes(asked)
+    with (
+        rhdlink.connect(f"127.0.0.1:{port}", access="w") as robot,
+        socket.create_connection(("127.0.0.1", other_ours.recv())) as link,
+    ):
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+        def sync() -> None:
+            robot["speed"] = 1
+            robot.sync()
+
+        def raw() -> None:
+            link.sendall(request)
+            left = answered
+            while left:
+                left -= len(link.recv(min(left, 1 << 16)))
+
+        syncs, echoes = [], []
+        sync()
+        before = int(robot["tick"][0])
+        sync()
+        sync()
+        assert int(robot["tick"][0]) == before + 2
+        assert robot.fresh(f"v{case.changing - 1}")
+
+        def spent() -> tuple[float, int]:
+            ours.send(True)
+            cpu, ticks = ours.recv()
+            return cpu + time.process_time(), ticks
+
+        cpu = ticks = 0.0
+        for _ in range(turns):
+            cpu_before, ticks_before = spent()
+            syncs.append(timed(sync, seconds))
+            cpu_after, ticks_after = spent()
+            cpu, ticks = cpu + cpu_after - cpu_before, ticks + ticks_after - ticks_before
+            echoes.append(timed(raw, seconds))
+    ours.send(False)
+    host.join()
+    bare.join()
+    ratios = [one / other for one, other in zip(syncs, echoes, strict=True)]
+    return {
+        "case": case.name,
+        "bytes": answered,
+        "sync_us": round(statistics.median(syncs), 1),
+        "echo_us": round(statistics.median(echoes), 1),
+        "cpu_us": round(cpu / ticks * 1e6, 1),
+        "ratio": round(statistics.median(ratios), 2),
+        "at_most": case.most,
+        "original_us": _C.get(case.name),
+    }
+
+
+def keep_time(ports: Connection, period: float, seconds: float) -> None:
+    with Host([Changing(CASES[1])], period=period, port=0) as host:
+        ports.send(host.port)
+        time.sleep(seconds)
+        stats = host.stats
+        ports.send((stats.ticks, stats.overruns, stats.late_median, stats.late_p99, stats.late_worst))
+        ports.recv()
+
+
+def jitter(period: float, seconds: float) -> dict[str, object]:
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe()
+    host = spawn.Process(target=keep_time, args=(theirs, period, seconds))
+    host.start()
+    with rhdlink.connect(f"127.0.0.1:{ours.recv()}") as robot:
+        syncs = 0
+        while not ours.poll():
+            robot.sync()
+            syncs += 1
+    ticks, overruns, median, p99, worst = ours.recv()
+    ours.send(None)
+    host.join()
+    return {
+        "period_ms": period * 1e3,
+        "ticks": ticks,
+        "syncs": syncs,
+        "overruns": overruns,
+        "late_median_us": round(median * 1e6),
+        "late_p99_us": round(p99 * 1e6),
+        "late_worst_us": round(worst * 1e6),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a few seconds rather than a minute")
+    parser.add_argument("--json", action="store_true", help="one object a line")
+    args = parser.parse_args()
+    seconds, turns, long = (0.15, 3, 2.0) if args.quick else (0.5, 7, 10.0)
+    results = []
+    for case in CASES:
+        results.append(measure(case, seconds, turns))
+        found = results[-1]
+        if args.json:
+            print(json.dumps(found))
+        else:
+            original = "" if found["original_us"] is None else f"; the C pair, elsewhere: {found['original_us']} us"
+            print(
+                f"{found['case']:28} {found['bytes']:6} bytes   sync {found['sync_us']:7} us, CPU of both "
+                f"{found['cpu_us']:6} us   echo {found['echo_us']:6} us   x {found['ratio']:5} (at most "
+                f"{found['at_most']}{original})"
+            )
+    for period in (0.01, 0.002):
+        late = jitter(period, long)
+        print(
+            json.dumps(late)
+            if args.json
+            else f"tick at {late['period_ms']:g} ms: {late['ticks']} ticks, {late['syncs']} syncs, "
+            f"{late['overruns']} overruns, late by {late['late_median_us']} us in the median, "
+            f"p99 {late['late_p99_us']} us, worst {late['late_worst_us']} us"
+        )
+
+
+if __name__ == "__main__":
+    main()
