@@ -11,7 +11,7 @@ from typing import Any
 
 from construct import Array, Byte, Bytes, Const, Int32sb, Int32ub, OneOf, PrefixedArray, Struct
 
-__all__ = ["ACCESS", "END", "NAME_SIZE", "READY", "ROW", "TABLE", "data_package"]
+__all__ = ["ACCESS", "END", "NAME_SIZE", "READY", "ROW", "TABLE", "data_package", "entry"]
 
 #: Bytes of a name on the wire: 32 and a terminating NUL.
 NAME_SIZE = 33
@@ -34,11 +34,17 @@ READY = Struct("type" / Const(b"r"), "access" / _DIRECTION)
 END = Struct("type" / Const(b"e"), "any" / Byte)
 
 
-def data_package(lengths: Sequence[int], width: int = 2) -> Any:
-    """The data package of a table whose variables have these lengths, with stamps of `width` words."""
-    entry = Struct(
+def entry(lengths: Sequence[int], width: int = 2) -> Any:
+    """The value of one variable in a data package."""
+    return Struct(
         "id" / Int32sb,
         "stamp" / Array(width, Int32ub),
         "data" / Array(lambda this: lengths[this.id], Int32sb),
     )
-    return Struct("type" / Const(b"d"), "direction" / _DIRECTION, "entries" / PrefixedArray(Int32sb, entry))
+
+
+def data_package(lengths: Sequence[int], width: int = 2) -> Any:
+    """The data package of a table whose variables have these lengths, with stamps of `width` words."""
+    return Struct(
+        "type" / Const(b"d"), "direction" / _DIRECTION, "entries" / PrefixedArray(Int32sb, entry(lengths, width))
+    )

@@ -1,0 +1,36 @@
+"""The `rhdlink` command: one module per subcommand, and what they share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from linkcore.cli.program import program
+
+from . import dissect, get, serve, turtle, variables, watch, write
+
+__all__ = ["main"]
+
+_COMMANDS = (serve, turtle, variables, get, write, watch, dissect)
+
+_DESCRIPTION = """\
+Look at, drive, host and imitate mobile robots that run the Robot Hardware Daemon (RHD)."""
+
+_EPILOG = """\
+addresses:
+  smr12              a robot, by name or number; the port is 24902 where none is named
+  localhost:8001     one on another port
+
+a first try, in two terminals:
+  rhdlink turtle
+  rhdlink watch localhost
+
+exit status:
+  0 done, 1 the robot, the file or the address was at fault (one line on stderr says how), 2 wrong usage,
+  130 ended by Ctrl-C, 143 by SIGTERM
+
+`rhdlink COMMAND --help` explains each command, with examples."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status and never raises."""
+    return program("rhdlink", _COMMANDS, _DESCRIPTION, _EPILOG, argv)

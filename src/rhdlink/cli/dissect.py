@@ -1,0 +1,134 @@
+"""`rhdlink dissect`: every byte of a connection with its meaning."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from linkcore.cli.options import Subparsers, add_command, positive_int
+from linkcore.cli.terminal import safe, strict_json
+from linkcore.errors import BadRecording
+from linkcore.recording import Kind, Recording
+
+from .anatomy import Part, Piece, dissect, guess_sender, tables_in
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
+raw bytes, such as the payload of a network capture, or is a recording.
+
+What a client sends does not say how long its variables are: --tables names the file with what the server
+sent in the same connection. The words of a time stamp, 2 or 4, are found out from the server's handshake;
+--width fixes them. Bytes that are no package are shown as what they are: nothing is hidden."""
+
+_EXAMPLES = (
+    "rhdlink dissect server.bin",
+    "rhdlink dissect client.bin --tables server.bin --count 3",
+    "rhdlink dissect run.rhdlog --json",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "dissect", "show the bytes of a connection", _DESCRIPTION, _EXAMPLES)
+    parser.add_argument("file", metavar="FILE", help="raw bytes of one direction, or a recording")
+    parser.add_argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)")
+    parser.add_argument("--tables", metavar="FILE", help="raw bytes of the server, for those of its client")
+    parser.add_argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (found out, or 2)")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="only the first N packages")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each package")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the file.
+
+    Raises:
+        BadRecording: no such file, or there are no bytes in it.
+    """
+    shown = read = 0
+    for piece in _pieces(args):
+        shown += 1
+        read += piece.error is None
+        if args.json:
+            print(strict_json(_as_json(piece)))
+        else:
+            print("\n".join(_as_lines(shown, piece)))
+        if shown == args.count:
+            break
+    if not shown:
+        raise BadRecording(f"{args.file} holds no bytes")
+    return 0 if read else 1
+
+
+def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
+    tables, told = tables_in(_bytes(args.tables)) if args.tables is not None else ({}, None)
+    if args.tables is not None and not tables:
+        raise BadRecording(f"{args.tables} holds no handshake of a server")
+    for data in _connections(Path(args.file)):
+        own, found = tables_in(data)
+        sender = args.sender or ("server" if own else guess_sender(data))
+        yield from dissect(data, sender, tables, args.width or found or told or 2)
+
+
+def _connections(path: Path) -> Iterator[bytes]:
+    """The bytes in a file; of a recording, connection by connection."""
+    data = _bytes(path)
+    if not data.startswith(b"LINKREC1"):
+        yield data
+        return
+    recording = Recording(path)
+    number = recording.channel("rhd")
+    parts: list[bytes] = []
+    for record in recording:
+        if record.channel != number:
+            continue
+        if record.kind is Kind.BYTES:
+            parts.append(record.payload)
+        elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "lost":
+            yield b"".join(parts)
+            parts.clear()
+    yield b"".join(parts)
+
+
+def _bytes(path: Path | str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise BadRecording(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _as_json(piece: Piece) -> dict[str, Any]:
+    return {
+        "offset": piece.offset,
+        "size": piece.size,
+        "batch": piece.batch,
+        "package": piece.package,
+        "meaning": piece.meaning,
+        "error": piece.error,
+        "parts": [{"offset": part.offset, "hex": part.data.hex(), **part.content} for part in piece.parts],
+    }
+
+
+def _as_lines(number: int, piece: Piece) -> Iterator[str]:
+    yield f"#{number} {safe(piece.package) or '??'}: {piece.meaning}, {piece.size} bytes at {piece.offset}"
+    if piece.error is not None:
+        yield f"  !! {safe(piece.error)}"
+    for part in piece.parts:
+        yield from _part_lines(part)
+
+
+def _part_lines(part: Part) -> Iterator[str]:
+    width = 12 if part.meaning else 16
+    for at in range(0, len(part.data), width):
+        chunk = part.data[at : at + width]
+        beside = safe(part.meaning) if part.meaning and not at else _printed(chunk) if not part.meaning else ""
+        yield f"  {part.offset + at:6}  {chunk.hex(' '):{3 * width - 1}}  {beside}".rstrip()
+
+
+def _printed(chunk: bytes) -> str:
+    return "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in chunk)

@@ -1,0 +1,197 @@
+"""`rhdlink watch`: the variables of a robot, live."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from linkcore.cli.interruption import Interruption
+from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
+from linkcore.cli.terminal import safe, strict_json
+from linkcore.inbox import Inbox
+from linkcore.policy import drop_oldest
+from linkcore.stamp import Stamp
+
+from ..background import Background
+from ..client import Variables, connect
+from ..errors import NotThere
+from ..update import Update
+from .gauge import Gauge, Sight
+from .meaning import in_units, words_text
+from .options import add_address, tell
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Watch variables live: their words, what they mean where their names are conventional ones, and how often a
+second each is set. Watches as a reader, so the robot's master is not disturbed.
+
+On a terminal the view is painted ten times a second; elsewhere it is one line a second, as with --plain.
+When the connection is lost the view says LOST, and goes on as soon as the robot is back. With --json each
+sync that brought something new is one object: what was set, by name, and when it came."""
+
+_EXAMPLES = (
+    "rhdlink watch localhost",
+    "rhdlink watch smr12 encl encr linesensor --plain",
+    "rhdlink watch localhost transpos rotpos --json --count 100",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "watch", "watch variables live", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    parser.add_argument("names", metavar="NAME", nargs="*", help="watch only these variables")
+    parser.add_argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)")
+    parser.add_argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each sync that brought news")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.set_defaults(run=run, trailing="names")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Watch until told to stop.
+
+    Raises:
+        NotThere: the robot has no such variable.
+        RemoteError: nobody is there.
+    """
+    with connect(args.address, timeout=args.timeout) as robot:
+        missing = [name for name in args.names if name not in robot]
+        if missing:
+            raise NotThere(f"{robot.address} has no variable {', '.join(map(repr, missing))}; `rhdlink vars` lists all")
+        until = None if args.duration is None else time.monotonic() + args.duration
+        with Interruption() as interruption:
+            (_lines if args.json else _views)(robot, args, until, interruption)
+        interruption.raise_if_any()
+    return 0
+
+
+def _over(until: float | None) -> bool:
+    return until is not None and time.monotonic() >= until
+
+
+def _left(most: float, until: float | None) -> float:
+    return most if until is None else max(min(most, until - time.monotonic()), 0.0)
+
+
+def _check(background: Background) -> None:
+    if background.failure is not None:
+        raise background.failure
+
+
+def _lines(robot: Variables, args: argparse.Namespace, until: float | None, interruption: Interruption) -> None:
+    """One JSON object for each update."""
+    inbox = Inbox(drop_oldest(16384))
+    robot.subscribe(lambda update: inbox.offer([update]), *args.names, policy=drop_oldest(16384))
+    background = robot.background(args.period)
+    shown = 0
+    while interruption.number is None and not _over(until):
+        update: Update | None = inbox.next(_left(0.05, until))
+        if update is None:
+            _check(background)
+            continue
+        print(strict_json(_as_json(update)), flush=True)
+        shown += 1
+        if shown == args.count:
+            break
+    if inbox.dropped:
+        tell(f"{inbox.dropped} updates were dropped: the output was too slow for them")
+
+
+def _as_json(update: Update) -> dict[str, Any]:
+    return {
+        "received": update.received.wall,
+        "variables": {name: change.value.tolist() for name, change in update.changes.items()},
+        "stamps": {name: list(change.stamp) for name, change in update.changes.items()},
+    }
+
+
+def _views(robot: Variables, args: argparse.Namespace, until: float | None, interruption: Interruption) -> None:
+    gauge = Gauge(time.monotonic())
+    robot.subscribe(gauge.on_update, *args.names)
+    robot.subscribe_connection(gauge.on_connection)
+    background = robot.background(args.period)
+    show, pause = _painter(args.plain)
+    shown = 0
+    with show as draw:
+        # The first look is at what the first syncs brought, and not at what came with the handshake.
+        is_over = interruption.wait(_left(min(0.2, pause), until))
+        while True:
+            _check(background)
+            draw(_look(robot, gauge, frozenset(args.names)))
+            shown += 1
+            if is_over or shown == args.count or _over(until):
+                break
+            is_over = interruption.wait(_left(pause, until))
+
+
+def _look(robot: Variables, gauge: Gauge, names: frozenset[str]) -> Sight:
+    now = Stamp.now().monotonic
+    rate, rates = gauge.rates(now)
+    return Sight(
+        robot=robot.address,
+        connection=robot.connection,
+        age=max(now - robot.received.monotonic, 0.0),
+        rate=rate,
+        rates=rates,
+        variables=[each for each in robot.variables if not names or each.name in names],
+        reconnects=robot.reconnects,
+        trouble=gauge.trouble,
+    )
+
+
+_Draw = Callable[[Sight], None]
+
+
+def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], float]:
+    """What shows sights, and how many seconds apart."""
+    if plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
+        return _plain(), 1.0
+    try:
+        import rich  # noqa: F401
+    except ImportError:
+        tell("plain lines, since rich is missing; pip install 'urlink[cli]' paints them")
+        return _plain(), 1.0
+    return _pictures(), 0.1
+
+
+def line(sight: Sight, clock: str) -> str:
+    """A sight on one line; old values say that they are old."""
+    parts = [f"{clock} {sight.connection.name}", safe(sight.robot)]
+    if not sight.is_fresh:
+        parts.append(f"OLD DATA, {sight.age:.1f} s")
+        if sight.trouble is not None:
+            parts.append(safe(sight.trouble))
+    else:
+        parts.append("- syncs/s" if sight.rate is None else f"{sight.rate:.1f} syncs/s")
+    for variable in sight.variables:
+        text = f"{safe(variable.name)} {words_text(variable.value)}"
+        meaning = in_units(variable.direction, variable.name, variable.value)
+        rate = sight.rates.get(variable.name)
+        parts.append(text + (f" = {meaning}" if meaning else "") + (f" ({rate:.1f}/s)" if rate else ""))
+    return " | ".join(parts)
+
+
+@contextlib.contextmanager
+def _plain() -> Iterator[_Draw]:
+    yield lambda sight: print(line(sight, time.strftime("%H:%M:%S")), flush=True)
+
+
+@contextlib.contextmanager
+def _pictures() -> Iterator[_Draw]:
+    from rich.console import Console
+    from rich.live import Live
+
+    from .picture import Picture
+
+    # The last picture stays on the screen, where it can be read and copied.
+    console, to_terminal = Console(), sys.stderr.isatty()
+    with Live(console=console, auto_refresh=False, vertical_overflow="crop", redirect_stderr=to_terminal) as live:
+        yield lambda sight: live.update(Picture(sight), refresh=True)

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rhdlink import Database
+from rhdlink.cli.anatomy import Piece, dissect, guess_sender, tables_in
+from rhdlink.wire import END, encode_ready
+from tests.harm import assert_harmless, strict
+from tests.rhdlink import recorded
+
+from .conftest import Run
+
+SERVERS = ("reader64", "reader32", "reader_orig2014", "writer64naive", "second_writer64", "race_corrupted_reader64")
+
+
+def database() -> Database:
+    made = Database()
+    made.read.add("tick")
+    made.read.add("encl\x1b", 2)
+    made.write.add("speedl")
+    made.write.add("arm", 3)
+    made.write.set(1, [1, -2, 3])
+    return made
+
+
+def server(width: int = 2) -> bytes:
+    made = database()
+    greeting = made.encode_handshake("w", width)
+    return greeting + made.read.encode([0, 1], width) + END
+
+
+def client(width: int = 2) -> bytes:
+    return b"aw" + encode_ready("w") + database().write.encode([1], width) + END
+
+
+def whole(pieces: list[Piece]) -> bytes:
+    """The bytes of the pieces, each of which has to begin where the one before it ended."""
+    data = b""
+    for piece in pieces:
+        assert piece.offset == len(data)
+        for part in piece.parts:
+            assert part.offset == len(data)
+            data += part.data
+    return data
+
+
+@pytest.mark.parametrize("width", [2, 4])
+def test_both_directions(width: int) -> None:
+    tables, found = tables_in(server(width))
+    assert found == width
+    assert (guess_sender(server(width)), guess_sender(client(width))) == ("server", "client")
+    pieces = list(dissect(server(width), "server", width=width))
+    assert [(piece.batch, piece.package) for piece in pieces] == [
+        *((0, package) for package in ("aw", "tw", "tr", "dw", "dr", "ee")),
+        *((1, package) for package in ("dr", "ee")),
+    ]
+    assert pieces[3].parts[2].content["words"] == [1, -2, 3]
+    assert pieces[3].parts[2].content["stamp"][0] > 1_700_000_000
+    asked = list(dissect(client(width), "client", tables, width))
+    assert [piece.package for piece in asked] == ["aw", "rw", "dw", "ee"]
+    assert asked[2].parts[1].content == pieces[3].parts[2].content | {"stamp": asked[2].parts[1].content["stamp"]}
+    assert [piece.error for piece in [*pieces, *asked]] == [None] * 12
+
+
+@pytest.mark.parametrize("name", SERVERS)
+def test_recorded_connections_have_no_byte_without_a_meaning(run: Run, name: str) -> None:
+    path = recorded.folder() / f"{name}.s2c.bin"
+    status, out, err = run("dissect", str(path), "--json")
+    assert (status, err) == (0, "")
+    pieces = [strict(line) for line in out.splitlines()]
+    assert {piece["error"] for piece in pieces} == {None}
+    assert b"".join(bytes.fromhex(part["hex"]) for piece in pieces for part in piece["parts"]) == path.read_bytes()
+    assert pieces[-1]["package"] == "ee"
+
+
+@pytest.mark.parametrize("name", ["writer64", "writer64naive", "writer_orig2014"])
+def test_recorded_clients_beside_their_servers(run: Run, name: str) -> None:
+    folder = recorded.folder()
+    path = str(folder / f"{name}.c2s.bin")
+    status, out, _ = run("dissect", path, "--tables", str(folder / f"{name}.s2c.bin"), "--json")
+    assert status == 0
+    pieces = [strict(line) for line in out.splitlines()]
+    assert {piece["error"] for piece in pieces} == {None}
+    speeds = [part["words"][0] for piece in pieces for part in piece["parts"] if part.get("name") == "speedl"]
+    assert speeds == list(range(10, 60))
+
+
+def test_lines_for_people(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "server.bin"
+    path.write_bytes(server())
+    status, out, err = run("dissect", str(path), "--count", "2")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == "#1 aw: grants access as master, 2 bytes at 0"
+    assert lines[2] == "#2 tw: table of write variables: 2, 80 bytes at 2"
+    assert lines[3].split() == [*["2", "74", "77", "00", "00", "00", "02", "table", "of", "write", "variables:", "2"]]
+    assert lines[4].endswith("0 speedl, 1 word")
+    assert_harmless(run("dissect", str(path))[1])
+
+
+def test_what_is_missing_is_said(run: Run, tmp_path: Path) -> None:
+    path, other = tmp_path / "client.bin", tmp_path / "other.bin"
+    path.write_bytes(client())
+    other.write_bytes(b"nothing")
+    status, out, _ = run("dissect", str(path))
+    assert status == 0
+    assert "!! no table says how long the variables are; --tables" in out
+    status, _, err = run("dissect", str(path), "--tables", str(other))
+    assert status == 1
+    assert "holds no handshake" in err
+    assert run("dissect", str(other))[0] == 1
+    other.write_bytes(b"")
+    status, _, err = run("dissect", str(other))
+    assert (status, err) == (1, f"rhdlink: {other} holds no bytes\n")
+
+
+def test_nothing_is_declared_of_a_client_that_sends_no_values() -> None:
+    (*_, data, end) = dissect(b"awrwdw\0\0\0\0ee", "client")
+    assert (data.error, data.size, end.package) == (None, 6, "ee")
+
+
+@pytest.mark.parametrize(
+    ("data", "error"),
+    [
+        (server()[:50], "cut off in row 1: expected 37 bytes, got 5"),
+        (server()[:5], "cut off before its count"),
+        (server()[:-3], "cut off in entry 1: expected 20 bytes, got 19"),
+        (b"awtw\xff\xff\xff\xff", "counts -1; expected 0 to 8192"),
+        (b"awx", "one byte of a package"),
+        (b"awxx", "b'xx' begins no package of a server"),
+        (b"rr", "b'rr' begins no package of a server"),
+        (server() + b"dr" + b"\0\0\0\1" + b"\0\0\0\2", "entry 0 is of variable 2; expected 0 to 1"),
+        (b"tr\0\0\0\1" + b"\xff\xff\xff\xff" + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0: "),
+    ],
+)
+def test_what_cannot_be_is_shown_with_the_reason(data: bytes, error: str) -> None:
+    pieces = list(dissect(data, "server"))
+    assert error in str(pieces[-1].error)
+    assert whole(pieces) == data
+
+
+@pytest.mark.property
+@given(st.binary(max_size=60), st.integers(0, len(server())), st.sampled_from([2, 4]), st.booleans())
+def test_every_byte_is_shown_once(noise: bytes, at: int, width: int, from_server: bool) -> None:
+    good, sender = (server(width), "server") if from_server else (client(width), "client")
+    data = good[:at] + noise + good[at:]
+    tables, _ = tables_in(server(width))
+    assert whole(list(dissect(data, sender, tables, width))) == data
+    tables_in(data)

@@ -1,0 +1,148 @@
+"""serve and turtle."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+import rhdlink
+
+from .conftest import Run, Spawn
+
+CONFIG = """\
+<rhd>
+  <scheduler> <period value="{period}"/> <type value="usleep"/> </scheduler>
+  <server> <port value="0"/> </server>
+  <plugins>
+    <robot enable="true" lib="{lib}" critical="true" start="7"/>
+    <turtle enable="true" lib="rhdlink.plugins.turtle:Turtle"/>
+  </plugins>
+</rhd>
+"""
+
+PLUGIN = """\
+import sys
+
+from rhdlink import Int32, Plugin, Read, Write
+
+
+class Robot(Plugin):
+    counter = Read(Int32)
+    fail = Write(Int32)
+
+    def init(self, config):
+        self.counter = config.integer("start", 0)
+
+    def periodic(self, tick):
+        if self.fail:
+            raise RuntimeError("as told")
+
+    def terminate(self):
+        print("motors stopped", file=sys.stderr)
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path, request: pytest.FixtureRequest) -> str:
+    # Modules are remembered by name, so each test has one of its own.
+    name = f"robot_of_{request.node.originalname}"
+    (tmp_path / f"{name}.py").write_text(PLUGIN)
+    path = tmp_path / "rhdconfig.xml"
+    path.write_text(CONFIG.format(period=2000, lib=f"{name}:Robot"))
+    return str(path)
+
+
+def test_serve(run: Run, config: str) -> None:
+    before = list(sys.path)
+    status, out, err = run("serve", config, "--duration", "0.1")
+    assert status == 0
+    assert out.startswith("127.0.0.1:")
+    assert out.count("\n") == 1
+    told = err.splitlines()
+    assert told[0] == f"rhdlink: {config}: robot, turtle; Ctrl-C ends it; connect to"
+    assert told[1] == "motors stopped"
+    assert " ticks, late by " in told[2]
+    assert sys.path == before
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_serve_ends_in_order_by_a_signal(spawn: Spawn, config: str, number: int, status: int) -> None:
+    process = spawn("serve", config)
+    assert process.stdout is not None
+    with rhdlink.connect(process.stdout.readline().strip()) as robot:
+        robot.sync()
+        assert robot["counter"] == [7]
+        process.send_signal(number)
+        _, err = process.communicate(timeout=20)
+    assert process.returncode == status
+    assert "motors stopped" in err
+    assert "Traceback" not in err
+
+
+def test_a_critical_plugin_that_fails_ends_it_with_1(spawn: Spawn, config: str) -> None:
+    process = spawn("serve", config)
+    assert process.stdout is not None
+    with rhdlink.connect(process.stdout.readline().strip(), access="w") as robot:
+        robot["fail"] = 1
+        robot.sync()
+        _, err = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert "motors stopped" in err
+    assert err.endswith("rhdlink: plugin robot failed in periodic: RuntimeError: as told\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<rhd>", "this is not XML"),
+        ("<rhd/>x", "this is not XML"),
+        (CONFIG.format(period=-1, lib="x:Y"), "is not a whole number"),
+        (CONFIG.format(period=2000, lib="libauserial.so.1"), "is a plugin in C"),
+        (CONFIG.format(period=2000, lib="no_such_module_here:Robot"), "cannot import no_such_module_here"),
+    ],
+)
+def test_files_that_cannot_be_served(run: Run, tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "rhdconfig.xml"
+    path.write_text(text)
+    status, out, err = run("serve", str(path))
+    assert (status, out) == (1, "")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_where_to_listen(run: Run, config: str) -> None:
+    status, out, _ = run("serve", config, "--listen", "127.0.0.2", "--port", "0", "--duration", "0.05")
+    if status == 0:  # not every system has the whole network
+        assert out.startswith("127.0.0.2:")
+
+
+@pytest.mark.parametrize(
+    ("drive", "names"), [("velocity", {"transpos", "cmdrotvel"}), ("smr", {"encl", "speedr", "irsensor"})]
+)
+def test_turtle(spawn: Spawn, tmp_path: Path, drive: str, names: set[str]) -> None:
+    picture = tmp_path / "way.svg"
+    process = spawn("turtle", "--port", "0", "--drive", drive, "--lockstep", "--picture", str(picture))
+    assert process.stdout is not None
+    with rhdlink.connect(process.stdout.readline().strip(), access="w") as robot:
+        assert names <= {variable.name for variable in robot.variables}
+        for name in ("cmdtransvel", "speedl", "speedr"):
+            if name in robot:
+                robot[name] = 100_000 if name == "cmdtransvel" else 100
+        for _ in range(102):  # what the request says moves the robot in the round after it, and the next tells
+            robot.sync()
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=20)
+    assert process.returncode == 143
+    assert "rhdlink: ended at x 6.5" in err
+    assert "<polyline" in picture.read_text()
+
+
+def test_turtle_for_a_while(run: Run) -> None:
+    status, out, err = run("turtle", "--port", "0", "--duration", "0.05", "--period", "0.005")
+    assert status == 0
+    assert out.startswith("127.0.0.1:")
+    assert err.startswith("rhdlink: turtle, driven by velocity; Ctrl-C ends it; connect to\n")
+    assert "ended at x 5.500 m, y 5.500 m, heading 0.0 deg" in err

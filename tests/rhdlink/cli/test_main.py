@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+
+import rhdlink.cli
+from rhdlink import Host
+
+from .conftest import Run, Spawn
+
+COMMANDS = tuple(module.__name__.rpartition(".")[2] for module in rhdlink.cli._COMMANDS)
+NAMES = {"variables": "vars", "write": "set"}
+
+
+def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
+    status, out, err = run("--help")
+    assert (status, err) == (0, "")
+    for command in COMMANDS:
+        assert f"\n    {NAMES.get(command, command)} " in out
+    assert "130" in out
+
+
+@pytest.mark.parametrize("command", [NAMES.get(command, command) for command in COMMANDS])
+def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    examples = out.partition("examples:\n")[2].splitlines()
+    assert len(examples) >= 3
+    assert all(example.startswith(f"  rhdlink {command}") for example in examples)
+    assert max(map(len, out.splitlines())) <= 115
+
+
+def test_version(run: Run) -> None:
+    status, out, _ = run("--version")
+    assert status == 0
+    assert out.startswith("rhdlink ")
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        (),
+        ("nonsense",),
+        ("vars",),
+        ("get", "localhost"),
+        ("set", "localhost", "speedl"),
+        ("set", "localhost", "speedl", "0.5"),
+        ("set", "localhost", "speedl", "2147483648"),
+        ("set", "localhost", "speedl", "1_0"),
+        ("watch", "localhost", "--duration", "0"),
+        ("watch", "localhost", "--no-such-option"),
+        ("turtle", "--drive", "car"),
+        ("turtle", "--port", "65536"),
+        ("serve",),
+        ("dissect", "x", "--width", "3"),
+    ],
+)
+def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
+    status, out, err = run(*argv)
+    assert (status, out) == (2, "")
+    assert err.startswith("usage: rhdlink")
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (("vars", "a b"), "is no address"),
+        (("vars", "ftp://x"), "unknown kind"),
+        (("get", "127.0.0.1:1", "tick"), "connection refused"),
+        (("set", "127.0.0.1:1", "tick", "1"), "connection refused"),
+        (("watch", "127.0.0.1:1"), "connection refused"),
+        (("dissect", "/no/such/file"), "cannot read /no/such/file"),
+        (("serve", "/no/such/file"), "cannot read /no/such/file"),
+        (("turtle", "--picture", "way.bmp"), "an .svg or a .png"),
+    ],
+)
+def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...], said: str) -> None:
+    status, out, err = run(*argv)
+    assert (status, out) == (1, "")
+    assert err.startswith("rhdlink: ")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_port_that_is_taken(run: Run, host: Host) -> None:
+    status, out, err = run("turtle", "--port", str(host.port))
+    assert (status, out) == (1, "")
+    assert f"cannot listen on 127.0.0.1:{host.port}" in err
+    assert err.count("\n") == 1
+
+
+def test_text_of_errors_is_harmless(run: Run, tmp_path: Path) -> None:
+    status, _, err = run("dissect", str(tmp_path / "x\x1b[2J\u202ey"))
+    assert status == 1
+    assert "x\\x1b[2J\\u202ey" in err
+
+
+def test_verbose_logs_to_stderr(run: Run) -> None:
+    status, _, err = run("turtle", "--port", "0", "--duration", "0.05", "-vv")
+    assert status == 0
+    assert err.startswith("rhdlink: turtle")
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("options", [("--plain",), ("--json",)])
+def test_signals_end_a_watch_quietly(
+    spawn: Spawn, address: str, options: tuple[str, ...], number: int, status: int
+) -> None:
+    process = spawn("watch", address, *options)
+    assert process.stdout is not None
+    assert process.stdout.readline()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (status, "")
+
+
+def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
+    process = spawn("watch", address, "--json")
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert process.stdout.readline()
+    process.stdout.close()
+    assert process.wait(20) == 0
+    assert process.stderr.read() == ""

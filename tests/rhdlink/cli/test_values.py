@@ -1,0 +1,144 @@
+"""vars, get and set."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+import rhdlink
+from rhdlink import Host
+from tests.harm import HOSTILE, assert_harmless, strict
+from tests.rhdlink.scripted import Peer, ScriptedServer
+from tests.waiting import until
+
+from .conftest import Run, Spawn
+
+
+def test_vars(run: Run, address: str) -> None:
+    status, out, err = run("vars", address)
+    assert (status, err) == (0, "")
+    head, *lines = out.splitlines()
+    assert head == f"{address}: 10 variables, time stamps of 2 words"
+    rows = [line.split() for line in lines]
+    assert [row[:3] for row in rows[:3]] == [["read", "0", "tick"], ["read", "1", "transpos"], ["read", "2", "rotpos"]]
+    assert [row[2] for row in rows if row[0] == "write"] == ["cmdtransvel", "cmdrotvel", "arm"]
+    (line,) = (line for line in lines if " rotpos " in line)
+    assert "= 0 rad" in line
+    (line,) = (line for line in lines if " never " in line)
+    assert line.split()[-4:] == ["0", "0", "0", "0.000000"]
+    (line,) = (line for line in lines if " big " in line)
+    assert "… 24 more" in line
+
+
+def test_vars_as_json(run: Run, address: str) -> None:
+    status, out, _ = run("vars", address, "--json")
+    assert status == 0
+    found = {each["name"]: each for each in map(strict, out.splitlines())}
+    assert len(found) == 10
+    assert found["linesensor"]["words"] == list(range(8))
+    assert found["linesensor"]["meaning"] is None
+    assert found["cmdtransvel"] | {"stamp": None} == {
+        "name": "cmdtransvel",
+        "direction": "w",
+        "id": 0,
+        "length": 1,
+        "words": [0],
+        "stamp": None,
+        "meaning": "0 m/s",
+    }
+    assert len(found["big"]["words"]) == 40
+
+
+def test_get(run: Run, address: str) -> None:
+    status, out, err = run("get", address, "linesensor", "rotpos", "linesensor")
+    assert (status, err) == (0, "")
+    assert out == "linesensor 0 1 2 3 4 5 6 7\nrotpos 0 = 0 rad\nlinesensor 0 1 2 3 4 5 6 7\n"
+
+
+def test_get_as_json_with_names_after_the_option(run: Run, address: str) -> None:
+    status, out, _ = run("get", address, "counter", "--json", "never")
+    assert status == 0
+    counter, never = map(strict, out.splitlines())
+    assert counter["words"][0] < 0
+    assert never["words"] == [0, 0, 0]
+
+
+def test_get_says_what_is_missing(run: Run, address: str) -> None:
+    status, out, err = run("get", address, "tick", "nope", "neither")
+    assert (status, out) == (1, "")
+    assert "has no variable 'nope', 'neither'" in err
+
+
+def test_set(run: Run, address: str) -> None:
+    status, out, err = run("set", address, "arm", "--", "1", "-2", "3", "-2147483648")
+    assert (status, out) == (0, "")
+    assert err == "rhdlink: arm is 1 -2 3 -2147483648\n"
+    assert run("get", address, "arm")[1] == "arm 1 -2 3 -2147483648\n"
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (("arm", "1", "2"), "arm: expected 4 words"),
+        (("arm", "1"), "arm: expected 4 words"),
+        (("cmdrotvel", "1", "2"), "cmdrotvel: expected 1 words"),
+        (("tick", "1"), "it is a read variable"),
+        (("nope", "1"), "no write variable 'nope'"),
+    ],
+)
+def test_set_what_cannot_be(run: Run, address: str, argv: tuple[str, ...], said: str) -> None:
+    status, out, err = run("set", address, *argv)
+    assert (status, out) == (1, "")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_set_while_there_is_a_master(run: Run, address: str) -> None:
+    with rhdlink.connect(address, access="w"):
+        status, _, err = run("set", address, "cmdrotvel", "1")
+    assert status == 1
+    assert "it has a master already" in err
+
+
+def test_set_holds_until_it_is_told_to_go(spawn: Spawn, host: Host, address: str) -> None:
+    process = spawn("set", address, "cmdtransvel", "30000", "--hold", "1000")
+    assert process.stderr is not None
+    assert process.stderr.readline() == "rhdlink: cmdtransvel is 30000 = 0.3 m/s\n"
+    with rhdlink.connect(address, rhdlink.VelocityOmega) as robot:
+
+        def drives() -> bool:
+            robot.sync()
+            return robot.transpos > 100
+
+        until(drives)
+    assert host.writers == 1
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 130
+    until(lambda: host.writers == 0)
+
+
+def test_set_holds_for_a_while(run: Run, address: str) -> None:
+    assert run("set", address, "cmdtransvel", "30000", "--hold", "0.1")[0] == 0
+    transpos = int(run("get", address, "transpos")[1].split()[1])
+    assert transpos >= 2000
+
+
+def greet(peer: Peer) -> None:
+    """A robot that is up to no good."""
+    database = rhdlink.Database()
+    database.read.add("tick")
+    database.read.add("\x1b[2J\x9b31m\u00ad")
+    peer.hear(b"ar")
+    peer.say(database.encode_handshake("r"))
+    assert peer.is_left()
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_names_are_harmless(run: Run, options: tuple[str, ...]) -> None:
+    assert "\x1b" in HOSTILE
+    with ScriptedServer(greet) as server:
+        status, out, err = run("vars", server.address, *options)
+    assert status == 0
+    assert_harmless(out, err)
+    assert "[2J" in out

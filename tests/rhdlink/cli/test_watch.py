@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+
+import pytest
+
+import rhdlink
+from linkcore.events import ConnectionState
+from linkcore.stamp import Stamp
+from rhdlink import Change, Host, TimeStamp, Update
+from rhdlink.cli.gauge import Gauge
+from rhdlink.cli.watch import line
+from rhdlink.plugins.turtle import Turtle
+from tests.harm import strict
+
+from .conftest import Run, Spawn
+
+
+def test_lines_with_units_and_rates(run: Run, address: str) -> None:
+    status, out, err = run("watch", address, "rotpos", "counter", "--plain", "--count", "2")
+    assert (status, err) == (0, "")
+    first, second = out.splitlines()
+    assert re.match(r"\d\d:\d\d:\d\d CONNECTED \| 127\.0\.0\.1:\d+ \| ", first)
+    assert "| rotpos 0 = 0 rad" in first
+    rate = re.search(r"\| counter -\d+ \((\d+)\.\d/s\)$", second)
+    assert rate is not None
+    assert 10 < int(rate[1]) <= 600
+    assert "tick" not in out
+
+
+def test_each_update_as_json(run: Run, address: str) -> None:
+    status, out, err = run("watch", address, "--json", "counter", "tick", "--count", "5")
+    assert (status, err) == (0, "")
+    updates = [strict(each) for each in out.splitlines()]
+    ticks = [each["variables"]["tick"][0] for each in updates]
+    assert len(ticks) == 5
+    assert ticks == sorted(set(ticks))
+    assert all(each["variables"]["counter"][0] == 1 - each["variables"]["tick"][0] for each in updates)
+    assert updates[0]["stamps"].keys() == updates[0]["variables"].keys()
+
+
+def test_duration(run: Run, address: str) -> None:
+    for option in ("--plain", "--json"):
+        status, out, _ = run("watch", address, option, "--duration", "0.3")
+        assert status == 0
+        assert out
+
+
+def test_a_variable_that_is_not_there(run: Run, address: str) -> None:
+    status, out, err = run("watch", address, "nope")
+    assert (status, out) == (1, "")
+    assert "no variable 'nope'" in err
+
+
+def test_a_robot_that_goes_and_comes_back(spawn: Spawn) -> None:
+    with Host([Turtle()], period=0.002, port=0) as host:
+        port = host.port
+        process = spawn("watch", f"127.0.0.1:{port}", "tick", "--plain", "-vv")
+        assert process.stdout is not None
+        lines = iter(process.stdout.readline, "")
+        assert any(" CONNECTED " in each for each in lines)
+    lost = next(each for each in lines if " CONNECTED " not in each)
+    assert "OLD DATA" in lost
+    with Host([Turtle()], period=0.002, port=port):
+        assert any(" CONNECTED " in each for each in lines)
+        process.terminate()
+        assert process.wait(20) == 143
+
+
+def updates(times: int, *, names: tuple[str, ...]) -> Iterator[Update]:
+    for number in range(times):
+        changes = {name: Change(None, TimeStamp(number, 0), True) for name in names}
+        yield Update(changes, Stamp(100.0 + number / 100, 0.0))
+
+
+def test_rates_are_counted_over_two_seconds() -> None:
+    gauge = Gauge(began=100.0)
+    for update in updates(50, names=("a", "b")):
+        gauge.on_update(update)
+    assert gauge.rates(100.49) == (None, {})
+    assert gauge.rates(100.5) == (100.0, {"a": 100.0, "b": 100.0})
+    for update in updates(1000, names=("a",)):
+        gauge.on_update(update)
+    rate, rates = gauge.rates(109.99)
+    assert rate == pytest.approx(100.0, abs=1.0)
+    assert rates == {"a": rate}
+    assert gauge.rates(200.0) == (0.0, {})
+
+
+def test_a_lost_connection_is_told_until_it_is_back() -> None:
+    gauge = Gauge(began=0.0)
+    lost = rhdlink.ConnectionLost("gone")
+    gauge.on_connection(rhdlink.ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
+    assert gauge.trouble == "gone"
+    gauge.on_connection(rhdlink.ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
+    assert gauge.trouble is None
+    assert gauge.rates(2.4) == (None, {})
+
+
+def test_old_values_say_so(address: str) -> None:
+    from rhdlink.cli.gauge import Sight
+
+    with rhdlink.connect(address) as robot:
+        sight = Sight("x\x1b", ConnectionState.LOST, 3.2, 10.0, {}, robot.variables[:1], 1, "gone\x07")
+    text = line(sight, "12:00:00")
+    assert text.startswith("12:00:00 LOST | x\\x1b | OLD DATA, 3.2 s | gone\\x07 | tick ")
+
+
+def test_on_a_terminal_it_is_painted(spawn: Spawn, address: str) -> None:
+    pytest.importorskip("rich")
+    pty = pytest.importorskip("pty")  # not everywhere
+    ours, theirs = pty.openpty()
+    environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
+    process = spawn("watch", address, "--duration", "1.2", stdout=theirs, env=environment)
+    os.close(theirs)
+    painted = b""
+    while True:
+        try:
+            chunk = os.read(ours, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not chunk:
+            break
+        painted += chunk
+    os.close(ours)
+    assert process.wait(20) == 0
+    text = painted.decode()
+    assert "CONNECTED" in text
+    assert "linesensor" in text
+    assert re.search(r"\d+\.\d/s", text)
