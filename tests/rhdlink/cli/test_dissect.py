@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,11 +31,11 @@ def database() -> Database:
 def server(width: int = 2) -> bytes:
     made = database()
     greeting = made.encode_handshake("w", width)
-    return greeting + made.read.encode([0, 1], width) + END
+    return greeting + made.read.encode(np.array([0, 1]), width) + END
 
 
 def client(width: int = 2) -> bytes:
-    return b"aw" + encode_ready("w") + database().write.encode([1], width) + END
+    return b"aw" + encode_ready("w") + database().write.encode(np.array([1]), width) + END
 
 
 def whole(pieces: list[Piece]) -> bytes:

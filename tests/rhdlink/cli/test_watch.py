@@ -93,9 +93,9 @@ def test_a_lost_connection_is_told_until_it_is_back() -> None:
     gauge = Gauge(began=0.0)
     lost = rhdlink.ConnectionLost("gone")
     gauge.on_connection(rhdlink.ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
-    assert gauge.trouble == "gone"
+    assert str(gauge.trouble) == "gone"
     gauge.on_connection(rhdlink.ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
-    assert gauge.trouble is None
+    assert gauge.trouble is None, "it is back"
     assert gauge.rates(2.4) == (None, {})
 
 
