@@ -17,6 +17,7 @@ from linkcore.policy import latest
 from linkcore.statistics import SubscriptionStatistics
 from linkcore.subscription import Subscription
 
+from ..config import Element
 from ..kinds import Int32
 from ..plugin import Plugin
 from ..variables import Read, Write
@@ -107,7 +108,7 @@ class VelocityBridge(Plugin):
             raise BadValue(f"{x}, {y}, {theta} is no pose: expected numbers up to {_FARTHEST:g}")
         self._poses.append((float(x), float(y), float(theta)))
 
-    def init(self, config: object) -> None:
+    def init(self, config: Element) -> None:
         """Start the thread of the function."""
         if self._own_thread:
             self._subscription = Subscription(
