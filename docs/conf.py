@@ -16,6 +16,7 @@ extensions = [
     "compatibility",
     "figures",
     "layouts",
+    "packages",
 ]
 exclude_patterns = ["_build", "_extensions"]
 

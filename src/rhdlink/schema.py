@@ -17,34 +17,44 @@ __all__ = ["ACCESS", "END", "NAME_SIZE", "READY", "ROW", "TABLE", "data_package"
 NAME_SIZE = 33
 
 _DIRECTION = OneOf(Bytes(1), [b"r", b"w"])
+_WHOSE = "r from robot to program, w from program to robot"
 
 #: Access request of a client, and its acknowledgement by the server.
-ACCESS = Struct("type" / Const(b"a"), "access" / _DIRECTION)
+ACCESS = Struct("type" / Const(b"a"), "access" / _DIRECTION * "r as reader, w as master")
 
 #: A variable in a symbol table; its place in the table is its id.
-ROW = Struct("length" / Int32sb, "name" / Bytes(NAME_SIZE))
+ROW = Struct(
+    "length" / Int32sb * "words of the variable",
+    "name" / Bytes(NAME_SIZE) * "Latin-1, at most 32 characters, filled up with NUL; the last byte is NUL",
+)
 
 #: A symbol table.
-TABLE = Struct("type" / Const(b"t"), "direction" / _DIRECTION, "rows" / PrefixedArray(Int32sb, ROW))
+TABLE = Struct(
+    "type" / Const(b"t"),
+    "direction" / _DIRECTION * _WHOSE,
+    "rows" / PrefixedArray(Int32sb, ROW) * "the place of a row is the id of its variable",
+)
 
 #: A client asks for the next batch.
-READY = Struct("type" / Const(b"r"), "access" / _DIRECTION)
+READY = Struct("type" / Const(b"r"), "access" / _DIRECTION * "as what: r as reader, w as master")
 
 #: The end of a batch. The second byte says nothing.
-END = Struct("type" / Const(b"e"), "any" / Byte)
+END = Struct("type" / Const(b"e"), "any" / Byte * "says nothing; e by convention")
 
 
 def entry(lengths: Sequence[int], width: int = 2) -> Any:
     """The value of one variable in a data package."""
     return Struct(
-        "id" / Int32sb,
-        "stamp" / Array(width, Int32ub),
-        "data" / Array(lambda this: lengths[this.id], Int32sb),
+        "id" / Int32sb * "place of the variable in its table",
+        "stamp" / Array(width, Int32ub) * "when it was set: seconds since 1970, microseconds",
+        "data" / Array(lambda this: lengths[this.id], Int32sb) * "the whole variable, as many words as its table says",
     )
 
 
 def data_package(lengths: Sequence[int], width: int = 2) -> Any:
     """The data package of a table whose variables have these lengths, with stamps of `width` words."""
     return Struct(
-        "type" / Const(b"d"), "direction" / _DIRECTION, "entries" / PrefixedArray(Int32sb, entry(lengths, width))
+        "type" / Const(b"d"),
+        "direction" / _DIRECTION * _WHOSE,
+        "entries" / PrefixedArray(Int32sb, entry(lengths, width)) * "ids need not be in order",
     )

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from urlink.cli import main
+import rhdlink.cli
+import urlink.cli
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -84,29 +85,50 @@ def test_test_your_own_program() -> None:
     assert "4 passed" in done.stdout
 
 
+def test_rhd_spiral(tmp_path: Path) -> None:
+    text = output("rhd_spiral.py", str(tmp_path / "spiral.svg"))
+    away = re.search(r"ended (\d+\.\d+) m from the start", text)
+    assert away is not None
+    assert float(away[1]) < 0.1
+    assert "<polyline" in (tmp_path / "spiral.svg").read_text()
+
+
+@pytest.mark.parametrize("options", [(), ("--radius", "0.5", "--angle", "-90")])
+def test_rhd_arc_ends_where_it_should(tmp_path: Path, options: tuple[str, ...]) -> None:
+    text = output("rhd_arc.py", str(tmp_path / "arc.svg"), *options)
+    ended, should = ([float(number) for number in re.findall(r"-?\d+\.\d+", line)] for line in text.splitlines())
+    assert ended == pytest.approx(should, abs=0.01)
+    assert "<polyline" in (tmp_path / "arc.svg").read_text()
+
+
 def test_every_example_is_run_here() -> None:
     here = Path(__file__).read_text()
     assert [path.name for path in sorted(EXAMPLES.glob("*.py")) if path.name not in here] == []
 
 
-def commands() -> list[str]:
-    """The `urlink` commands in the shell blocks of the documents."""
+MAINS = {"urlink": urlink.cli.main, "rhdlink": rhdlink.cli.main}
+
+
+def commands() -> list[tuple[str, str]]:
+    """The commands in the shell blocks of the documents: which, and what follows."""
     found = []
     for document in DOCUMENTS:
-        for block in re.findall(r"^```sh\n(.*?)^```", document.read_text(), re.DOTALL | re.MULTILINE):
+        for block in re.findall(r"^ *```sh\n(.*?)^ *```", document.read_text(), re.DOTALL | re.MULTILINE):
             for part in re.split(r"\n|&&|\|", block.replace("\\\n", " ")):
-                command = re.match(r"\s*\$?\s*(?:\S*/)?urlink\s+(.*)", part)
+                command = re.match(r"\s*\$?\s*(?:\S*/)?(urlink|rhdlink)\s+(.*)", part)
                 if command:
-                    found.append(command[1].partition("#")[0].partition(">")[0].strip())
+                    found.append((command[1], command[2].partition("#")[0].partition(">")[0].strip()))
     return found
 
 
-@pytest.mark.parametrize("command", commands())
-def test_the_options_of_commands_in_the_documents_exist(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("program", "command"), commands())
+def test_the_options_of_commands_in_the_documents_exist(
+    program: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     name, *arguments = shlex.split(command)
     if name.startswith("-") or name == "COMMAND":
         return
-    assert main([name, "--help"]) == 0
+    assert MAINS[program]([name, "--help"]) == 0
     known = capsys.readouterr().out
     options = {argument.partition("=")[0] for argument in arguments if argument.startswith("-")}
     assert [option for option in options if option not in known] == []

@@ -15,7 +15,7 @@ from linkcore.recording import Kind, Recording
 
 from .anatomy import Part, Piece, dissect, guess_sender, tables_in
 
-__all__ = ["add_parser"]
+__all__ = ["add_parser", "lines"]
 
 _DESCRIPTION = """\
 Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(strict_json(_as_json(piece)))
         else:
-            print("\n".join(_as_lines(shown, piece)))
+            print("\n".join(lines(shown, piece)))
         if shown == args.count:
             break
     if not shown:
@@ -114,7 +114,8 @@ def _as_json(piece: Piece) -> dict[str, Any]:
     }
 
 
-def _as_lines(number: int, piece: Piece) -> Iterator[str]:
+def lines(number: int, piece: Piece) -> Iterator[str]:
+    """A piece for people."""
     yield f"#{number} {safe(piece.package) or '??'}: {piece.meaning}, {piece.size} bytes at {piece.offset}"
     if piece.error is not None:
         yield f"  !! {safe(piece.error)}"

@@ -1,0 +1,16 @@
+"""What the documents say of the tests is so."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_every_defect_has_the_tests_that_the_page_of_differences_names() -> None:
+    page = (ROOT / "docs" / "rhd-differences.md").read_text(encoding="utf-8")
+    defects = (ROOT / "tests" / "rhdlink" / "test_defects.py").read_text(encoding="utf-8")
+    there = set(re.findall(r"^def (test_\d+_\w+)\(", defects, re.MULTILINE))
+    assert set(re.findall(r"`(test_\w+)`", page)) == there
+    assert [int(number) for number in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)] == list(range(1, 18))
