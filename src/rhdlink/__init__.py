@@ -20,6 +20,7 @@ from __future__ import annotations
 from linkcore.backoff import Backoff
 from linkcore.errors import (
     BadAddress,
+    BadRecording,
     BadValue,
     Closed,
     ConnectFailed,
@@ -57,6 +58,7 @@ __all__ = [
     "Backoff",
     "BadAddress",
     "BadConfiguration",
+    "BadRecording",
     "BadValue",
     "Bool",
     "Change",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -27,6 +28,7 @@ from .errors import AccessDenied, NotThere
 from .limits import Limits
 from .link import Link, Transport
 from .snapshot import Variable, to_html
+from .tape import Tape
 from .trial import WIDTHS
 from .update import Change, Update
 from .variables import Declaration, Declarations
@@ -55,6 +57,7 @@ def connect(
     timeout: float = 5.0,
     width: int | None = None,
     limits: Limits | None = None,
+    record: str | os.PathLike[str] | None = None,
 ) -> Variables: ...
 
 
@@ -68,6 +71,7 @@ def connect(
     timeout: float = 5.0,
     width: int | None = None,
     limits: Limits | None = None,
+    record: str | os.PathLike[str] | None = None,
 ) -> R: ...
 
 
@@ -80,6 +84,7 @@ def connect(
     timeout: float = 5.0,
     width: int | None = None,
     limits: Limits | None = None,
+    record: str | os.PathLike[str] | None = None,
 ) -> Variables:
     """Connect to a robot.
 
@@ -93,9 +98,12 @@ def connect(
         timeout: seconds for the connection and its handshake, and for each sync that does not say.
         width: 32-bit words of a time stamp, 2 or 4; by default found out from the handshake.
         limits: what the robot may ask for.
+        record: a file that does not exist yet, for every byte that the robot sends, with the time at
+            which it came; `rhdlink replay` plays it. Each write holds up the sync it belongs to.
 
     Raises:
         BadAddress, BadValue: an argument that cannot be.
+        BadRecording: the file to record into exists, or cannot be made.
         AccessDenied: the robot has a master already.
         WrongVariables: it lacks what was declared; all of it is listed.
         ConnectFailed, ConnectionLost, LinkTimeout: nobody is there, or no longer, or silent.
@@ -109,9 +117,10 @@ def connect(
     if width is not None and width not in WIDTHS:
         raise BadValue(f"width is {width}; expected 2 or 4 words")
     robot = (variables or Variables)()
+    transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(
         str(place),
-        TcpTransport(place.host, place.port, silence=timeout),
+        transport if record is None else Tape(transport, record),
         {"access": access, "fallback": fallback, "width": width, "limits": limits},
         timeout,
     )
@@ -401,6 +410,9 @@ class Variables(Declarations):
 
         A robot is not told: its values stay as they were sent last, until it notices that its master
         is gone. Idempotent, from any thread.
+
+        Raises:
+            BadRecording: the disk failed while it was recorded.
         """
         if self._transport is None:
             return
@@ -412,6 +424,8 @@ class Variables(Declarations):
         if self._state is not ConnectionState.CLOSED:
             self._tell(ConnectionState.CLOSED)
         self._audience.close(until)
+        if isinstance(self._transport, Tape):
+            self._transport.finish()
 
     def __enter__(self: R) -> R:
         return self

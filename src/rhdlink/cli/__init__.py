@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import dissect, get, serve, turtle, variables, watch, write
+from . import dissect, get, record, replay, serve, turtle, variables, watch, write
 
 __all__ = ["main"]
 
-_COMMANDS = (serve, turtle, variables, get, write, watch, dissect)
+_COMMANDS = (serve, turtle, variables, get, write, watch, record, replay, dissect)
 
 _DESCRIPTION = """\
 Look at, drive, host and imitate mobile robots that run the Robot Hardware Daemon (RHD)."""

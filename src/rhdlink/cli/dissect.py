@@ -13,6 +13,7 @@ from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording
 from linkcore.recording import Kind, Recording
 
+from ..tape import CHANNEL
 from .anatomy import Part, Piece, dissect, guess_sender, tables_in
 
 __all__ = ["add_parser", "lines"]
@@ -28,7 +29,7 @@ sent in the same connection. The words of a time stamp, 2 or 4, are found out fr
 _EXAMPLES = (
     "rhdlink dissect server.bin",
     "rhdlink dissect client.bin --tables server.bin --count 3",
-    "rhdlink dissect run.rhdlog --json",
+    "rhdlink dissect drive.urlog --json",
 )
 
 
@@ -82,7 +83,7 @@ def _connections(path: Path) -> Iterator[bytes]:
         yield data
         return
     recording = Recording(path)
-    number = recording.channel("rhd")
+    number = recording.channel(CHANNEL)
     parts: list[bytes] = []
     for record in recording:
         if record.channel != number:

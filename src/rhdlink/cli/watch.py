@@ -25,7 +25,7 @@ from .gauge import Gauge, Sight
 from .meaning import in_units, words_text
 from .options import add_address, tell
 
-__all__ = ["add_parser"]
+__all__ = ["add_parser", "line", "update_as_json"]
 
 _DESCRIPTION = """\
 Watch variables live: their words, what they mean where their names are conventional ones, and how often a
@@ -97,7 +97,7 @@ def _lines(robot: Variables, args: argparse.Namespace, until: float | None, inte
         if update is None:
             _check(background)
             continue
-        print(strict_json(_as_json(update)), flush=True)
+        print(strict_json(update_as_json(update)), flush=True)
         shown += 1
         if shown == args.count:
             break
@@ -105,7 +105,8 @@ def _lines(robot: Variables, args: argparse.Namespace, until: float | None, inte
         tell(f"{inbox.dropped} updates were dropped: the output was too slow for them")
 
 
-def _as_json(update: Update) -> dict[str, Any]:
+def update_as_json(update: Update) -> dict[str, Any]:
+    """What was set, and when it came."""
     return {
         "received": update.received.wall,
         "variables": {name: change.value.tolist() for name, change in update.changes.items()},

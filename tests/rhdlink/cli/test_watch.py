@@ -37,7 +37,8 @@ def test_each_update_as_json(run: Run, address: str) -> None:
     ticks = [each["variables"]["tick"][0] for each in updates]
     assert len(ticks) == 5
     assert ticks == sorted(set(ticks))
-    assert all(each["variables"]["counter"][0] == 1 - each["variables"]["tick"][0] for each in updates)
+    # The handshake may fall between a plugin and the tick: then the counter of the first batch is no news.
+    assert all(each["variables"]["counter"][0] == 1 - each["variables"]["tick"][0] for each in updates[1:])
     assert updates[0]["stamps"].keys() == updates[0]["variables"].keys()
 
 
