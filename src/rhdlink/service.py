@@ -238,9 +238,9 @@ class Service:
         """Take what clients have written, and answer those who asked: one request of each client."""
         database = self._database
         database.write.begin_round()
-        written: list[Data] = []
+        written: list[tuple[Guest | None, Data]] = []
         for data in self._last_words:
-            self._write(data, written)
+            self._write(None, data, written)
         self._last_words.clear()
         taken, ready = [], []
         for guest in self._seats:
@@ -251,15 +251,16 @@ class Service:
             if request.data:
                 if guest.access == "w":
                     for data in request.data:
-                        self._write(data, written)
+                        self._write(guest, data, written)
                 else:
                     self._refuse(guest, sum(map(len, request.data)))
             if request.ready is not None:
                 ready.append(guest)
         self._spread_news()
-        for data in written:
+        for author, data in written:
             for guest in self._seats:
-                if guest is not None:
+                # The sole writer knows what it wrote (section 4).
+                if guest is not None and not (guest is author and guest is self._sole_writer):
                     guest.write_news.add_many(data.ids, ordered=data.entries.is_ordered)
         replies = self._replies(ready)
         for guest in taken:
@@ -271,9 +272,9 @@ class Service:
                     self._fail(guest, str(error))
         return replies
 
-    def _write(self, data: Data, written: list[Data]) -> None:
+    def _write(self, author: Guest | None, data: Data, written: list[tuple[Guest | None, Data]]) -> None:
         self._database.write.receive(data)
-        written.append(data)
+        written.append((author, data))
 
     def _refuse(self, guest: Guest, count: int) -> None:
         if not guest.refused_writes:
@@ -291,12 +292,11 @@ class Service:
     def _replies(self, ready: list[Guest]) -> list[tuple[Guest, bytes]]:
         read, write = self._database.read, self._database.write
         packages = _Packages(self._width)
-        # The sole writer knows what it wrote (section 4).
         all_read = np.flatnonzero(read.updated) if self._resend == "original" and ready else None
         replies = []
         for guest in ready:
-            written = guest.write_news.take()
-            own = b"" if guest is self._sole_writer else packages.of(write, written)
+            # What others had written before it became the sole writer waits until it is not the only one.
+            own = b"" if guest is self._sole_writer else packages.of(write, guest.write_news.take())
             ids = guest.read_news.take() if all_read is None else all_read
             replies.append((guest, own + packages.of(read, ids) + END))
         return replies

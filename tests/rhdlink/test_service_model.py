@@ -153,21 +153,29 @@ class Rounds(RuleBasedStateMachine):
 
     @rule()
     def a_round(self) -> None:
-        taken: list[dict[str, list[int]]] = [*self.last_words]
+        taken: list[tuple[Client | None, dict[str, list[int]]]] = [(None, writes) for writes in self.last_words]
         self.last_words = []
         for client in sorted(self.clients, key=lambda client: client.guest.seat or 0):
             if client.writes is not None and client.access == "w":
-                taken.append(client.writes)
+                taken.append((client, client.writes))
         written: set[str] = set()
-        for writes in taken:
+        for author, writes in taken:
             self.values.update(writes)
             written |= set(writes)
+            for client in self.clients:
+                if client is author and [client] == self.writers:
+                    # It is not told what it wrote itself.
+                    for name, value in writes.items():
+                        identity = client.tables.write.find(name)
+                        assert identity is not None
+                        client.tables.write.set(identity, value)
+                else:
+                    client.write_news |= set(writes)
         replies = dict(self.service.sync())
         for identity, name in enumerate(WRITE):
             assert bool(self.database.write.updated[identity]) == (name in written)
             assert self.database.write.value(identity).tolist() == self.values[name]
         for client in self.clients:
-            client.write_news |= written
             is_due = client.asks and client.writes is not None
             assert (client.guest in replies) == is_due
             if is_due:
@@ -191,9 +199,12 @@ class Rounds(RuleBasedStateMachine):
         for data in batch.data:
             assert data.ids.tolist() == sorted(data.ids.tolist())
             client.tables.table(data.direction).receive(data)
-        client.read_news, client.write_news = set(), set()
-        # Whatever was said when: after a reply a client knows all, but for what the only writer has written itself.
-        self.check_values(client, set(READ) if is_sole else set(self.values))
+        client.read_news = set()
+        if not is_sole:
+            client.write_news = set()
+        # Whatever was said when: after a reply a client knows all, but for what others wrote before one became the
+        # sole writer, which is not sent the write table.
+        self.check_values(client, set(self.values) - client.write_news)
 
     def check_values(self, client: Client, names: set[str]) -> None:
         for name in names:
