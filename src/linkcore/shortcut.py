@@ -5,8 +5,8 @@ most of the latency, and most of the processor time, is the waking of that threa
 that has proved quick is served by the reader. It is taken at its word only as long as it keeps it: two
 calls within a second that last longer send it back to its own thread (one may be the machine's
 fault), and should a call not return, a second thread, which looks every `PATIENCE` seconds, takes
-over the reading. Then the others have waited that long, once; nothing is lost, since what is not read
-waits in the socket.
+over the reading. The others then have waited up to twice that long; nothing is lost, since what is
+not read waits in the socket. Each time it is sent back, it has to be quick for longer to return.
 """
 
 from __future__ import annotations

@@ -23,9 +23,10 @@ _MOST_TRUST = 1024
 
 
 class Subscription:
-    """Delivers packets to a callback in a thread of its own, until closed.
+    """Delivers packets to a callback, in order and one at a time, until closed.
 
-    A callback that has proved quick is called by the reader itself instead; see `linkcore.shortcut`.
+    In a thread of its own; a callback that has proved quick is called by the stream's reader thread
+    instead, see `linkcore.shortcut`.
     Made by `Stream.subscribe`; a context manager that closes itself.
     """
 
@@ -126,7 +127,8 @@ class Subscription:
             return False
         try:
             inbox = self.inbox
-            if inbox.waiting or inbox.closed:
+            # What the own thread has taken but not called back with yet comes first too.
+            if inbox.received != self._delivered + self._failed + inbox.dropped or inbox.closed:
                 return False
             self._holder = threading.get_ident()
             inbox.received += len(packets)
