@@ -368,7 +368,8 @@ class Stream(Feed[T]):
         progress = time.monotonic()
         while True:
             data, stamp = transport.receive()
-            distribution.tap(data, framer.rest, stamp)
+            if distribution.taps:
+                distribution.tap(data, framer.rest, stamp)
             frames = framer.feed(data)
             if frames:
                 progress = stamp.monotonic

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from threading import get_ident
 from typing import Any
 
 from .inbox import Inbox
@@ -97,7 +98,7 @@ class Subscription:
     def join(self, timeout: float | None) -> bool:
         """Wait until the subscription has ended and delivered everything; False when time is up."""
         until = None if timeout is None else time.monotonic() + max(timeout, 0.0)
-        if self.runs_in(threading.get_ident()):
+        if self.runs_in(get_ident()):
             return not self._thread.is_alive()
         self._thread.join(timeout if timeout is None else max(timeout, 0.0))
         if self._thread.is_alive():
@@ -130,7 +131,7 @@ class Subscription:
             # What the own thread has taken but not called back with yet comes first too.
             if inbox.received != self._delivered + self._failed + inbox.dropped or inbox.closed:
                 return False
-            self._holder = threading.get_ident()
+            self._holder = get_ident()
             inbox.received += len(packets)
             self._call(packets)
             self._holder = 0
@@ -181,24 +182,18 @@ class Subscription:
             trust(self)
 
     def _call(self, packets: Iterable[Any]) -> None:
-        callback = self._callback
-        rest = iter(packets if self._expand is None else map(self._expand, packets))
-        while True:
-            delivered = 0
+        callback, expand = self._callback, self._expand
+        for packet in packets:
             try:
-                for packet in rest:
-                    if self._expand is None:
-                        callback(packet)
-                    else:
-                        for part in packet:
-                            callback(part)
-                    delivered += 1
-                return
+                if expand is None:
+                    callback(packet)
+                else:
+                    for part in expand(packet):
+                        callback(part)
+                self._delivered += 1
             except Exception:
                 self._failed += 1
                 self._complain(f"callback of {self.name} raised; its subscription goes on")
-            finally:
-                self._delivered += delivered
 
     def _miss(self, age: float) -> None:
         self._missed += 1
