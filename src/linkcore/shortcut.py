@@ -14,15 +14,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from .subscription import Subscription
+from .subscription import QUICK, Subscription
 
-__all__ = ["PATIENCE", "QUICK", "Relieved", "Shortcut"]
+__all__ = ["PATIENCE", "Relieved", "Shortcut"]
 
-#: Seconds that a call may last to count as quick.
-QUICK = 0.5e-3
 #: Seconds after which a call that has not returned loses the reader.
 PATIENCE = 0.02
 #: Slow calls within a second that are put down to the machine.

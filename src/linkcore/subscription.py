@@ -10,14 +10,15 @@ from threading import get_ident
 from typing import Any
 
 from .inbox import Inbox
-from .shortcut import QUICK
 from .statistics import SubscriptionStatistics
 
-__all__ = ["Subscription"]
+__all__ = ["QUICK", "Subscription"]
 
 _log = logging.getLogger(__name__)
 
 
+#: Seconds that a call may last to count as quick.
+QUICK = 0.5e-3
 #: Calls in a row that have to be quick before the reader makes them itself.
 _TRUST = 64
 _MOST_TRUST = 1024
