@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import multiprocessing
 import socket
 import struct
@@ -92,6 +93,7 @@ def receive_raw(port: int, results: Connection, total: int, busy: bool) -> None:
 
 def receive_stream(port: int, results: Connection, total: int, busy: bool) -> None:
     """A urlink stream and a callback."""
+    logging.getLogger("linkcore").setLevel(logging.ERROR)  # that the sender ends is no news here
     spin(busy)
     latencies: list[float] = []
     seen = [0]

@@ -35,6 +35,7 @@ class Distribution:
 
     Attributes:
         dropped: packets that at least one subscription dropped.
+        taps: who gets everything as it came.
     """
 
     def __init__(self, kind: type, parts: Callable[[Any], Iterable[Any]] | None, read_on: Callable[[], object]) -> None:
@@ -49,13 +50,14 @@ class Distribution:
         self._subscriptions: tuple[Subscription, ...] = ()
         self._shortcut: Shortcut | None = None
         self._outlets: tuple[Inbox | Shortcut, ...] = ()
+        self.taps: tuple[Inbox, ...] = ()
         self._newest: dict[type, Any] = {}
 
     # -- what the reader hands out -------------------------------------------------------------
 
     def tap(self, data: bytes, rest: bytes, stamp: Stamp) -> None:
         """Bytes as they came; `rest` is the head of the packet they came into."""
-        for inbox in self._inboxes[Traffic]:
+        for inbox in self.taps:
             if rest and not inbox.received:
                 inbox.put(Chunk(rest, stamp))
             inbox.put(_new(Chunk, (data, stamp)))
@@ -211,6 +213,7 @@ class Distribution:
 
     def _route(self) -> None:
         """Say anew where packets go; with the lock."""
+        self.taps = self._inboxes[Traffic]
         inboxes, shortcut = self._inboxes[object], self._shortcut
         if shortcut is None:
             self._outlets = inboxes

@@ -91,10 +91,14 @@ class Feed(Generic[T]):
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
     ) -> Subscription:
-        """Call `callback` with each packet, in a thread of its own, until closed.
+        """Call `callback` with each packet, in order and one at a time, until closed.
+
+        In a thread of its own, or, once it has proved quick, in the thread that reads the stream: so
+        the thread may change, and a callback that hangs after having been quick can keep the other
+        subscribers waiting for some 40 ms.
 
         Args:
-            callback: may be slow and may raise; neither harms anybody else.
+            callback: may be slow and may raise; no packet of anybody else's is lost by that.
             policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by
                 default `drop_oldest(256)`, and 1024 for events.
             deadline: seconds within which a packet has to come.

@@ -78,6 +78,9 @@ class Framer:
         buffer = self._rest + data if self._rest else data
         end = len(buffer)
         frames = [] if self._lost else border.whole(buffer)
+        if frames and len(frames[0]) == end:  # the common case: one packet at a time
+            self._rest = b""
+            return frames
         at = sum(map(len, frames))
         while end - at >= border.header:
             if self._lost:

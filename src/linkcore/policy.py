@@ -22,7 +22,7 @@ class Policy:
     evicts: bool
 
 
-#: Keep the newest packet only: for control loops and displays.
+#: Keep the newest packet only: for control loops and displays. Who keeps up still gets every one.
 latest = Policy(1, evicts=True)
 
 #: Lose nothing: the reader waits, and with it every subscriber of the stream; in the end TCP makes

@@ -2,11 +2,11 @@
 
 Handing a packet to another thread costs more than reading it: on a machine that is otherwise idle
 most of the latency, and most of the processor time, is the waking of that thread. So a subscription
-that has proved quick is served by the reader. It is taken at its word only as long as it keeps it: two
-calls within a second that last longer send it back to its own thread (one may be the machine's
+that has proved quick is served by the reader. It is taken at its word only as long as it keeps it: a few
+calls within a second that last longer send it back to its own thread (fewer may be the machine's
 fault), and should a call not return, a second thread, which looks every `PATIENCE` seconds, takes
-over the reading. Then the others have waited that long, once; nothing is lost, since what is not read
-waits in the socket.
+over the reading. The others then have waited up to twice that long; nothing is lost, since what is
+not read waits in the socket. Each time it is sent back, it has to be quick for longer to return.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from .subscription import Subscription
+from .subscription import QUICK, Subscription
 
-__all__ = ["PATIENCE", "QUICK", "Relieved", "Shortcut"]
+__all__ = ["PATIENCE", "Relieved", "Shortcut"]
 
-#: Seconds that a call may last to count as quick.
-QUICK = 0.5e-3
 #: Seconds after which a call that has not returned loses the reader.
 PATIENCE = 0.02
+#: Slow calls within a second that are put down to the machine.
+_FORGIVEN = 3
 
 
 class Relieved(Exception):
@@ -52,7 +51,8 @@ class Shortcut:
         self._read_on = read_on
         self._role = threading.Lock()
         self._since: float | None = None
-        self._slow = float("-inf")
+        self._slow = 0
+        self._slow_since = float("-inf")
         self._relieved = False
         self._ended = threading.Lock()
         self._ended.acquire()
@@ -74,9 +74,11 @@ class Shortcut:
         if not done:
             self.inbox.offer(packets)
         elif time.monotonic() - since > QUICK * len(packets):
-            if since - self._slow < 1.0:
+            if since - self._slow_since > 1.0:
+                self._slow_since, self._slow = since, 0
+            self._slow += 1
+            if self._slow > _FORGIVEN:
                 self._withdraw(self)
-            self._slow = since
 
     def end(self) -> None:
         """Watch no longer."""

@@ -155,8 +155,8 @@ class Stream(Feed[T]):
 
         What waits is dropped and counted, but under the policy `block` it is still delivered, if need
         be after this has returned. A callback that is running then is left to end by itself. Only a
-        reader that still waits for room when time is up makes `block` drop too. Idempotent; may be
-        called from a callback.
+        reader that is still kept when time is up, by a full queue or a callback, makes `block` drop
+        too. Idempotent; may be called from a callback.
         """
         until = time.monotonic() + timeout
         self._closing.set()
@@ -164,8 +164,11 @@ class Stream(Feed[T]):
         distribution, reader = self._distribution, self._reader
         subscriptions = distribution.subscriptions
         distribution.close_evicting()
-        if reader is not None and reader is not threading.current_thread():
+        while reader is not None and reader is not threading.current_thread():
             reader.join(max(until - time.monotonic(), 0.0))
+            if reader is self._reader or self._reader is None:
+                break
+            reader = self._reader  # another thread has taken over meanwhile
         for subscription in subscriptions:
             subscription.join(until - time.monotonic())
         if reader is not None and reader.is_alive():
@@ -273,7 +276,8 @@ class Stream(Feed[T]):
 
     def _read_on(self) -> None:
         """Go on reading in place of a reader that a callback keeps."""
-        self._reader = threading.current_thread()
+        with self._lock:
+            self._reader = threading.current_thread()
         self._read(connected=True)
 
     def _read(self, connected: bool = False) -> None:
@@ -350,6 +354,8 @@ class Stream(Feed[T]):
                 self._reader = None  # the next use tries again
             else:
                 self._over = True
+        if failure is not None and self._opened:
+            _log.warning("%s: given up: %s", self.name, failure)  # whoever only has a callback learns it here
         self._tell(ConnectionState.IDLE if failure is not None else ConnectionState.CLOSED, failure)
         self._settled.set()
         self._distribution.end()
@@ -362,7 +368,8 @@ class Stream(Feed[T]):
         progress = time.monotonic()
         while True:
             data, stamp = transport.receive()
-            distribution.tap(data, framer.rest, stamp)
+            if distribution.taps:
+                distribution.tap(data, framer.rest, stamp)
             frames = framer.feed(data)
             if frames:
                 progress = stamp.monotonic

@@ -6,26 +6,29 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from threading import get_ident
 from typing import Any
 
 from .inbox import Inbox
-from .shortcut import QUICK
 from .statistics import SubscriptionStatistics
 
-__all__ = ["Subscription"]
+__all__ = ["QUICK", "Subscription"]
 
 _log = logging.getLogger(__name__)
 
 
+#: Seconds that a call may last to count as quick.
+QUICK = 0.5e-3
 #: Calls in a row that have to be quick before the reader makes them itself.
 _TRUST = 64
 _MOST_TRUST = 1024
 
 
 class Subscription:
-    """Delivers packets to a callback in a thread of its own, until closed.
+    """Delivers packets to a callback, in order and one at a time, until closed.
 
-    A callback that has proved quick is called by the reader itself instead; see `linkcore.shortcut`.
+    In a thread of its own; a callback that has proved quick is called by the stream's reader thread
+    instead, see `linkcore.shortcut`.
     Made by `Stream.subscribe`; a context manager that closes itself.
     """
 
@@ -96,7 +99,7 @@ class Subscription:
     def join(self, timeout: float | None) -> bool:
         """Wait until the subscription has ended and delivered everything; False when time is up."""
         until = None if timeout is None else time.monotonic() + max(timeout, 0.0)
-        if self.runs_in(threading.get_ident()):
+        if self.runs_in(get_ident()):
             return not self._thread.is_alive()
         self._thread.join(timeout if timeout is None else max(timeout, 0.0))
         if self._thread.is_alive():
@@ -126,9 +129,10 @@ class Subscription:
             return False
         try:
             inbox = self.inbox
-            if inbox.waiting or inbox.closed:
+            # What the own thread has taken but not called back with yet comes first too.
+            if inbox.received != self._delivered + self._failed + inbox.dropped or inbox.closed:
                 return False
-            self._holder = threading.get_ident()
+            self._holder = get_ident()
             inbox.received += len(packets)
             self._call(packets)
             self._holder = 0
@@ -179,24 +183,18 @@ class Subscription:
             trust(self)
 
     def _call(self, packets: Iterable[Any]) -> None:
-        callback = self._callback
-        rest = iter(packets if self._expand is None else map(self._expand, packets))
-        while True:
-            delivered = 0
+        callback, expand = self._callback, self._expand
+        for packet in packets:
             try:
-                for packet in rest:
-                    if self._expand is None:
-                        callback(packet)
-                    else:
-                        for part in packet:
-                            callback(part)
-                    delivered += 1
-                return
+                if expand is None:
+                    callback(packet)
+                else:
+                    for part in expand(packet):
+                        callback(part)
+                self._delivered += 1
             except Exception:
                 self._failed += 1
                 self._complain(f"callback of {self.name} raised; its subscription goes on")
-            finally:
-                self._delivered += delivered
 
     def _miss(self, age: float) -> None:
         self._missed += 1

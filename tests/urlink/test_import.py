@@ -71,7 +71,9 @@ def test_it_would_be_noticed(statement: str, event: str) -> None:
         statement = "import threading; threading.Thread(target=threading.Event().wait, daemon=True).start()"
         assert outcome(statement)["threads"] == 2
     else:
-        assert event in outcome(statement)["events"]
+        # From 3.13 on, threading starts threads that can be joined, which is an event of its own.
+        events = {name.replace("start_joinable_thread", "start_new_thread") for name in outcome(statement)["events"]}
+        assert event in events
 
 
 @pytest.mark.parametrize("name", NOT_NEEDED)

@@ -532,3 +532,21 @@ def test_text_may_hold_headers() -> None:
     text = bytes(TextMessage(text="\x00\x00\x00\x18\x14\x00\x00\x02\x2c\x10"))
     parts = [VERSION, text, robot_state()]
     assert fed(PrimaryProtocol, *bytewise(b"".join(parts)))[0] == parts
+
+
+def of_type(kind: int, body: bytes) -> bytes:
+    return struct.pack(">iB", 5 + len(body), kind) + body
+
+
+def test_each_kind_of_unknown_part_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    session = PrimaryProtocol()
+    unknown = of_type(77, b"x" * 4) + of_type(78, b"y" * 4)
+    states = [of_type(16, bytes(RobotModeData("5.4")) + of_type(77 + number % 2, b"?" * 3)) for number in range(6)]
+    frames = session.framer.feed(states[0] + unknown + b"".join(states))
+    for frame in frames:
+        session.decode(frame)
+    assert session.unknown == len(frames)
+    told = [record.message for record in caplog.records]
+    assert len(told) == len(set(told)) == 4
+    session.decode(of_type(5, bytes(4)))
+    assert session.unknown == len(frames), "MODBUS info is known, if not what is in it"

@@ -162,7 +162,7 @@ class PackageDecoder:
 
     Args:
         version: the firmware whose layouts are the least that will do; None goes by sizes alone.
-        notice: told once of each kind of unknown part of a robot state.
+        notice: told once of each kind of unknown package or part of one.
 
     Attributes:
         unknown: packages, messages and sub-packages of a type that no layout is known for, so far.
@@ -172,6 +172,7 @@ class PackageDecoder:
     def __init__(self, version: Version | None = None, notice: Callable[[str], object] = str) -> None:
         self._version = version
         self._notice = notice
+        self._told: set[str] = set()
         self.unknown = 0
         self.tails = 0
         self._plans: dict[int, _Plan] = {}
@@ -201,9 +202,19 @@ class PackageDecoder:
 
     def _counted(self, cls: type[State], frame: bytes, version: Version | None, stamp: Stamp | None) -> State:
         state: State = cls.LAYOUTS.decode(frame, version, stamp)
-        self.unknown += cls in (OtherPackage, UnknownMessage)
-        self.tails += bool(state.tail)
+        if cls is UnknownMessage or (cls is OtherPackage and frame[4] not in _KNOWN_TYPES):
+            self.unknown += 1
+            kind = f"message type {frame[_MESSAGE_HEAD - 1]}" if cls is UnknownMessage else f"package type {frame[4]}"
+            self._tell(f"{kind} is unknown, and kept")
+        if state.tail:
+            self.tails += 1
+            self._tell(f"the last {len(state.tail)} bytes of {cls.__name__} are unknown, and kept")
         return state
+
+    def _tell(self, text: str) -> None:
+        if text not in self._told and len(self._told) < 64:  # once, and no more kinds than can be read
+            self._told.add(text)
+            self._notice(text)
 
     def _robot_state(self, frame: bytes, stamp: Stamp | None) -> RobotState:
         plan = self._plans.get(len(frame))
@@ -250,9 +261,9 @@ class PackageDecoder:
         unknown = [package for package in packages if isinstance(package, UnknownSubPackage)]
         tails = [package for package in packages if package.tail]
         for package in unknown:
-            self._notice(f"sub-package type {package.type} of {len(bytes(package))} bytes is unknown, and kept")
+            self._tell(f"sub-package type {package.type} of {len(bytes(package))} bytes is unknown, and kept")
         for part in tails:
-            self._notice(f"the last {len(part.tail)} bytes of {type(part).__name__} are unknown, and kept")
+            self._tell(f"the last {len(part.tail)} bytes of {type(part).__name__} are unknown, and kept")
         return plan._replace(unknown=len(unknown), tails=len(tails))
 
     def _blame(self, plan: _Plan, frame: bytes) -> None:

@@ -49,6 +49,7 @@ class RealtimeBorder:
 
     def __init__(self, learnt: Callable[[int], object] | None = None) -> None:
         self.size = 0
+        self._head = b""
         self._learnt = learnt
         #: the bytes of the last packet's time; unpacked when a lost border has to be found
         self._time = b""
@@ -66,23 +67,24 @@ class RealtimeBorder:
         return size
 
     def _learn(self, size: int) -> None:
-        self.size = size
+        self.size, self._head = size, size.to_bytes(4, "big")
         if self._learnt is not None:
             self._learnt(size)
 
     def whole(self, buffer: bytes) -> list[bytes]:
         # In step, packets of one size follow each other: it is enough that each has its header.
         size = self.size
-        count = len(buffer) // size if self._time else 0
-        if not count:
+        if not self._time:
             return []
+        if len(buffer) == size and buffer.startswith(self._head):
+            self._time = buffer[4:12]
+            return [buffer]
+        count = len(buffer) // size
         end = count * size
-        for offset, byte in enumerate(size.to_bytes(4, "big")):
-            if buffer[offset:end:size].count(byte) != count:
+        for offset, byte in enumerate(self._head):
+            if not count or buffer[offset:end:size].count(byte) != count:
                 return []
         self._time = buffer[end - size + 4 : end - size + 12]
-        if end == size == len(buffer):
-            return [buffer]
         return [buffer[at : at + size] for at in range(0, end, size)]
 
     def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
