@@ -95,7 +95,7 @@ class Feed(Generic[T]):
 
         In a thread of its own, or, once it has proved quick, in the thread that reads the stream: so
         the thread may change, and a callback that hangs after having been quick can keep the other
-        subscribers waiting for some 40 ms.
+        subscribers waiting for up to 100 ms.
 
         Args:
             callback: may be slow and may raise; no packet of anybody else's is lost by that.
