@@ -233,13 +233,13 @@ class Distribution:
         with self._lock:
             if self._shortcut is shortcut:
                 self._end_shortcut()
-                self._route()
         shortcut.subscription.distrust()
 
     def _end_shortcut(self) -> None:
         if self._shortcut is not None:
             self._shortcut.end()
             self._shortcut = None
+            self._route()
 
     def _lose(self, packet: Any) -> None:
         """A subscription drops a packet: counted once, however many do."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .packet import State
     from .stamp import Stamp
 
-__all__ = ["Layout", "Place", "Row", "Wire"]
+__all__ = ["Layout", "Place", "Row", "Wire", "header_rows"]
 
 _WIRE_DOUBLE = np.dtype(">f8")
 _NATIVE_DOUBLE = np.dtype("=f8")
@@ -64,6 +64,15 @@ class Row(NamedTuple):
     value: Any
     unit: str
     doc: str
+
+
+def header_rows(header: Any, data: bytes) -> Iterator[Row]:
+    """The parts of the header that `data` begins with."""
+    offset = 0
+    for part in header.subcons:
+        raw = data[offset : offset + part.sizeof()]
+        yield Row(offset, raw, part.name, part.parse(raw), "B" if part.name == "size" else "", "header")
+        offset += len(raw)
 
 
 class Place:
@@ -502,12 +511,7 @@ class Layout:
 
     def dissect(self, data: bytes) -> Iterator[Row]:
         """Every stretch of `data` with its meaning, in wire order, the unknown tail last."""
-        offset = 0
-        for part in self.header.subcons:
-            width = part.sizeof()
-            raw = data[offset : offset + width]
-            yield Row(offset, raw, part.name, part.parse(raw), "B" if part.name == "size" else "", "header")
-            offset += width
+        yield from header_rows(self.header, data)
         if self.has_text:
             for place, start, end, raws in self._walk(data):
                 value = raws if place.count is not None else raws[0]

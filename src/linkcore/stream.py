@@ -126,11 +126,6 @@ class Stream(Feed[T]):
         return self._connection
 
     @property
-    def session(self) -> Session | None:
-        """The protocol of the present connection, or None."""
-        return self._session
-
-    @property
     def stats(self) -> StreamStatistics:
         """The counters at this moment."""
         dropped = self._distribution.dropped  # first: what was dropped has been received

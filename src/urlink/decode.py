@@ -9,7 +9,7 @@ from linkcore.packet import State
 
 from .firmware import Firmware, release_of
 from .protocols.primary import PackageBorder, PackageDecoder
-from .protocols.realtime import RealtimeBorder, decode_realtime
+from .protocols.realtime import RealtimeBorder
 from .schemas.realtime import RealtimeState
 
 __all__ = ["INTERFACES", "Interface", "decode"]
@@ -79,7 +79,10 @@ def decode(
             raise _cut_off(name, version, size, len(data) - at, at)
         frame = data[at : at + size]
         try:
-            states.append(decode_realtime(frame, version) if interface == "realtime" else decoder.decode(frame))
+            if interface == "realtime":
+                states.append(RealtimeState.LAYOUTS.decode(frame, version))
+            else:
+                states.append(decoder.decode(frame))
         except PacketError as error:
             raise PacketError(
                 error.reason,

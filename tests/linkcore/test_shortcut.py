@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from linkcore.backoff import Backoff
+from linkcore.errors import ConnectionLost
 from linkcore.inbox import Inbox
 from linkcore.policy import block, latest
 from linkcore.stream import Stream
@@ -263,3 +264,19 @@ def test_what_its_own_thread_has_taken_comes_first() -> None:
     until(lambda: subscription.deliver([Count(number=2)]))
     assert numbers == [1, 2]
     subscription.close()
+
+
+def test_a_stream_that_starts_anew_has_forgotten_it(transport: ScriptedTransport) -> None:
+    """Who was called by the reader of a stream that gave up is not called again when it is used again."""
+    feeding, callback = Feeding(transport), Callback()
+    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(tries=0), silence=None)
+    subscription = stream.subscribe(callback, policy=block)
+    feeding.until_trusted(callback, subscription)
+    transport.put(ConnectionLost("cut"))
+    assert subscription.join(10)
+    before = list(callback.numbers)
+    assert stream.latest is None  # connects again, with nobody subscribed
+    transport.put(counts(1234))
+    until(lambda: stream.latest is not None)
+    assert callback.numbers == before
+    stream.close()

@@ -578,3 +578,14 @@ def test_every_sub_package_is_an_attribute_of_the_state() -> None:
             assert getattr(empty, name) is None
             with pytest.raises(AttributeError):
                 setattr(empty, name, part)
+
+
+def test_a_robot_state_is_dissected_to_the_last_byte() -> None:
+    state = RobotState(RobotModeData("5.11"), JointData("5.11"))
+    rows = list(state.dissect())
+    assert b"".join(row.data for row in rows) == bytes(state)
+    at = 0
+    for row in rows:
+        assert row.offset == at
+        at += len(row.data)
+    assert [row.name for row in rows[:3]] == ["size", "type", "robot_mode_data.size"]

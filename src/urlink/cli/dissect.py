@@ -13,7 +13,7 @@ import numpy as np
 
 from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording, PacketError
-from linkcore.layout import Row
+from linkcore.layout import Row, header_rows
 from linkcore.packet import State
 from linkcore.recording import Kind, Recording
 from linkcore.version import version_text
@@ -243,7 +243,7 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
     """A robot state, each sub-package by itself, so that a bad one does not hide the others."""
     piece = Piece(offset, data, RobotState.__name__)
     decoder = PackageDecoder(firmware)
-    piece.rows = list(_header(data))
+    piece.rows = list(header_rows(PACKAGE, data))
     at = 5
     while at < len(data):
         size = int.from_bytes(data[at : at + 4], "big")
@@ -265,11 +265,6 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
     if broken:
         piece.error = f"{broken} of {len(piece.parts)} sub-packages could not be decoded"
     return piece
-
-
-def _header(data: bytes) -> Iterator[Row]:
-    yield Row(0, data[:4], "size", int.from_bytes(data[:4], "big"), "B", "header")
-    yield Row(4, data[4:5], "type", data[4], "", "header")
 
 
 def _decoded(state: State, data: bytes, offset: int) -> Piece:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 
 from linkcore.framing import Framer
 from linkcore.stamp import Stamp
-from linkcore.version import Version
 
 from ..schemas.headers import DASHBOARD_GREETING, PACKAGE_SIZES, REALTIME_SIZES
 from ..schemas.realtime import RealtimeState
@@ -185,12 +184,3 @@ class RealtimeProtocol:
         if not frames or not self._size:
             return [self._decode_any(frame, stamp) for frame in frames]
         return RealtimeState.LAYOUTS.fitting(self._size)[0].decode_all(frames, stamp)
-
-
-def decode_realtime(frame: bytes, version: Version | None, stamp: Stamp | None = None) -> RealtimeState:
-    """The state in one packet, judged by `version` if one is given.
-
-    Raises:
-        PacketError: shorter than the layout of `version`, or than every layout.
-    """
-    return RealtimeState.LAYOUTS.decode(frame, version, stamp)  # type: ignore[no-any-return]

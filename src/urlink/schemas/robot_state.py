@@ -12,7 +12,7 @@ from typing import Any, Generic, NoReturn, TypeVar, overload
 from construct import Float32b, Float64b, Int8sb, Int8ub, Int16sb, Int16ub, Int32sb, Int32ub, Int64ub
 
 from linkcore.errors import BadValue
-from linkcore.layout import Row
+from linkcore.layout import Row, header_rows
 from linkcore.packet import IntVector, State, Vector, packet, wire
 from linkcore.shapes import Coded, Raw
 from linkcore.stamp import Stamp
@@ -430,11 +430,8 @@ class RobotState(State):
 
     def dissect(self) -> Iterator[Row]:
         """Every stretch of the package's bytes; the fields carry the names of their sub-packages."""
-        at = 0
-        for part in PACKAGE.subcons:
-            data = self._data[at : at + part.sizeof()]
-            yield Row(at, data, part.name, part.parse(data), "", "header")
-            at += len(data)
+        yield from header_rows(PACKAGE, self._data)
+        at = int(PACKAGE.sizeof())
         for package in self.packages:
             for row in package.dissect():
                 yield row._replace(offset=at + row.offset, name=f"{snake_case(type(package).__name__)}.{row.name}")

@@ -1,15 +1,14 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 
 import rhdlink.cli
 from rhdlink import Host, Int32, Plugin, Read, Write
 from rhdlink.plugins.turtle import Turtle
+from tests.spawning import spawning
 
 Run = Callable[..., tuple[int, str, str]]
 Spawn = Callable[..., "subprocess.Popen[str]"]
@@ -57,16 +56,4 @@ def address(host: Host) -> str:
 @pytest.fixture
 def spawn() -> Iterator[Spawn]:
     """Start the command in a process of its own; ended with the test, if it has not ended by then."""
-    started: list[subprocess.Popen[str]] = []
-
-    def spawn(*argv: str, **options: Any) -> subprocess.Popen[str]:
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
-        process = subprocess.Popen([sys.executable, "-m", "rhdlink.cli", *argv], text=True, **pipes)
-        started.append(process)
-        return process
-
-    yield spawn
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+    yield from spawning("rhdlink.cli")

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import urlink.cli
 from linkcore.recording import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests.harm import HOSTILE
+from tests.spawning import spawning
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.schemas.robot_state import MasterboardData, ToolData
 from urlink.simulator import Controller
@@ -103,16 +103,4 @@ def write(
 @pytest.fixture
 def spawn() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Start the command in a process of its own; ended with the test, if it has not ended by then."""
-    started: list[subprocess.Popen[str]] = []
-
-    def spawn(*argv: str, **options: Any) -> subprocess.Popen[str]:
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
-        process = subprocess.Popen([sys.executable, "-m", "urlink.cli", *argv], text=True, **pipes)
-        started.append(process)
-        return process
-
-    yield spawn
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+    yield from spawning("urlink.cli")
