@@ -1,4 +1,4 @@
-"""Where bytes come from: TCP with deadlines. The only module that imports `socket`.
+"""Where bytes come from: TCP with deadlines. Beside it only `linkcore.listener` imports `socket`.
 
 A transport is opened, asked for chunks until it raises, closed, and opened again. What it raises is
 always of this library's error tree: operating-system errors are mapped here and nowhere else.
@@ -48,7 +48,7 @@ class Transport(Protocol):
 
 
 class TcpTransport:
-    """A TCP client connection.
+    """A TCP connection: as a client, or `accepted` from one.
 
     Args:
         host: name or address.
@@ -64,6 +64,22 @@ class TcpTransport:
         self._socket: socket.socket | None = None
         self._patience = silence  # what the socket has been told
 
+    @classmethod
+    def accepted(cls, connection: socket.socket, host: str, port: int, *, silence: float) -> TcpTransport:
+        """A connection that the peer at `host` and `port` made to this side; see `linkcore.listener`.
+
+        Raises:
+            ConnectionLost: it is gone already.
+        """
+        transport = cls(host, port, silence=silence)
+        try:
+            _prepare(connection, silence)
+        except OSError as error:
+            connection.close()
+            raise mapped(error, transport.name, silence, ConnectionLost) from error
+        transport._socket = connection
+        return transport
+
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
 
@@ -76,7 +92,7 @@ class TcpTransport:
             self._socket = _connected(self.host, self.port, timeout, self.silence)
             self._patience = self.silence
         except (OSError, ValueError) as error:
-            raise _mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
+            raise mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """Wait for bytes; with the moment they came.
@@ -101,7 +117,7 @@ class TcpTransport:
         except BlockingIOError:
             raise LinkTimeout(f"{self.name}: nothing within {patience:g} s") from None
         except OSError as error:
-            raise _mapped(error, f"{self.name}", patience, ConnectionLost) from error
+            raise mapped(error, f"{self.name}", patience, ConnectionLost) from error
         return self._arrived(connection, data)
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
@@ -121,7 +137,7 @@ class TcpTransport:
         except BlockingIOError:
             return None
         except OSError as error:
-            raise _mapped(error, f"{self.name}", 0.0, ConnectionLost) from error
+            raise mapped(error, f"{self.name}", 0.0, ConnectionLost) from error
         return self._arrived(connection, data)
 
     def _arrived(self, connection: socket.socket, data: bytes) -> tuple[bytes, Stamp]:
@@ -154,7 +170,7 @@ class TcpTransport:
                 except BlockingIOError:  # there is no room, or another thread has just taken it
                     ask = True
         except OSError as error:
-            raise _mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
+            raise mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
 
     def close(self) -> None:
         """Disconnect, and wake whoever waits in `receive`."""
@@ -178,10 +194,7 @@ def _connected(host: str, port: int, timeout: float, silence: float) -> socket.s
             connection = socket.socket(family, kind, protocol)
             connection.settimeout(max(left, 1e-3))
             connection.connect(address)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            _set_receive_timeout(connection, silence)
+            _prepare(connection, silence)
         except OSError as error:
             failure = error
             if connection is not None:
@@ -193,6 +206,13 @@ def _connected(host: str, port: int, timeout: float, silence: float) -> socket.s
         else:
             return connection
     raise failure or OSError(f"{host} has no address")
+
+
+def _prepare(connection: socket.socket, silence: float) -> None:
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    _set_receive_timeout(connection, silence)
 
 
 def _has_room(connection: socket.socket, seconds: float) -> bool:
@@ -223,7 +243,7 @@ def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
     )
 
 
-def _mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
+def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
     """The one place where operating-system errors become the library's own."""
     if isinstance(error, ValueError):  # a part of the name is too long, or holds what no name may
         return otherwise(f"{doing}: no such host ({error})")
