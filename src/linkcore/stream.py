@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from .backoff import Backoff
 from .distribution import Distribution
-from .errors import BadValue, Closed, LinkTimeout, PacketError, RemoteError, WrongPeer
+from .errors import BadValue, Closed, ConnectionLost, LinkTimeout, PacketError, RemoteError, WrongPeer
 from .events import ConnectionEvent, ConnectionState, Traffic
 from .feed import Feed
 from .inbox import Inbox
@@ -82,6 +82,7 @@ class Stream(Feed[T]):
         self._distribution = Distribution(kind, parts, self._read_on)
         self._tally = Tally()
         self._lock = threading.Lock()
+        self._sending = threading.Lock()
         self._closing = threading.Event()
         self._opened = False
         self._over = False
@@ -130,6 +131,34 @@ class Stream(Feed[T]):
         """The counters at this moment."""
         dropped = self._distribution.dropped  # first: what was dropped has been received
         return self._tally.statistics(dropped, self._session)
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send on the present connection, whole or not at all as far as the peer can tell; connects if nothing has yet.
+
+        Nothing is kept for later: what cannot be sent now is not sent. Where the peer takes only a part of it in time,
+        the connection is given up, since whatever followed would be read as its rest.
+
+        Raises:
+            ConnectionLost: there is no connection at present.
+            LinkTimeout: the peer did not take it within `timeout` seconds.
+            RemoteError: the first connection could not be made.
+            LocalError: the stream is a recording, or was closed.
+        """
+        self.start()
+        with self._sending:
+            if self._connection is not ConnectionState.CONNECTED:
+                raise self._not_connected()
+            try:
+                self._transport.send(data, timeout)
+            except LinkTimeout:
+                self._transport.close()
+                raise
+
+    def _not_connected(self) -> Exception:
+        if self._closing.is_set() or self._over:
+            return Closed(f"{self.name} was closed, or is over")
+        because = f": {self._error}" if self._error is not None else ""
+        return ConnectionLost(f"{self.name} is not connected{because}")
 
     def join(self, timeout: float | None = None) -> bool:
         """Wait until a recording is over and all of it is delivered; False when time is up."""

@@ -1,0 +1,95 @@
+"""What can go wrong when a robot is commanded: the part of the error tree that knows robots.
+
+They hang below the two branches of `linkcore.errors`::
+
+    LinkError
+    ├── LocalError                  you called it wrongly; nothing was sent
+    │   └── MotionCancelled         waited for a motion that was cancelled, or superseded by another
+    └── RemoteError                 the peer sent nonsense, or went away, or refused
+        ├── SafetyStop              a stop holds, or came in between: `cause` says which
+        │   └── NotEnabled          all is clear, but `safety.enable()` has to be called first
+        ├── NotRunning              the robot does not run, or nobody knows whether it does; nothing was sent
+        ├── ToleranceExceeded       the arm left its path, or did not arrive where it should
+        ├── ScriptError             the controller complains of a program: `line`, `column`, `text`
+        │   ├── CompileError        it did not begin
+        │   └── ScriptFailed        it failed while it ran
+        └── ProgramStopped          stopped from elsewhere: pendant, dashboard, another program, or on purpose
+"""
+
+from __future__ import annotations
+
+from linkcore.errors import LocalError, RemoteError
+
+__all__ = [
+    "CompileError",
+    "MotionCancelled",
+    "NotEnabled",
+    "NotRunning",
+    "ProgramStopped",
+    "SafetyStop",
+    "ScriptError",
+    "ScriptFailed",
+    "ToleranceExceeded",
+]
+
+
+class MotionCancelled(LocalError):
+    """The motion was cancelled, or superseded by another."""
+
+
+class SafetyStop(RemoteError):
+    """A stop ended the motions and refuses new ones.
+
+    Attributes:
+        cause: which stop, such as "protective stop".
+    """
+
+    def __init__(self, text: str, cause: str) -> None:
+        super().__init__(text, cause)
+        self.cause = cause
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class NotEnabled(SafetyStop):
+    """The robot is fine, but by the policy `safety.enable()` has to be called first."""
+
+
+class NotRunning(RemoteError):
+    """The robot mode is not RUNNING, or is not known; nothing was sent."""
+
+
+class ToleranceExceeded(RemoteError):
+    """The arm was further from where it should be than the trajectory allows."""
+
+
+class ScriptError(RemoteError):
+    """The controller complains of a program.
+
+    Attributes:
+        line: in the source as it was given, from 1.
+        column: in that line, as the controller counts.
+        text: the controller's words, such as "compile_error_name_not_found:txtmsg:".
+    """
+
+    def __init__(self, line: int, column: int, text: str) -> None:
+        super().__init__(line, column, text)
+        self.line = line
+        self.column = column
+        self.text = text
+
+    def __str__(self) -> str:
+        return f"line {self.line}, column {self.column}: {self.text}"
+
+
+class CompileError(ScriptError):
+    """The program does not compile; it did not begin."""
+
+
+class ScriptFailed(ScriptError):
+    """The program failed while it ran."""
+
+
+class ProgramStopped(RemoteError):
+    """The program was stopped before its end: at the pendant, by the dashboard, by another program, or on purpose."""

@@ -1,0 +1,220 @@
+"""What a user wants run, checked and wrapped so that its end can be told from its being stopped.
+
+A program says by itself when it begins and when it comes to its end: its first and last statement are a `textmsg`.
+What the user wrote stands between as a function that is called, so that its own `return` is an end too, while
+`halt` and a stop from elsewhere are none. That a function may be declared within a program, and threads and functions
+within that, is how public drivers' programs look; how deep the nesting may go is not known.
+
+The check counts what opens a block and what ends one. The controller judges the rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
+
+from linkcore.errors import BadValue
+
+from .text import identifier, quoted
+
+__all__ = ["Wrapped", "finish_marker", "program", "start_marker", "wrap"]
+
+#: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
+LARGEST = 1 << 20
+
+_INDENT = "  "
+# A string, a comment, or a word that opens or ends a block.
+_TOKEN = re.compile(r"\"[^\"]*\"|#.*|\b(?:def|sec|thread|while|if|for|end)\b")
+_HEAD = re.compile(r"\s*(def|sec)\s+([A-Za-z_][A-Za-z0-9_]*)\s*\(\s*([^)]*)\)\s*:")
+_NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
+
+
+class Wrapped(NamedTuple):
+    """A program as it is sent.
+
+    Attributes:
+        name: as the controller will call it.
+        text: whole lines.
+        is_secondary: a `sec`, which runs beside the program.
+        first: what to take from the number of the first line to have the user's.
+        above: the same for all others.
+        indent: columns by which the user's lines are moved to the right.
+        lines: how many lines the user wrote.
+    """
+
+    name: str
+    text: str
+    is_secondary: bool
+    first: int
+    above: int
+    indent: int
+    lines: int
+
+    def place(self, line: int, column: int) -> tuple[int, int]:
+        """Line and column in what the user wrote, of those in the text that was sent."""
+        own = line - (self.first if line == 1 else self.above)
+        return min(max(own, 1), self.lines), max(column - self.indent, 1)
+
+    def words(self, text: str) -> str:
+        """The controller's words with the line in them, where there is one, as `place`."""
+        return _NUMBER_IN_TEXT.sub(lambda found: f"{found[1]}{self.place(int(found[2]), 1)[0]}", text)
+
+
+class _Item(NamedTuple):
+    """A statement at the top of the source: its first and last line, counted from 0."""
+
+    word: str
+    first: int
+    last: int
+
+
+def start_marker(name: str) -> str:
+    """What a program says first."""
+    return f"{name} started"
+
+
+def finish_marker(name: str) -> str:
+    """What a program says last."""
+    return f"{name} finished"
+
+
+def _read(source: str) -> list[str]:
+    """The lines of a source.
+
+    Raises:
+        BadValue: it is no text that could be a program.
+    """
+    if not isinstance(source, str):
+        raise BadValue(f"a program is text; got {type(source).__name__}")
+    try:
+        size = len(source.encode())
+    except UnicodeEncodeError as error:
+        raise BadValue(f"the program holds {source[error.start]!r}, which is no character") from None
+    if size > LARGEST:
+        raise BadValue(f"the program has {size} bytes; {LARGEST} are the most")
+    lines = source.replace("\r\n", "\n").rstrip("\n").split("\n")
+    for number, line in enumerate(lines, 1):
+        for character in line:
+            if character != "\t" and (character < " " or character == "\x7f"):
+                raise BadValue(f"line {number} of the program holds the control character {character!r}")
+    return lines
+
+
+def wrap(source: str, token: str) -> Wrapped:
+    """A user's source as it is sent.
+
+    Statements at the top run in order. Where the last thing at the top is a function (`def`), it is the program and is
+    called at the end, as the controller itself would end up running the last of several; a `sec` stays one.
+
+    Args:
+        token: makes the name unique.
+
+    Raises:
+        BadValue: nothing to run, a block without its `end` or an `end` without its block, a program that wants
+            arguments, or a `sec` that is not alone.
+    """
+    lines = _read(source)
+    items = _items(lines)
+    kind = _kind(items)
+    if kind == "sec":
+        return _secondary(lines, items[0], token)
+    called, called_line = "", ""
+    if kind == "def":
+        last = [item for item in items if item.word == "def"][-1]
+        called = _called(lines[last.first], last.first)
+        called_line = f"{called}()"
+    return _program(f"{called or 'urlink'}_{token}", lines, called_line)
+
+
+def program(name: str, body: Sequence[str]) -> Wrapped:
+    """The lines of a program of the library's own as they are sent."""
+    return _program(identifier(name), list(body), "")
+
+
+def _program(name: str, lines: list[str], last: str) -> Wrapped:
+    body = [
+        f"def {name}():",
+        f"{_INDENT}textmsg({quoted(start_marker(name))})",
+        *(_INDENT + line if line.strip() else "" for line in lines),
+        *([_INDENT + last] if last else []),
+        f"{_INDENT}textmsg({quoted(finish_marker(name))})",
+        "end",
+    ]
+    return Wrapped(name, "\n".join(body) + "\n", False, 2, 2, len(_INDENT), len(lines))
+
+
+def _secondary(lines: list[str], item: _Item, token: str) -> Wrapped:
+    # A function within a `sec` is something that no public program has, so its own statements stay where they are.
+    head = _HEAD.match(lines[item.first])
+    called = _called(lines[item.first], item.first)
+    end = lines[item.last].rpartition("end")[0]
+    if head is None or end.strip() or item.first == item.last or lines[item.first][head.end() :].strip():
+        raise BadValue("the head of a sec and its `end` have lines of their own")
+    name = f"{called}_{token}"
+    text = [
+        f"sec {name}():",
+        f"{_INDENT}textmsg({quoted(start_marker(name))})",
+        *lines[item.first + 1 : item.last],
+        f"{_INDENT}textmsg({quoted(finish_marker(name))})",
+        "end",
+    ]
+    return Wrapped(name, "\n".join(text) + "\n", True, -item.first, 1 - item.first, 0, len(lines))
+
+
+def _kind(items: list[_Item]) -> Literal["def", "sec", "body"]:
+    words = [item.word for item in items]
+    if not words:
+        raise BadValue("the program is empty")
+    if "sec" in words:
+        if len(words) > 1:
+            raise BadValue("a sec has to be sent alone: it runs beside the program, not within it")
+        return "sec"
+    spoken = [word for word in words if word != "thread"]
+    return "def" if spoken[-1:] == ["def"] else "body"
+
+
+def _called(line: str, number: int) -> str:
+    """The name of the function that is to be called without arguments."""
+    head = _HEAD.match(line)
+    if head is None:
+        raise BadValue(f"line {number + 1} of the program: expected something like 'def name():'; got {line.strip()!r}")
+    arguments = [each for each in head[3].split(",") if each.strip()]
+    if not all("=" in each for each in arguments):
+        raise BadValue(f"line {number + 1} of the program: {head[2]} takes arguments, so it cannot be run by itself")
+    return head[2]
+
+
+def _items(lines: list[str]) -> list[_Item]:
+    """The statements and functions at the top."""
+    items: list[_Item] = []
+    opened: list[tuple[str, int]] = []
+    for number, line in enumerate(lines):
+        words = [token for token in _tokens(line, number) if token]
+        code = _TOKEN.sub(lambda found: "" if found[0].startswith("#") else found[0], line).strip()
+        if not opened and code:
+            first = re.match(r"\w+", code)
+            items.append(_Item(first[0] if first else code[0], number, number))
+        for word in words:
+            if word != "end":
+                opened.append((word, number))
+            elif not opened:
+                raise BadValue(f"line {number + 1} of the program: an `end` that ends nothing")
+            else:
+                opened.pop()
+                if not opened:
+                    items[-1] = items[-1]._replace(last=number)
+    if opened:
+        word, number = opened[-1]
+        raise BadValue(f"line {number + 1} of the program: `{word}` has no `end`")
+    return items
+
+
+def _tokens(line: str, number: int) -> Iterator[str]:
+    """The words in a line that open or end a block; strings and comments are passed over."""
+    bare = _TOKEN.sub(lambda found: "" if found[0][0] in '"#' else found[0], line)
+    if '"' in bare:
+        raise BadValue(f"line {number + 1} of the program: a string that is not closed")
+    for found in _TOKEN.finditer(line):
+        if found[0][0] not in '"#':
+            yield found[0]

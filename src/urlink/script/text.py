@@ -1,0 +1,163 @@
+"""Values as URScript text.
+
+Whatever cannot be written so that the controller reads back exactly what was meant is refused. Numbers have no
+exponent: that older controllers read one is not known. Strings carry neither quotes nor backslashes nor control
+characters: URScript has no escapes that are known of, and a backslash before the closing quote might be one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from linkcore.errors import BadValue
+
+__all__ = ["boolean", "identifier", "integer", "number", "numbers", "pose", "quoted", "vector"]
+
+#: Digits after the point: a quantity is carried to 1e-10.
+_DIGITS = 10
+#: No quantity of an arm comes near.
+_LARGEST = 1e9
+
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+#: Words that cannot be names.
+KEYWORDS = {
+    *("and", "break", "def", "elif", "else", "end", "False", "global", "halt", "if", "join", "kill", "local"),
+    *("not", "or", "return", "run", "sec", "thread", "True", "while", "xor"),
+}
+
+
+def boolean(value: object, what: str = "value") -> str:
+    """``True`` or ``False``.
+
+    Raises:
+        BadValue: it is neither.
+    """
+    # numpy's own booleans are no bool.
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return "True" if value else "False"
+    raise BadValue(f"{what} is {value!r}; expected True or False")
+
+
+def integer(value: Any, least: int, most: int, what: str = "value") -> str:
+    """A whole number, not below `least` and not above `most`.
+
+    Raises:
+        BadValue: it is none, or out of range.
+    """
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        whole = value.__index__()
+    except (AttributeError, TypeError):
+        raise BadValue(f"{what} is {value!r}; expected a whole number from {least} to {most}") from None
+    if not least <= whole <= most:
+        raise BadValue(f"{what} is {value!r}; expected a whole number from {least} to {most}")
+    return str(whole)
+
+
+def checked(value: Any, what: str = "value", least: float = -_LARGEST, most: float = _LARGEST) -> float:
+    """A finite number, not below `least` and not above `most`.
+
+    Raises:
+        BadValue: it is none, or out of range.
+    """
+    try:
+        if isinstance(value, (bool, str, bytes)):
+            raise TypeError
+        real = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise BadValue(f"{what} is {value!r}; expected a number") from None
+    if not math.isfinite(real):
+        raise BadValue(f"{what} is {value!r}; expected a finite number")
+    if not least <= real <= most:
+        raise BadValue(f"{what} is {value!r}; expected a number from {least:g} to {most:g}")
+    return real
+
+
+def number(value: Any, what: str = "value", least: float = -_LARGEST, most: float = _LARGEST) -> str:
+    """A finite number, not below `least` and not above `most`, as one that has a point.
+
+    >>> number(0.5), number(2), number(-1e-12), number(1 / 3)
+    ('0.5', '2.0', '0.0', '0.3333333333')
+
+    Raises:
+        BadValue: it is none, or out of range.
+    """
+    digits = f"{checked(value, what, least, most):.{_DIGITS}f}".rstrip("0")
+    digits += "0" if digits.endswith(".") else ""
+    return "0.0" if digits == "-0.0" else digits
+
+
+def numbers(values: Iterable[Any], length: int, what: str = "value") -> str:
+    """So many numbers, separated by commas.
+
+    Raises:
+        BadValue: there are more or fewer of them, or one is not finite.
+    """
+    try:
+        if isinstance(values, (str, bytes)):
+            raise TypeError
+        items = list(values)
+    except TypeError:
+        raise BadValue(f"{what} is {values!r}; expected {length} numbers") from None
+    if len(items) != length:
+        raise BadValue(f"{what} has {len(items)} values; expected {length}")
+    return ", ".join(number(item, f"{what}[{index}]") for index, item in enumerate(items))
+
+
+def vector(values: Iterable[Any], length: int = 6, what: str = "value") -> str:
+    """A list of numbers: six joints, a centre of gravity.
+
+    >>> vector([1, 2, 3], 3)
+    '[1.0, 2.0, 3.0]'
+
+    Raises:
+        BadValue: as `numbers`.
+    """
+    return f"[{numbers(values, length, what)}]"
+
+
+def pose(values: Sequence[Any], what: str = "pose") -> str:
+    """A pose: position in m, rotation vector in rad.
+
+    >>> pose([0.1, 0, 0, 0, 0, 0])
+    'p[0.1, 0.0, 0.0, 0.0, 0.0, 0.0]'
+
+    Raises:
+        BadValue: it does not have six finite numbers.
+    """
+    return f"p[{numbers(values, 6, what)}]"
+
+
+def quoted(text: object, what: str = "text") -> str:
+    """A string in quotes.
+
+    >>> quoted("done")
+    '"done"'
+
+    Raises:
+        BadValue: it holds what cannot be carried: quotes, backslashes, line breaks, control characters.
+    """
+    if not isinstance(text, str):
+        raise BadValue(f"{what} is {text!r}; expected a string")
+    for at, character in enumerate(text):
+        if character in '"\\' or not character.isprintable() or "\ud800" <= character <= "\udfff":
+            raise BadValue(
+                f"{what} holds {character!r} at position {at}; "
+                "URScript strings carry no quotes, backslashes, line breaks or control characters"
+            )
+    return f'"{text}"'
+
+
+def identifier(name: object, what: str = "name") -> str:
+    """A name: letters, digits and underscores, not beginning with a digit.
+
+    Raises:
+        BadValue: it is none, or a word that means something else.
+    """
+    if not isinstance(name, str) or not _IDENTIFIER.match(name) or name in KEYWORDS:
+        raise BadValue(f"{what} is {name!r}; expected letters, digits and underscores, and no word of the language")
+    return name
