@@ -1,0 +1,48 @@
+"""Six numbers, one per joint or coordinate, as users give them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from linkcore.errors import BadValue
+
+__all__ = ["JOINTS", "FloatArray", "numbers", "six"]
+
+FloatArray = NDArray[np.float64]
+
+#: The joints by name, from base to wrist 3.
+JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
+
+
+def numbers(values: ArrayLike, name: str) -> FloatArray:
+    """A copy of `values` as float64.
+
+    Raises:
+        BadValue: they are no numbers, or no regular array of them.
+    """
+    try:
+        array = np.array(values)
+        if array.dtype.kind not in "fiu":
+            raise TypeError(f"of type {array.dtype}")
+        return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadValue(f"{name}: expected numbers ({error})") from None
+
+
+def six(values: ArrayLike, name: str) -> FloatArray:
+    """Six finite numbers as a read-only array; a copy.
+
+    Raises:
+        BadValue: not six, not numbers, or not finite.
+
+    >>> six([0, 0, 0, 0, 0, 1], "q").tolist()
+    [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    """
+    array = numbers(values, name)
+    if array.shape != (6,):
+        raise BadValue(f"{name} has the shape {array.shape}; expected six numbers")
+    if not np.isfinite(array).all():
+        raise BadValue(f"{name}[{int(np.argmin(np.isfinite(array)))}] is not finite: {array.tolist()}")
+    array.flags.writeable = False
+    return array
