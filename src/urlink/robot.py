@@ -6,29 +6,34 @@ import itertools
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, get_args
 
 from linkcore.backoff import Backoff
-from linkcore.errors import BadRecording, BadValue, ConnectFailed
+from linkcore.errors import BadValue, LocalError
 from linkcore.packet import State
 from linkcore.recorder import Recorder
-from linkcore.recording import Recording
-from linkcore.replay import ReplayClock, ReplayTransport
 from linkcore.session import Session
 from linkcore.stream import Stream
-from linkcore.transport import TcpTransport, Transport
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from .decode import INTERFACES
+from .control import Control
 from .firmware import Firmware
-from .identity import Identity, identify
+from .gate import Policy
+from .identity import Identity
+from .io import IO
+from .origin import Origin, networked, recorded
 from .protocols.primary import PrimaryProtocol
 from .protocols.realtime import RealtimeProtocol
+from .safety import Safety
 from .schemas.realtime import RealtimeState
 from .schemas.robot_state import RobotState
+from .script import commands
+from .scripts import Scripts
 
 if TYPE_CHECKING:
+    from .dashboard import Dashboard
+    from .motion import Motions
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
@@ -41,6 +46,9 @@ def connect(
     read_only: bool = False,
     backoff: Backoff | None = None,
     silence: float = 2.0,
+    require_enable: Policy = "never",
+    reverse_host: str | None = None,
+    reverse_port: int = 0,
 ) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
@@ -53,19 +61,29 @@ def connect(
         read_only: use the ports that take no commands, 30011 to 30013.
         backoff: how streams reconnect.
         silence: seconds without a packet after which a stream counts as disconnected.
+        require_enable: whether `robot.safety.enable()` has to be called before the arm can be moved: "never",
+            "on_startup" (once) or "always" (at first and after every stop).
+        reverse_host: address at which the robot finds this computer, for set-points that are streamed; None to find
+            it out by the route to the robot.
+        reverse_port: port that it finds there; 0 for a free one.
 
     Raises:
         BadAddress: nobody can read the address.
         BadRecording: the recording does not exist, or is none.
-        BadValue: a time that is not positive, or a simulated arm that does not run the firmware.
+        BadValue: a time that is not positive, no such policy or port, or a simulated arm that does not run the
+            firmware.
         UnknownModel: no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
     if not timeout > 0 or not silence > 0:
         raise BadValue(f"timeout={timeout}, silence={silence}; expected positive numbers of seconds")
+    if require_enable not in get_args(Policy):
+        raise BadValue(f"require_enable={require_enable!r}; expected one of {', '.join(get_args(Policy))}")
+    if not 0 <= reverse_port < 65536:
+        raise BadValue(f"reverse_port={reverse_port}; expected 0 to 65535")
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        return _replayed(address, place)
+        return Robot(address, recorded(place), refusal=f"{address} is a recording, so it cannot be commanded")
     controller = None
     if isinstance(place, SimulatorAddress):
         from .simulator import Controller
@@ -74,62 +92,27 @@ def connect(
         controller.start()
         place = RobotAddress(controller.host, dict(controller.ports))
     try:
-        return _connected(address, place, controller, timeout, read_only, backoff, silence)
+        origin = networked(place, timeout=timeout, read_only=read_only, backoff=backoff, silence=silence)
+        if read_only:
+            refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
+            return Robot(address, origin, controller, refusal=refusal)
+        robot = Robot(address, origin, controller)
+        robot.control = Control(
+            place.host,
+            place.ports.get("dashboard"),
+            lambda: robot.primary,
+            lambda: robot.realtime,
+            lambda: robot.identity,
+            policy=require_enable,
+            reverse_host=reverse_host,
+            reverse_port=reverse_port,
+            timeout=timeout,
+        )
+        return robot
     except BaseException:
         if controller is not None:
             controller.close()
         raise
-
-
-def _connected(
-    address: str,
-    place: RobotAddress,
-    controller: Controller | None,
-    timeout: float,
-    read_only: bool,
-    backoff: Backoff | None,
-    silence: float,
-) -> Robot:
-    suffix = "_readonly" if read_only else ""
-
-    def ask() -> Identity:
-        try:
-            return identify(place.host, place.ports["primary" + suffix], timeout)
-        except ConnectFailed:
-            # The version message is on the secondary interface too.
-            return identify(place.host, place.ports["secondary" + suffix], timeout)
-
-    def transport(interface: str) -> Transport:
-        if interface not in INTERFACES:
-            raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-        return TcpTransport(place.host, place.ports[interface + suffix], silence=silence)
-
-    return Robot(
-        address,
-        ask,
-        transport,
-        {"backoff": backoff, "timeout": timeout, "silence": silence},
-        controller,
-    )
-
-
-def _replayed(address: str, place: RecordingAddress) -> Robot:
-    recording = Recording(place.path)
-    clock = ReplayClock(recording, place.rate)
-
-    def ask() -> Identity:
-        for info in recording.channels.values():
-            if "firmware" in info:
-                firmware = Firmware.parse(info["firmware"])
-                return Identity(firmware, said_so=True, model=info.get("model"))
-        raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
-
-    return Robot(
-        address,
-        ask,
-        lambda interface: ReplayTransport(recording, interface, clock),
-        {"backoff": Backoff(first=0, most=0), "silence": None, "lossless": place.rate == 0},
-    )
 
 
 class Robot:
@@ -138,25 +121,23 @@ class Robot:
     Attributes:
         address: what it was connected by.
         controller: the simulator behind ``sim://``, or None.
+        control: what it is commanded by, or None where it cannot be.
     """
 
     def __init__(
-        self,
-        address: str,
-        ask: Callable[[], Identity],
-        transport: Callable[[str], Transport],
-        options: dict[str, Any],
-        controller: Controller | None = None,
+        self, address: str, origin: Origin, controller: Controller | None = None, *, refusal: str = ""
     ) -> None:
         self.address = address
         self.controller = controller
-        self._ask = ask
-        self._identity = ask()
+        self.control: Control | None = None
+        self._refusal = refusal
+        self._origin = origin
+        self._identity = origin.ask()
         self._is_stale = False
-        self._transport = transport
-        self._options = options
         self._streams: dict[str, Stream[Any]] = {}
         self._lock = threading.Lock()
+
+    # -- what it says ------------------------------------------------------------------------------
 
     @property
     def realtime(self) -> Stream[RealtimeState]:
@@ -213,9 +194,88 @@ class Robot:
             raise
         return recorder
 
+    # -- what it is told -----------------------------------------------------------------------------
+
+    @property
+    def safety(self) -> Safety:
+        """The gate between every motion and the arm. All of these raise `LocalError` where commands cannot be sent."""
+        return self._commanded().safety
+
+    @property
+    def script(self) -> Scripts:
+        """Sends programs and lines of URScript."""
+        return self._commanded().script
+
+    @property
+    def io(self) -> IO:
+        """Inputs and outputs."""
+        return self._commanded().io
+
+    @property
+    def motion(self) -> Motions:
+        """Moves the arm."""
+        return self._commanded().motion
+
+    @property
+    def dashboard(self) -> Dashboard:
+        """Power, brakes, installed programs, and unlocking after a protective stop."""
+        return self._commanded().dashboard
+
+    def set_payload(
+        self, mass: float, cog: Sequence[float] | None = None, inertia: Sequence[float] | None = None
+    ) -> None:
+        """Tell what the arm carries; motion goes on.
+
+        Args:
+            mass: kg.
+            cog: centre of gravity in the flange's frame, (3,), m; not on CB2.
+            inertia: about it: xx, yy, zz, xy, xz, yz, kg m²; from 5.10 on.
+
+        Raises:
+            BadValue: a number out of range, or what this firmware cannot be told; nothing was sent.
+            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+        """
+        self._command(commands.payload(self.firmware, mass, cog, inertia))
+
+    def set_tcp(self, pose: Sequence[float]) -> None:
+        """Put the tool centre point at a pose in the flange's frame: m, and rotation vector in rad.
+
+        Raises:
+            BadValue, NotRunning: as `set_payload`.
+        """
+        self._command(commands.tcp(pose))
+
+    def set_speed_slider(self, fraction: float) -> None:
+        """Move the speed slider, 0 to 1.
+
+        Raises:
+            BadValue, NotRunning: as `set_payload`.
+        """
+        self._commanded().outlet.command(commands.speed_slider(fraction))
+
+    def popup(self, text: str, title: str = "Popup", *, warning: bool = False, error: bool = False) -> None:
+        """Show a text on the pendant; nothing waits for its being read.
+
+        Raises:
+            BadValue, NotRunning: as `set_payload`. A text can hold no quotes, backslashes or line breaks.
+        """
+        self._command(commands.popup(text, title, warning, error))
+
+    def _command(self, statement: str) -> None:
+        self._commanded().outlet.command(commands.secondary(statement))
+
+    def _commanded(self) -> Control:
+        if self.control is None:
+            raise LocalError(self._refusal)
+        return self.control
+
+    # -- its end -------------------------------------------------------------------------------------
+
     def close(self, timeout: float = 2.0) -> None:
-        """Close every stream, and the simulator if there is one; within `timeout` seconds. Idempotent."""
+        """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent."""
         until = time.monotonic() + timeout
+        if self.control is not None:
+            self.control.close(timeout)
         with self._lock:
             streams = list(self._streams.values())
         for stream in streams:
@@ -234,7 +294,7 @@ class Robot:
 
     def _known(self) -> Identity:
         if self._is_stale:
-            self._identity = self._ask()
+            self._identity = self._origin.ask()
             self._is_stale = False
         return self._identity
 
@@ -246,7 +306,7 @@ class Robot:
 
     def _make_stream(self, name: str) -> Stream[Any]:
         label = f"{self.address} {name}"
-        transport = self._transport(name)
+        transport = self._origin.transport(name)
         connections = itertools.count()
 
         def session() -> Session:
@@ -255,8 +315,8 @@ class Robot:
             return RealtimeProtocol() if name == "realtime" else PrimaryProtocol()
 
         if name == "realtime":
-            return Stream(label, transport, session, RealtimeState, **self._options)
-        return Stream(label, transport, session, RobotState, parts=_parts, **self._options)
+            return Stream(label, transport, session, RealtimeState, **self._origin.options)
+        return Stream(label, transport, session, RobotState, parts=_parts, **self._origin.options)
 
 
 def _parts(packet: State) -> Sequence[State]:

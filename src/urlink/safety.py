@@ -198,8 +198,8 @@ class Safety:
             self._changed.wait_for(lambda: self._gate.hindrance(time.monotonic()), timeout)
             return self._gate.hindrance(time.monotonic())
 
-    def close(self) -> None:
-        """Listen no more, and let nothing through."""
+    def close(self, timeout: float = 1.0) -> None:
+        """Listen no more; within `timeout` seconds. Nothing is let through once its last word is too old."""
         with self._attending:
             subscriptions = [each for group in self._subscriptions.values() for each in group]
         for subscription in subscriptions:
