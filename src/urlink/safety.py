@@ -229,9 +229,9 @@ class Safety:
             kind: type = State if name == "primary" else RealtimeState
             subscriptions: list[Subscription] = []
             try:
-                subscriptions.append(stream.subscribe(on_event, ConnectionEvent))
-                # A little late: by then the gate finds that the last word is too old.
+                # The deadline is a little late: by then the gate finds that the last word is too old.
                 subscriptions.append(stream.subscribe(hear, kind, deadline=1.05 * STALE, on_deadline=on_silence))
+                subscriptions.append(stream.subscribe(on_event, ConnectionEvent))
             except BaseException:
                 for subscription in subscriptions:
                     subscription.close(0)  # its callback may be waiting for us
@@ -242,6 +242,8 @@ class Safety:
             with self.lock:
                 self._gate.expect(name)
             self._subscriptions[name] = subscriptions
+            if stream.connection is not ConnectionState.CONNECTED:
+                self._tell(lambda: self._gate.lose(name, "not connected at present", time.monotonic()))
 
     def _hear_primary(self, packet: State) -> None:
         at = packet.received.monotonic if packet.received is not None else time.monotonic()

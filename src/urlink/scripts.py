@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
-import secrets
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -82,7 +82,7 @@ class Scripts:
         self._primary = primary
         self._outlet = outlet
         self._safety = safety
-        self._token = secrets.token_hex(2)  # another process may be sending programs too
+        self._token = os.urandom(2).hex()  # another process may be sending programs too
         self._numbers = itertools.count(1)
         self._lock = threading.RLock()
         self._sending = threading.Lock()
@@ -196,10 +196,10 @@ class Scripts:
             stream = self._primary()
             subscriptions: list[Subscription] = []
             try:
-                subscriptions.append(stream.subscribe(self._on_event, ConnectionEvent))
                 subscriptions.append(
                     stream.subscribe(self._on_packet, State, deadline=START_TIMEOUT, on_deadline=self._on_silence)
                 )
+                subscriptions.append(stream.subscribe(self._on_event, ConnectionEvent))
             except BaseException:
                 for subscription in subscriptions:
                     subscription.close(0)

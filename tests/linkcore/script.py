@@ -85,6 +85,9 @@ class ScriptedTransport:
         self._changed = threading.Condition()
         self._closed = True
         self.opened = 0
+        self.sent: list[bytes] = []
+        #: raised by the next `send`
+        self.refusal: Exception | None = None
 
     def put(self, *items: bytes | Exception) -> None:
         with self._changed:
@@ -110,7 +113,10 @@ class ScriptedTransport:
         return item, Stamp(time.monotonic(), time.time())
 
     def send(self, data: bytes, timeout: float) -> None:
-        raise NotImplementedError
+        refusal, self.refusal = self.refusal, None
+        if refusal is not None:
+            raise refusal
+        self.sent.append(data)
 
     def close(self) -> None:
         with self._changed:

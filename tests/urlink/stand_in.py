@@ -1,0 +1,127 @@
+"""A controller whose every word the test says: streams, gate and scripts over scripted transports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from linkcore.backoff import Backoff
+from linkcore.stream import Stream
+from tests.linkcore.script import ScriptedTransport
+from tests.waiting import until
+from urlink.firmware import Firmware
+from urlink.gate import Policy
+from urlink.outlet import Outlet
+from urlink.program import Program
+from urlink.protocols.primary import PrimaryProtocol
+from urlink.protocols.realtime import RealtimeProtocol
+from urlink.safety import Safety
+from urlink.schemas.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
+from urlink.schemas.realtime import RealtimeState
+from urlink.schemas.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
+from urlink.schemas.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
+from urlink.script.source import finish_marker, start_marker
+from urlink.scripts import Scripts
+
+AT_ONCE = Backoff(first=0, most=0)
+
+
+class StandIn:
+    """Says what `state`, `key`, `text` and `exception` are told to say; `sent` is what it was sent."""
+
+    def __init__(self, firmware: str = "5.11", policy: Policy = "never") -> None:
+        self.firmware = Firmware.parse(firmware)
+        self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
+        self.primary: Stream[RobotState] = Stream(
+            "stand-in primary",
+            self.slow,
+            PrimaryProtocol,
+            RobotState,
+            parts=lambda packet: getattr(packet, "packages", ()),
+            backoff=AT_ONCE,
+            silence=None,
+        )
+        self.realtime: Stream[RealtimeState] = Stream(
+            "stand-in realtime", self.fast, RealtimeProtocol, RealtimeState, backoff=AT_ONCE, silence=None
+        )
+        self.safety = Safety(lambda: self.primary, lambda: self.realtime, policy)
+        self.outlet = Outlet(lambda: self.primary, self.safety)
+        self.script = Scripts(lambda: self.primary, self.outlet, self.safety)
+
+    def close(self) -> None:
+        self.script.close()
+        self.safety.close()
+        self.primary.close()
+        self.realtime.close()
+
+    def __enter__(self) -> StandIn:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @property
+    def sent(self) -> list[str]:
+        return [data.decode() for data in self.slow.sent]
+
+    # -- what it says --------------------------------------------------------------------------------
+
+    def state(
+        self,
+        mode: RobotMode | RobotModeCB2 | None = None,
+        safety: SafetyMode = SafetyMode.NORMAL,
+        *,
+        runs: bool = False,
+        emergency: bool = False,
+        protective: bool = False,
+        master: MasterSafetyState = MasterSafetyState.OK,
+        board: dict[str, Any] | None = None,
+        tool: dict[str, Any] | None = None,
+        fast: bool = True,
+    ) -> None:
+        """One state on both interfaces, or without `fast` on the primary alone."""
+        if mode is None:
+            mode = RobotModeCB2.RUNNING if self.firmware.is_cb2 else RobotMode.RUNNING
+        modes = RobotModeData(
+            self.firmware,
+            robot_mode=mode,
+            is_program_running=runs,
+            is_emergency_stopped=emergency,
+            is_protective_stopped=protective,
+        )
+        safe = {"master_safety_state": master} if self.firmware.is_cb2 else {"safety_mode": safety}
+        masterboard = MasterboardData(self.firmware, **safe, **(board or {}))
+        self.slow.put(bytes(RobotState(modes, masterboard, ToolData(self.firmware, **(tool or {})))))
+        if fast:
+            fields = {"robot_mode": mode} if self.firmware.is_cb2 else {"robot_mode": mode, "safety_mode": safety}
+            self.fast.put(bytes(RealtimeState(self.firmware, **fields)))
+
+    def clear(self, **options: Any) -> None:
+        """A state in which all is well, heard by the gate."""
+        self.state(**options)
+        self.safety.attend(closely=True)
+        until(lambda: self.safety.cause is None and self.safety.robot_mode is not None)
+
+    def safety_message(self, mode: SafetyMode) -> None:
+        self.slow.put(bytes(SafetyModeMessage(self.firmware, safety_mode=mode)))
+
+    def key(self, title: str, name: str) -> None:
+        self.slow.put(bytes(KeyMessage(self.firmware, title=title, text=name)))
+
+    def text(self, text: str) -> None:
+        self.slow.put(bytes(TextMessage(self.firmware, text=text)))
+
+    def exception(self, line: int, column: int, text: str) -> None:
+        self.slow.put(bytes(RuntimeExceptionMessage(self.firmware, line=line, column=column, text=text)))
+
+    # -- what a program does -------------------------------------------------------------------------
+
+    def begins(self, program: Program) -> None:
+        self.key("PROGRAM_XXX_STARTED", program.name)
+        self.text(start_marker(program.name))
+
+    def comes_to_its_end(self, program: Program) -> None:
+        self.text(finish_marker(program.name))
+        self.key("PROGRAM_XXX_STOPPED", program.name)
+
+    def is_stopped(self, program: Program) -> None:
+        self.key("PROGRAM_XXX_STOPPED", program.name)
