@@ -1,0 +1,93 @@
+"""The connection that a program on the robot makes back to this computer."""
+
+from __future__ import annotations
+
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.listener import TcpListener, local_address
+from linkcore.transport import TcpTransport
+
+__all__ = ["ReverseLink"]
+
+#: Seconds that the robot may take to accept what is sent; the gate is held meanwhile, so a stop waits for it.
+_SEND_TIMEOUT = 0.05
+
+
+class ReverseLink:
+    """A port that waits for one program on the robot, and then its connection.
+
+    Args:
+        robot: where the controller is.
+        host: address at which the robot finds this computer; None for the one on the route to it.
+        port: 0 for one that is free.
+
+    Attributes:
+        address: (host, port) that the program is told.
+
+    Raises:
+        BadAddress: the port cannot be listened on.
+        ConnectFailed: there is no route to the robot.
+    """
+
+    def __init__(self, robot: str, host: str | None = None, port: int = 0) -> None:
+        here = local_address(robot) if host is None else host
+        # An address that was given may be one that something in between translates, so it is not one to listen on.
+        self._listener = TcpListener(here if host is None else "", port)
+        self.address = (here, self._listener.address[1])
+        self._connection: TcpTransport | None = None
+
+    @property
+    def is_up(self) -> bool:
+        """The program has connected."""
+        return self._connection is not None
+
+    def poll(self) -> bool:
+        """Take the connection, if it has been made; True once it has. Never waits."""
+        if self._connection is None:
+            try:
+                self._connection = self._listener.accept(0)
+            except (LinkTimeout, ConnectionLost):
+                return False
+            self._listener.close()
+        return True
+
+    def send(self, data: bytes) -> None:
+        """Send to the program.
+
+        Raises:
+            ConnectionLost: it is gone, or does not read.
+        """
+        if self._connection is None:
+            raise ConnectionLost("the program on the robot is not connected")
+        try:
+            self._connection.send(data, _SEND_TIMEOUT)
+        except LinkTimeout as error:
+            raise ConnectionLost(f"{error}; it does not read") from error
+
+    def received(self) -> bytes:
+        """What the program has sent since; never waits.
+
+        Raises:
+            ConnectionLost: it is gone.
+        """
+        data = b""
+        while self._connection is not None:
+            more = self._connection.receive_waiting()
+            if more is None:
+                break
+            data += more[0]
+        return data
+
+    def absence(self, why: str) -> ConnectFailed:
+        """What to raise when the program does not connect."""
+        host, port = self.address
+        return ConnectFailed(
+            f"the program on the robot could not connect to this computer at {host}:{port}: {why}. Is that an address "
+            "by which the robot reaches it (set another with reverse_host), and does the firewall let it in (a fixed "
+            "port is set with reverse_port)?"
+        )
+
+    def close(self) -> None:
+        """Close the port and the connection. Idempotent."""
+        self._listener.close()
+        if self._connection is not None:
+            self._connection.close()

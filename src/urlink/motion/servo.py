@@ -1,0 +1,220 @@
+"""Closed loops: set-points as the user's own loop makes them."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections import deque
+from concurrent.futures import TimeoutError as FutureTimeout
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue, LinkError, LinkTimeout
+
+from ..schemas.realtime import RealtimeState
+from ..script.programs import streaming
+from ..vectors import JOINTS, six
+from .equipment import Equipment
+from .follower import STOP_WORD, WAIT_WORD, setpoint
+from .linked import CONNECT_TIMEOUT, LinkedMotion
+from .reverse import ReverseLink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from typing_extensions import Self
+
+__all__ = ["Servo", "ServoStatistics"]
+
+#: Intervals that the statistics look back on: a minute and a half at 500 Hz.
+_REMEMBERED = 50_000
+#: rad that the first set-point may be away from where the arm is led.
+_NEAR = 0.05
+#: Seconds more than have gone by that a step may take: the clocks of a loop and of the controller are not the same.
+_LENIENCE = 0.01
+#: Seconds that the reason of a lost connection has to arrive.
+_REASON = 1.5
+#: Seconds that the program has to end when the block is left.
+_END_TIMEOUT = 2.0
+
+
+@dataclass(frozen=True)
+class ServoStatistics:
+    """How evenly set-points were sent.
+
+    Attributes:
+        count: set-points sent.
+        mean: s between two of them.
+        p50, p99, max: s, of the deviations of that from the period: half of them, 99 % of them and all are no larger.
+        late: intervals longer than one and a half periods.
+    """
+
+    count: int
+    mean: float
+    p50: float
+    p99: float
+    max: float
+    late: int
+
+
+class Servo(LinkedMotion):
+    """A loop's line to the joints; made by `robot.motion.servo`, and open within a ``with`` block.
+
+    Send a set-point in each of the controller's cycles, or in each of your own. Leaving the block stops the arm.
+
+    Args:
+        rate: set-points a second that are meant to be sent.
+        watchdog: seconds without a set-point after which the robot brakes.
+        lookahead_time, gain: of ``servoj``.
+        begin: begins it, in place of any other motion.
+    """
+
+    def __init__(
+        self,
+        equipment: Equipment,
+        rate: float,
+        watchdog: float,
+        lookahead_time: float,
+        gain: float,
+        begin: Callable[[Servo], object],
+    ) -> None:
+        super().__init__("servo", equipment)
+        self.rate = rate
+        self._watchdog = watchdog
+        self._lookahead_time = lookahead_time
+        self._gain = gain
+        self._start_in_place = begin
+        self._here: list[float] | None = None
+        self._last: list[float] | None = None
+        self._sent_at = 0.0
+        self._count = self._late = 0
+        self._began = 0.0
+        self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
+        model = equipment.model
+        self._limits: list[tuple[float, float, float]] = (
+            [(-math.inf, math.inf, math.inf)] * 6
+            if model is None
+            else [
+                (low, high, speed)
+                for (low, high), speed in zip(model.position_limits.tolist(), model.max_speed.tolist(), strict=True)
+            ]
+        )
+
+    def __enter__(self) -> Self:
+        """Upload the program and wait until it has connected.
+
+        Raises:
+            ConnectFailed: it did not.
+            SafetyStop, NotRunning: the arm may not be moved now.
+            LinkError: what else kept it from beginning.
+        """
+        self._start_in_place(self)
+        if not self._is_linked.wait(CONNECT_TIMEOUT + 1.0):
+            self.cancel()
+            raise LinkTimeout(f"{self.name}: no connection within {CONNECT_TIMEOUT:g} s")
+        if self._error is not None:
+            raise self._error
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Stop the arm, and wait until it stands or two seconds are over. Does not raise what ended it before."""
+        try:
+            self._conclude()
+        except LinkError as error:
+            self._fail(error)
+        try:
+            self.wait(_END_TIMEOUT)
+        except LinkError:
+            self.cancel()
+
+    def send(self, q: ArrayLike) -> None:
+        """Send one set-point.
+
+        Args:
+            q: (6,) joint positions, rad: not further from the last one than the arm gets in the time since, the first
+                not further than 0.05 rad from where the arm is.
+
+        Raises:
+            BadValue: not six finite numbers, out of reach in that time, or beyond a limit of the arm; nothing was sent.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, MotionCancelled: it is over.
+        """
+        if self.done or self._last_word is not None:
+            raise self._error or LinkTimeout(f"{self.name} is over")
+        now = time.monotonic()
+        values = self._checked(q, now)
+        try:
+            self._say(setpoint(values))
+        except LinkError as error:
+            raise self._reason(error) from error
+        if self._last is None:
+            self._began = now
+        else:
+            interval = now - self._sent_at
+            self._intervals.append(interval)
+            if interval * self.rate > 1.5:
+                self._late += 1
+        self._count += 1
+        self._last, self._sent_at = values, now
+
+    @property
+    def stats(self) -> ServoStatistics:
+        """How evenly set-points were sent; deviations are of the last 50000 intervals."""
+        intervals = np.array(self._intervals)
+        if not intervals.size:
+            return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
+        deviations = np.abs(intervals - 1.0 / self.rate)
+        p50, p99 = np.percentile(deviations, (50, 99)).tolist()
+        mean = (self._sent_at - self._began) / (self._count - 1)
+        return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
+
+    # ----------------------------------------------------------------------------------------------------
+
+    def _checked(self, q: ArrayLike, now: float) -> list[float]:
+        values: list[float] = six(q, "q").tolist()
+        if self._last is None:
+            last, seconds = self._here, None
+            if last is None:
+                last = self._equipment.realtime.wait(1.0).q_target.tolist()
+        else:
+            last, seconds = self._last, now - self._sent_at + _LENIENCE
+        for joint, (value, before, (low, high, speed)) in enumerate(zip(values, last, self._limits, strict=True)):
+            most = _NEAR if seconds is None else speed * seconds
+            if abs(value - before) > most:
+                raise BadValue(
+                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from "
+                    f"{'where the arm is' if seconds is None else 'the last set-point'}; at most {most:.4f} rad"
+                )
+            if not low <= value <= high:
+                raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; expected {low:.4f} to {high:.4f}")
+        return values
+
+    def _reason(self, error: LinkError) -> Exception:
+        """Why nothing can be sent: what the robot says of it, where it says something in time."""
+        if not self.done and self._lost is None:
+            self._lose(error)
+        with contextlib.suppress(FutureTimeout, TimeoutError):
+            self._future.exception(_REASON)
+        return self._error or error
+
+    def _body(self, host: str, port: int) -> list[str]:
+        return streaming(
+            self._equipment.firmware,
+            host,
+            port,
+            watchdog=self._watchdog,
+            lookahead_time=self._lookahead_time,
+            gain=self._gain,
+        )
+
+    def _farewell(self) -> bytes:
+        return STOP_WORD
+
+    def _step(self, link: ReverseLink, state: RealtimeState) -> None:
+        link.received()  # it sends nothing, but this shows that it is there
+        if self._last is None:
+            self._here = state.q_target.tolist()
+            self._say(WAIT_WORD)
