@@ -1,0 +1,109 @@
+"""Constant speeds of the tool: speedl, and stopl, which is a speed of zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from urlink.models import Model
+
+from .. import kinematics
+from ..motion import Setpoint
+from ..twist import geometry, tool_speed
+from .limits import Limits, LimitViolation, Unreachable
+from .move import Move
+from .speed import JointSpeed
+from .tool_path import setpoint_at
+
+__all__ = ["ToolSpeed"]
+
+_REST = [0.0] * 6
+
+
+class ToolSpeed:
+    """The tool changes its speed straight to another one, and keeps that.
+
+    Where it is to stop and the arm cannot go on along its line, because that ends or is singular there, the joints
+    brake instead.
+
+    Attributes:
+        move: over after `t` s, or when the speed is reached where that is None.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        limits: Limits,
+        tcp: Sequence[float],
+        begin: Setpoint,
+        xd: Sequence[float],
+        a: float,
+        a_rot: float,
+        t: float | None,
+    ) -> None:
+        """A speed of the TCP in m/s and rad/s in the base frame, and how fast it changes, in m/s² and rad/s²."""
+        self.move = Move()
+        self._model, self._limits, self._tcp = model, limits, list(tcp)
+        self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
+        self._pose: list[float] = kinematics.pose(model, begin.q, tcp).tolist()
+        self._speed = tool_speed(geometry(model), begin.q, begin.qd, self._pose) if any(begin.qd) else list(_REST)
+        self._stops = not any(xd)
+        self._brake: JointSpeed | None = None
+        self.is_at_rest = False
+
+    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
+        """The set-point one cycle later.
+
+        Raises:
+            LimitViolation: the arm does not reach so far.
+        """
+        if self._brake is not None:
+            return self._braking(self._brake, last, seconds)
+        if self._stops and not any(self._speed):
+            self.is_at_rest = self.move.is_over = True
+            return Setpoint(last.q, _REST, _REST)
+        target = [pace * v for v in self._target]
+        line, line_reached = _towards(self._speed[:3], target[:3], self._a * seconds)
+        turn, turn_reached = _towards(self._speed[3:], target[3:], self._a_rot * seconds)
+        speed = line + turn
+        step = [0.5 * seconds * (old + new) for old, new in zip(self._speed, speed, strict=True)]
+        pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
+        if any(step[3:]):
+            pose += kinematics.pose_trans((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
+        else:
+            pose += self._pose[3:]
+        try:
+            setpoint = setpoint_at(self._model, pose, self._tcp, last, seconds)
+            if self._stops:
+                self._limits.check(last, setpoint)
+        except (Unreachable, LimitViolation) as error:
+            if not self._stops:
+                raise LimitViolation(str(error)) from None
+            self._brake = JointSpeed(_REST, self._limits.acceleration, None)
+            return self._braking(self._brake, last, seconds)
+        self._pose, self._speed = pose, speed
+        if self._left is None:
+            self.move.is_over = line_reached and turn_reached
+        else:
+            self._left -= seconds
+            self.move.is_over = self._left < 0.5 * seconds
+        return setpoint
+
+    def restart(self, begin: Setpoint) -> None:
+        """Go on from rest elsewhere."""
+        self._pose = kinematics.pose(self._model, begin.q, self._tcp).tolist()
+        self._speed = list(_REST)
+
+    def _braking(self, brake: JointSpeed, last: Setpoint, seconds: float) -> Setpoint:
+        setpoint = brake.advance(last, seconds, 1.0, 0.0)
+        self.move.is_over, self.is_at_rest = brake.move.is_over, brake.is_at_rest
+        return setpoint
+
+
+def _towards(now: list[float], target: list[float], most: float) -> tuple[list[float], bool]:
+    """A vector closer to a target by at most so much, and whether it is there."""
+    way = [b - a for a, b in zip(now, target, strict=True)]
+    distance = math.hypot(*way)
+    if distance <= most:
+        return target, True
+    return [a + most / distance * part for a, part in zip(now, way, strict=True)], False
