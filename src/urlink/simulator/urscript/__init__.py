@@ -1,0 +1,16 @@
+"""URScript, as the simulated controller runs it.
+
+`compile_script` makes a `Script` of a text; an `Execution` runs it, one controller cycle at a time, and asks the
+controller for everything else through the protocols of `world`. No sockets, no threads and no clock are in here: the
+same program in the same world does the same, cycle by cycle.
+"""
+
+from __future__ import annotations
+
+from .code import Script
+from .compiler import compile_script
+from .errors import ScriptError
+from .execution import Execution
+from .world import Drive, Move, Sockets, World
+
+__all__ = ["Drive", "Execution", "Move", "Script", "ScriptError", "Sockets", "World", "compile_script"]

@@ -1,0 +1,31 @@
+"""The functions that a controller has, one module for each family of them."""
+
+from __future__ import annotations
+
+from urlink.firmware import Firmware
+
+from . import lists_and_strings, mathematics, motion, poses, program, signals, sockets, state, unmodelled
+from .declaration import Builtin, Family
+
+__all__ = ["find"]
+
+_FAMILIES: tuple[Family, ...] = (
+    lists_and_strings.FAMILY,
+    mathematics.FAMILY,
+    motion.FAMILY,
+    poses.FAMILY,
+    program.FAMILY,
+    signals.FAMILY,
+    sockets.FAMILY,
+    state.FAMILY,
+    unmodelled.FAMILY,
+)
+
+
+def find(name: str, firmware: Firmware) -> Builtin | None:
+    """The function of that name on a controller of that firmware, or None if it has none."""
+    for family in _FAMILIES:
+        for builtin in family.functions.get(name, ()):
+            if builtin.is_in(firmware):
+                return builtin
+    return None

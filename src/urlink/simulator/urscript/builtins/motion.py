@@ -1,0 +1,178 @@
+"""Functions that move the arm. Each takes time, and one thread at a time may be in one.
+
+Known: the defaults of a and v of `movej` and `movel`. Guesses: those of the others; that `servoj` without a time takes
+one cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from urlink.simulator import kinematics
+
+from ..errors import Fault, type_error
+from ..machine import Thread, Waiting
+from ..values import NUMBERS, type_name
+from .arguments import integer, is_list, joints, number, pose, six
+from .declaration import Family
+from .poses import solution
+
+__all__ = ["FAMILY"]
+
+FAMILY = Family()
+
+
+def _positive(value: Any, what: str) -> float:
+    x = float(number(value, what))
+    if x <= 0:
+        raise Fault(f"{what} is greater than zero, not {x:g}")
+    return x
+
+
+def _not_negative(value: Any, what: str) -> float:
+    x = float(number(value, what))
+    if x < 0:
+        raise Fault(f"{what} is not negative, not {x:g}")
+    return x
+
+
+def _joints(thread: Thread, target: Any, what: str) -> list[float]:
+    """Joint positions, or those of a pose that are closest to the present target."""
+    if is_list(target):
+        return joints(target, what)
+    found = solution(thread, pose(target, what), list(thread.world.q_target), "active_tcp")
+    if found is None:
+        raise Fault(f"{what}: unable to find an inverse kinematics solution")
+    return found
+
+
+def _pose(thread: Thread, target: Any, what: str) -> Sequence[float]:
+    """A pose, or that of joint positions."""
+    if is_list(target):
+        model = thread.world.model
+        return kinematics.pose(model, joints(target, what), list(thread.world.tcp)).tolist()  # type: ignore[no-any-return]
+    return pose(target, what)
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def movej(thread: Thread, q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Waiting:
+    target = _joints(thread, q, "movej: q")
+    figures = _path("movej", a, v, t, r)
+    return thread.machine.moving(thread, lambda: thread.world.drive.movej(target, *figures))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def movel(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waiting:
+    target = _pose(thread, pose, "movel: pose")
+    figures = _path("movel", a, v, t, r)
+    return thread.machine.moving(thread, lambda: thread.world.drive.movel(target, *figures))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def movep(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
+    target = _pose(thread, pose, "movep: pose")
+    acceleration, speed, _, blend = _path("movep", a, v, 0, r)
+    return thread.machine.moving(thread, lambda: thread.world.drive.movep(target, acceleration, speed, blend))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def movec(
+    thread: Thread, pose_via: Any, pose_to: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0, mode: Any = 0
+) -> Waiting:
+    via, to = _pose(thread, pose_via, "movec: pose_via"), _pose(thread, pose_to, "movec: pose_to")
+    acceleration, speed, _, blend = _path("movec", a, v, 0, r)
+    way = integer(mode, "movec: mode", 0, 1)
+    return thread.machine.moving(thread, lambda: thread.world.drive.movec(via, to, acceleration, speed, blend, way))
+
+
+def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
+    return (
+        _positive(a, f"{name}: a"),
+        _positive(v, f"{name}: v"),
+        _not_negative(t, f"{name}: t"),
+        _not_negative(r, f"{name}: r"),
+    )
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
+def servoj(thread: Thread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
+    """Of CB2: how far it looks ahead and how hard it follows cannot be said."""
+    return _servoj(thread, q, a, v, t, 0.1, 300)
+
+
+@FAMILY.declare(name="servoj", takes_time=True, in_secondary=False, since="3.0")
+def servoj_with_gain(
+    thread: Thread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
+) -> Waiting:
+    """The ranges of the last two are those of the manuals."""
+    return _servoj(thread, q, a, v, t, lookahead_time, gain)
+
+
+def _servoj(thread: Thread, q: Any, a: Any, v: Any, t: Any, lookahead_time: Any, gain: Any) -> Waiting:
+    target = joints(q, "servoj: q")
+    # Not used by the controller either.
+    number(a, "servoj: a")
+    number(v, "servoj: v")
+    seconds = _not_negative(t, "servoj: t") or thread.world.period
+    ahead, stiffness = number(lookahead_time, "servoj: lookahead_time"), number(gain, "servoj: gain")
+    if not 0.03 <= ahead <= 0.2:
+        raise Fault(f"servoj: lookahead_time is from 0.03 to 0.2, not {ahead:g}")
+    if not 100 <= stiffness <= 2000:
+        raise Fault(f"servoj: gain is from 100 to 2000, not {stiffness:g}")
+    return thread.machine.moving(thread, lambda: thread.world.drive.servoj(target, seconds, ahead, stiffness))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def servoc(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
+    target = _pose(thread, pose, "servoc: pose")
+    acceleration, speed, _, blend = _path("servoc", a, v, 0, r)
+    return thread.machine.moving(thread, lambda: thread.world.drive.servoc(target, acceleration, speed, blend))
+
+
+def _seconds(t: Any, what: str) -> float | None:
+    """Firmware before 3.3 wants the time (1.x) or has none (3.1, 3.2); all of them may leave it out or not here."""
+    return None if t is None or (t.__class__ in NUMBERS and t == 0) else _not_negative(t, what)
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def speedj(thread: Thread, qd: Any, a: Any = 1.4, t: Any = None) -> Waiting:
+    speeds = six(qd, "speedj: qd")
+    acceleration, seconds = _positive(a, "speedj: a"), _seconds(t, "speedj: t")
+    return thread.machine.moving(thread, lambda: thread.world.drive.speedj(speeds, acceleration, seconds))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def speedl(thread: Thread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any = "a") -> Waiting:
+    speeds = six(xd, "speedl: xd")
+    acceleration, seconds = _positive(a, "speedl: a"), _seconds(t, "speedl: t")
+    turning = _turning(aRot, acceleration, "speedl: aRot")
+    return thread.machine.moving(thread, lambda: thread.world.drive.speedl(speeds, acceleration, seconds, turning))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def stopj(thread: Thread, a: Any = 2.0) -> Waiting:
+    acceleration = _positive(a, "stopj: a")
+    return thread.machine.moving(thread, lambda: thread.world.drive.stopj(acceleration))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def stopl(thread: Thread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
+    acceleration = _positive(a, "stopl: a")
+    turning = _turning(aRot, acceleration, "stopl: aRot")
+    return thread.machine.moving(thread, lambda: thread.world.drive.stopl(acceleration, turning))
+
+
+def _turning(aRot: Any, a: float, what: str) -> float:
+    """rad/s²; by default the same number as the acceleration in m/s²."""
+    if isinstance(aRot, str):
+        if aRot != "a":
+            raise type_error(f"{what} is a number, not {type_name(aRot)}")
+        return a
+    return _positive(aRot, what)
+
+
+@FAMILY.declare()
+def is_steady(thread: Thread) -> bool:
+    """The arm stands; how long a real one must have stood is not modelled."""
+    return thread.world.drive.is_standing

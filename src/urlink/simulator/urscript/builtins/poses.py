@@ -1,0 +1,183 @@
+"""Functions of poses and of joint positions.
+
+Guesses: `pose_add` and `pose_sub` add and subtract positions and multiply rotations, both seen from the base;
+`pose_dist` is the root of the squares of the distance and of the angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from urlink.simulator import kinematics
+
+from ..errors import Fault, type_error
+from ..machine import Thread
+from ..values import Pose, type_name
+from .arguments import is_list, joints, number, pose, vector
+from .declaration import Family
+
+__all__ = ["FAMILY"]
+
+FAMILY = Family()
+
+_NOWHERE = (0.0, 0.0, 0.0)
+
+
+@FAMILY.declare()
+def pose_trans(thread: Thread, p_from: Any, p_from_to: Any) -> Pose:
+    return _transformed(pose(p_from, "pose_trans: p_from"), pose(p_from_to, "pose_trans: p_from_to"))
+
+
+@FAMILY.declare()
+def pose_inv(thread: Thread, p_from: Any) -> Pose:
+    return _inverse(pose(p_from, "pose_inv: p_from"))
+
+
+@FAMILY.declare()
+def pose_add(thread: Thread, p_1: Any, p_2: Any) -> Pose:
+    a, b = pose(p_1, "pose_add: p_1"), pose(p_2, "pose_add: p_2")
+    turned = _transformed([*_NOWHERE, *a[3:]], [*_NOWHERE, *b[3:]])
+    return Pose([a[0] + b[0], a[1] + b[1], a[2] + b[2], *turned[3:]])
+
+
+@FAMILY.declare()
+def pose_sub(thread: Thread, p_to: Any, p_from: Any) -> Pose:
+    a, b = pose(p_to, "pose_sub: p_to"), pose(p_from, "pose_sub: p_from")
+    turned = _transformed([*_NOWHERE, *a[3:]], _inverse([*_NOWHERE, *b[3:]]))
+    return Pose([a[0] - b[0], a[1] - b[1], a[2] - b[2], *turned[3:]])
+
+
+@FAMILY.declare()
+def pose_dist(thread: Thread, p_from: Any, p_to: Any) -> float:
+    between = _transformed(_inverse(pose(p_from, "pose_dist: p_from")), pose(p_to, "pose_dist: p_to"))
+    return math.hypot(*between)
+
+
+@FAMILY.declare()
+def point_dist(thread: Thread, p_from: Any, p_to: Any) -> float:
+    return math.dist(pose(p_from, "point_dist: p_from")[:3], pose(p_to, "point_dist: p_to")[:3])
+
+
+@FAMILY.declare()
+def interpolate_pose(thread: Thread, p_from: Any, p_to: Any, alpha: Any) -> Pose:
+    a, b = pose(p_from, "interpolate_pose: p_from"), pose(p_to, "interpolate_pose: p_to")
+    x = number(alpha, "interpolate_pose: alpha")
+    turn = _transformed(_inverse([*_NOWHERE, *a[3:]]), [*_NOWHERE, *b[3:]])
+    turned = _transformed([*_NOWHERE, *a[3:]], [*_NOWHERE, *(x * angle for angle in turn[3:])])
+    return Pose([*(p + x * (q - p) for p, q in zip(a[:3], b[:3], strict=True)), *turned[3:]])
+
+
+@FAMILY.declare()
+def rotvec2rpy(thread: Thread, rotation_vector: Any) -> tuple[float, ...]:
+    """Roll, pitch and yaw about the fixed x, y and z, in that order, of a rotation vector; rad."""
+    (r00, r01, _), (r10, r11, _), (r20, r21, r22) = _rotation(vector(rotation_vector, "rotvec2rpy: vector", 3))
+    pitch = math.atan2(-r20, math.hypot(r00, r10))
+    if math.hypot(r00, r10) < 1e-9:
+        # Roll and yaw turn about the same axis; roll is left out.
+        return (0.0, pitch, math.atan2(-r01, r11))
+    return (math.atan2(r21, r22), pitch, math.atan2(r10, r00))
+
+
+@FAMILY.declare()
+def rpy2rotvec(thread: Thread, rpy_vector: Any) -> tuple[float, ...]:
+    roll, pitch, yaw = vector(rpy_vector, "rpy2rotvec: vector", 3)
+    turned = _transformed(
+        _transformed([*_NOWHERE, 0.0, 0.0, yaw], [*_NOWHERE, 0.0, pitch, 0.0]), [*_NOWHERE, roll, 0.0, 0.0]
+    )
+    return tuple(turned[3:])
+
+
+@FAMILY.declare()
+def get_forward_kin(thread: Thread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> Pose:
+    world = thread.world
+    where = world.q_actual if isinstance(q, str) else joints(q, "get_forward_kin: q")
+    return Pose(kinematics.pose(world.model, list(where), _tool(thread, tcp)).tolist())
+
+
+@FAMILY.declare(since="1.0", until="3.0")
+def get_inverse_kin(
+    thread: Thread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
+) -> tuple[float, ...]:
+    return _inverse_kin(thread, x, qnear, "active_tcp")
+
+
+@FAMILY.declare(name="get_inverse_kin", since="3.0")
+def get_inverse_kin_tcp(
+    thread: Thread,
+    x: Any,
+    qnear: Any = None,
+    maxPositionError: Any = 1e-10,
+    maxOrientationError: Any = 1e-10,
+    tcp: Any = "active_tcp",
+) -> tuple[float, ...]:
+    return _inverse_kin(thread, x, qnear, tcp)
+
+
+def _inverse_kin(thread: Thread, x: Any, qnear: Any, tcp: Any) -> tuple[float, ...]:
+    found = solution(thread, pose(x, "get_inverse_kin: x"), _near(thread, qnear), tcp)
+    if found is None:
+        raise Fault("get_inverse_kin: unable to find an inverse kinematics solution")
+    return tuple(found)
+
+
+# 5.9.4 has it and 5.8.2 has not, in one project's test matrix; that it came to CB3 with 3.14 is a guess.
+@FAMILY.declare(since="3.14/5.9")
+def get_inverse_kin_has_solution(
+    thread: Thread,
+    pose: Any,
+    qnear: Any = None,
+    maxPositionError: Any = 1e-10,
+    maxOrientationError: Any = 1e-10,
+    tcp: Any = "active_tcp",
+) -> bool:
+    return solution(thread, _pose(pose, "get_inverse_kin_has_solution: pose"), _near(thread, qnear), tcp) is not None
+
+
+_pose = pose
+
+
+@FAMILY.declare(since="3.0")
+def is_within_safety_limits(thread: Thread, pose: Any) -> bool:
+    """Of joint positions or a pose, as far as the joints' limits go; the simulator has no safety planes."""
+    q: Sequence[float] | None
+    if is_list(pose):
+        q = joints(pose, "is_within_safety_limits: q")
+    else:
+        q = solution(thread, _pose(pose, "is_within_safety_limits: pose"), _near(thread, None), "active_tcp")
+    limits = thread.world.model.position_limits
+    return q is not None and bool(np.all((limits[:, 0] <= q) & (q <= limits[:, 1])))
+
+
+def solution(thread: Thread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
+    """The joint positions for a pose that are closest to others, or None if it is out of reach."""
+    rows = kinematics.inverse(thread.world.model, x, _tool(thread, tcp), near)
+    return rows[0].tolist() if len(rows) else None
+
+
+def _near(thread: Thread, qnear: Any) -> list[float]:
+    return list(thread.world.q_target) if qnear is None else joints(qnear, "qnear")
+
+
+def _tool(thread: Thread, tcp: Any) -> list[float]:
+    if isinstance(tcp, str):
+        return list(thread.world.tcp)
+    if not isinstance(tcp, Pose):
+        raise type_error(f"tcp is a pose, not {type_name(tcp)}")
+    return pose(tcp, "tcp")
+
+
+def _transformed(first: Sequence[float], second: Sequence[float]) -> Pose:
+    return Pose(kinematics.pose_trans(first, second).tolist())
+
+
+def _inverse(of: Sequence[float]) -> Pose:
+    return Pose(kinematics.pose_inv(of).tolist())
+
+
+def _rotation(of: Sequence[float]) -> list[list[float]]:
+    rows: list[list[float]] = kinematics.pose_to_matrix([*_NOWHERE, *of])[:3, :3].tolist()
+    return rows

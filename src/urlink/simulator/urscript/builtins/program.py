@@ -1,0 +1,73 @@
+"""Functions that are about the program itself: time, critical sections, messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..errors import Fault
+from ..machine import Thread, Waiting
+from ..values import to_str
+from .arguments import boolean, number
+from .declaration import Family
+from .lists_and_strings import made
+
+__all__ = ["FAMILY"]
+
+FAMILY = Family()
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def sync(thread: Thread) -> Waiting:
+    """Uses up the cycle."""
+    yield
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False)
+def sleep(thread: Thread, t: Any) -> Waiting:
+    """In whole cycles, upwards, at least one (a guess)."""
+    seconds = number(t, "sleep: t")
+    if seconds < 0:
+        raise Fault("sleep: t is not negative")
+    # A millionth of a cycle is rounding.
+    cycles = seconds / thread.world.period - 1e-6
+    waited = 0
+    while True:
+        yield
+        waited += 1
+        if waited >= cycles:
+            return
+
+
+@FAMILY.declare(takes_time=True)
+def enter_critical(thread: Thread) -> Waiting:
+    """Waits for the thread that is in one."""
+    while not thread.machine.enter(thread):
+        yield
+
+
+@FAMILY.declare()
+def exit_critical(thread: Thread) -> None:
+    thread.machine.exit(thread)
+
+
+@FAMILY.declare()
+def textmsg(thread: Thread, s1: Any, s2: Any = "") -> None:
+    """Both, one after the other, as `to_str` writes them."""
+    thread.world.text_message(made(thread, to_str(s1) + to_str(s2)))
+
+
+@FAMILY.declare(takes_time=True)
+def popup(
+    thread: Thread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
+) -> Waiting:
+    """A blocking one waits until somebody closes it."""
+    waits = boolean(blocking, "popup: blocking")
+    thread.world.popup(
+        made(thread, to_str(s)),
+        made(thread, to_str(title)),
+        boolean(warning, "popup: warning"),
+        boolean(error, "popup: error"),
+        waits,
+    )
+    while waits and thread.world.has_popup:
+        yield

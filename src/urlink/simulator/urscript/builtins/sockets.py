@@ -1,0 +1,224 @@
+"""Functions of the program's sockets; each has a name, "socket_0" if none is given.
+
+As drivers rely on it: integers are big endian, and the first element of a list that was read is the count of what
+was. Remembered from the manuals: at most 30 values are read at once; where the time runs out the count is 0 and the
+others are -1, or not a number for floats; a time of zero or less waits for ever; names and defaults of parameters.
+
+Guesses: connecting gives up after 2 s; where the time runs out, what has come is left for the next read; reading from
+a socket that is not open gives nothing after one cycle; numbers in ASCII are of the form `(1.0,2.0,3.0)`, and the
+text up to the closing bracket is used up whether it can be read or not. Text is bytes, one character each.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import Fault
+from ..limits import MAX_STRING
+from ..machine import Thread, Waiting
+from ..values import to_str
+from .arguments import boolean, integer, number, string
+from .declaration import Family
+from .lists_and_strings import made
+
+__all__ = ["FAMILY"]
+
+FAMILY = Family()
+
+_NAME = "socket_0"
+_CONNECTING = 2.0
+_MOST = 30
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,5})?")
+
+
+# -- opening and closing -----------------------------------------------------------------------------
+
+
+@FAMILY.declare(takes_time=True)
+def socket_open(thread: Thread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
+    """True if it is connected."""
+    name, sockets = string(socket_name, "socket_open: socket_name"), thread.world.sockets
+    host, number_ = string(address, "socket_open: address"), integer(port, "socket_open: port", 0, 65535)
+    sockets.close(name)
+    sockets.open(name, host, number_)
+    left = _CONNECTING / thread.world.period
+    while sockets.state(name) == "connecting" and left > 0:
+        left -= 1
+        yield
+    if sockets.state(name) == "open":
+        return True
+    sockets.close(name)
+    return False
+
+
+@FAMILY.declare()
+def socket_close(thread: Thread, socket_name: Any = _NAME) -> None:
+    thread.world.sockets.close(string(socket_name, "socket_close: socket_name"))
+
+
+# -- sending -----------------------------------------------------------------------------------------
+
+
+def _send(thread: Thread, socket_name: Any, data: bytes) -> bool:
+    thread.machine.charge(len(data))
+    return thread.world.sockets.send(string(socket_name, "socket_name"), data)
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("latin-1", "replace")
+
+
+@FAMILY.declare()
+def socket_send_string(thread: Thread, str: Any, socket_name: Any = _NAME) -> bool:
+    return _send(thread, socket_name, _bytes(to_str(str)))
+
+
+@FAMILY.declare()
+def socket_send_line(thread: Thread, str: Any, socket_name: Any = _NAME) -> bool:
+    return _send(thread, socket_name, _bytes(to_str(str)) + b"\n")
+
+
+@FAMILY.declare()
+def socket_send_byte(thread: Thread, value: Any, socket_name: Any = _NAME) -> bool:
+    return _send(thread, socket_name, bytes([integer(value, "socket_send_byte: value", 0, 255)]))
+
+
+@FAMILY.declare()
+def socket_send_int(thread: Thread, value: Any, socket_name: Any = _NAME) -> bool:
+    return _send(thread, socket_name, integer(value, "socket_send_int: value").to_bytes(4, "big", signed=True))
+
+
+@FAMILY.declare()
+def socket_set_var(thread: Thread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
+    what, new = string(name, "socket_set_var: name"), integer(value, "socket_set_var: value")
+    return _send(thread, socket_name, _bytes(f"SET {what} {new}\n"))
+
+
+# -- reading -----------------------------------------------------------------------------------------
+
+
+def _await(thread: Thread, name: str, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
+    """What has come, once it is enough; None if it does not become so in time."""
+    sockets = thread.world.sockets
+    seconds = number(timeout, "timeout")
+    left = seconds / thread.world.period - 1e-6 if seconds > 0 else math.inf
+    while True:
+        buffer = sockets.received(name)
+        if is_there(buffer):
+            return buffer
+        if sockets.state(name) != "open":
+            yield
+            return None
+        if left <= 0:
+            return None
+        left -= 1
+        yield
+
+
+def _count(value: Any, what: str) -> int:
+    return integer(value, what, 1, _MOST)
+
+
+@FAMILY.declare(takes_time=True)
+def socket_read_binary_integer(thread: Thread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+    count = _count(number, "socket_read_binary_integer: number")
+    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= 4 * count)
+    if buffer is None:
+        return (0, *[-1] * count)
+    data = bytes(buffer[: 4 * count])
+    del buffer[: 4 * count]
+    return (count, *[int.from_bytes(data[at : at + 4], "big", signed=True) for at in range(0, 4 * count, 4)])
+
+
+@FAMILY.declare(takes_time=True)
+def socket_read_byte_list(thread: Thread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+    count = _count(number, "socket_read_byte_list: number")
+    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= count)
+    if buffer is None:
+        return (0, *[-1] * count)
+    data = bytes(buffer[:count])
+    del buffer[:count]
+    return (count, *data)
+
+
+@FAMILY.declare(takes_time=True)
+def socket_read_ascii_float(thread: Thread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+    count = _count(number, "socket_read_ascii_float: number")
+    name = string(socket_name, "socket_name")
+    buffer = yield from _await(thread, name, timeout, lambda data: b")" in data)
+    found: list[float] = []
+    if buffer is not None:
+        end = buffer.index(b")")
+        text = bytes(buffer[:end][-MAX_STRING:]).decode("latin-1")
+        del buffer[: end + 1]
+        thread.machine.charge(len(text))
+        for part in text.rpartition("(")[2].split(",")[:count]:
+            if not _NUMBER.fullmatch(part.strip()):
+                break
+            found.append(float(part))
+    # What could not be read is not a number.
+    return (len(found), *found, *[math.nan] * (count - len(found)))
+
+
+@FAMILY.declare(takes_time=True)
+def socket_read_line(thread: Thread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+    """Up to a line feed, which is taken and left out with a carriage return before it; empty if none comes in time."""
+    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: b"\n" in data)
+    if buffer is None:
+        return ""
+    line = bytes(buffer[: buffer.index(b"\n")])
+    del buffer[: len(line) + 1]
+    return made(thread, line.removesuffix(b"\r").decode("latin-1"))
+
+
+@FAMILY.declare(takes_time=True)
+def socket_read_string(
+    thread: Thread,
+    socket_name: Any = _NAME,
+    prefix: Any = "",
+    suffix: Any = "",
+    interpret_escape: Any = False,
+    timeout: Any = 2,
+) -> Waiting:
+    """All that has come, or what stands between prefix and suffix where they are given."""
+    begin, end = string(prefix, "prefix"), string(suffix, "suffix")
+    if boolean(interpret_escape, "interpret_escape"):
+        begin, end = _unescaped(begin), _unescaped(end)
+    first, last = _bytes(begin), _bytes(end)
+
+    def is_there(data: bytearray) -> bool:
+        at = data.find(first)
+        return bool(data) and at >= 0 and (not last or data.find(last, at + len(first)) >= 0)
+
+    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, is_there)
+    if buffer is None:
+        return ""
+    begin_at = buffer.find(first) + len(first)
+    end_at = buffer.find(last, begin_at) if last else min(len(buffer), begin_at + MAX_STRING)
+    text = bytes(buffer[begin_at:end_at])
+    del buffer[: end_at + len(last)]
+    return made(thread, text.decode("latin-1"))
+
+
+def _unescaped(text: str) -> str:
+    return text.replace("\\n", "\n").replace("\\r", "\r").replace("\\t", "\t")
+
+
+@FAMILY.declare(takes_time=True)
+def socket_get_var(thread: Thread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+    """Asks `GET name`, and takes the integer of the reply `name value`; 0 if none comes (a guess)."""
+    what = string(name, "socket_get_var: name")
+    if not _send(thread, socket_name, _bytes(f"GET {what}\n")):
+        return 0
+    buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: b"\n" in data)
+    if buffer is None:
+        return 0
+    line = bytes(buffer[: buffer.index(b"\n")])
+    del buffer[: len(line) + 1]
+    key, _, value = line.decode("latin-1").strip().rpartition(" ")
+    if key != what or not re.fullmatch(r"[+-]?[0-9]{1,10}", value):
+        raise Fault(f"socket_get_var: '{what} <integer>' was expected as a reply")
+    return integer(int(value), "socket_get_var: value")

@@ -1,0 +1,425 @@
+"""From syntax to instructions.
+
+An expression in which nothing is called that takes time or is part of the program becomes one Python function. Such
+calls become instructions of their own, which leave their value in a slot of the frame; what stands to the left of them
+in the expression is worked out before, into slots too, so that the order is that of the text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from urlink.firmware import Firmware
+
+from . import operations
+from .builtins import find
+from .builtins.declaration import REQUIRED
+from .code import FIRST, Code, Instruction, Script
+from .errors import ScriptError, name_not_found
+from .instructions import (
+    Label,
+    await_builtin,
+    branch,
+    call,
+    evaluate,
+    halt,
+    join,
+    jump,
+    kill,
+    leave,
+    skip_if_set,
+    start,
+    store,
+    store_element,
+)
+from .operations import Function, Place
+from .parser import parse
+from .scopes import Functions, assigned, declared_local, definitions, global_names
+from .syntax import (
+    Assign,
+    Binary,
+    Block,
+    Break,
+    Call,
+    Constant,
+    Continue,
+    Definition,
+    Evaluate,
+    Expression,
+    Halt,
+    If,
+    Index,
+    Join,
+    Kill,
+    ListDisplay,
+    Name,
+    Node,
+    PoseDisplay,
+    Return,
+    Statement,
+    Unary,
+    While,
+)
+from .values import UNSET
+
+__all__ = ["compile_script"]
+
+# Statements that are written without brackets too.
+_BARE = ("enter_critical", "exit_critical")
+
+
+def compile_script(text: str, firmware: Firmware) -> Script:
+    """A program, ready to run.
+
+    The last `def` or `sec` is the program, and what stands before it is done first; where other statements follow
+    it, all of them are the program. Both are guesses.
+
+    Raises:
+        ScriptError: it does not compile, with the place and the controller's text.
+    """
+    return _Program(parse(text), firmware).script
+
+
+class _Program:
+    """What all functions of a program share."""
+
+    def __init__(self, statements: Block, firmware: Firmware) -> None:
+        self.firmware = firmware
+        last = statements[-1] if statements else None
+        body = statements
+        name, self.kind = "unnamed", "def"
+        if isinstance(last, Definition) and last.kind != "thread":
+            name, self.kind = last.name, last.kind
+            for parameter in last.parameters:
+                raise ScriptError(parameter.line, parameter.column, f"program_with_parameters:{name}:")
+            body = [*statements[:-1], *last.body]
+        self.globals = {variable: slot for slot, variable in enumerate(global_names(body))}
+        main = Code(name)
+        _Compiler(self, main, body, (), None).compile()
+        self.script = Script(name, "sec" if self.kind == "sec" else "def", firmware, main, len(self.globals))
+
+
+class _Compiler:
+    """Of one function."""
+
+    def __init__(
+        self, program: _Program, code: Code, body: Block, definition: Sequence[Definition], outer: Functions | None
+    ) -> None:
+        self._program = program
+        self._code = code
+        self._body = body
+        self._parameters = [parameter for one in definition for parameter in one.parameters]
+        self._functions = Functions(definitions(body), outer)
+        names = [parameter.name for parameter in self._parameters]
+        free = sorted(assigned(body) - program.globals.keys())
+        self._slots = {
+            name: slot for slot, name in enumerate(dict.fromkeys([*names, *sorted(declared_local(body)), *free]), FIRST)
+        }
+        self._used = self._top = FIRST + len(self._slots)
+        self._makers: list[tuple[Callable[[int], Instruction], Place]] = []
+        self._loops: list[tuple[Label, Label]] = []
+        self._taking: dict[int, bool] = {}
+
+    def compile(self) -> None:
+        """Fill the code."""
+        for parameter in self._parameters:
+            if parameter.default is not None:
+                self._default(parameter, parameter.default, self._slots[parameter.name])
+        self._block(self._body)
+        last = self._body[-1] if self._body else None
+        place = (last.line, last.column) if last else (1, 1)
+        self._makers.append((lambda after: leave(None), place))
+        self._code.size = self._top
+        self._code.instructions.extend(maker(at) for at, (maker, _) in enumerate(self._makers, 1))
+        self._code.places.extend(place for _, place in self._makers)
+
+    def _default(self, parameter: Node, default: Expression, slot: int) -> None:
+        """It is worked out in the function that is called, each time (a guess)."""
+        given = Label()
+        self._emit(parameter, lambda after: skip_if_set(slot, given, after))
+        value = self._value(default)
+        self._emit(parameter, lambda after: store(False, slot, value, after))
+        self._mark(given)
+
+    # -- instructions ------------------------------------------------------------------------------
+
+    def _emit(self, node: Node, maker: Callable[[int], Instruction]) -> None:
+        self._makers.append((maker, (node.line, node.column)))
+
+    def _mark(self, label: Label) -> None:
+        label.at = len(self._makers)
+
+    def _slot(self) -> int:
+        """One that this statement does not use yet."""
+        slot = self._used
+        self._used += 1
+        self._top = max(self._top, self._used)
+        return slot
+
+    # -- statements --------------------------------------------------------------------------------
+
+    def _block(self, block: Block) -> None:
+        for statement in block:
+            used = self._used
+            self._statement(statement)
+            self._used = used
+
+    def _statement(self, s: Statement) -> None:
+        match s:
+            case Assign():
+                self._assign(s)
+            case Evaluate():
+                self._evaluate(s)
+            case If():
+                self._if(s)
+            case While():
+                self._while(s)
+            case Return():
+                value = None if s.value is None else self._value(s.value)
+                self._emit(s, lambda after: leave(value))
+            case Break() | Continue():
+                if not self._loops:
+                    raise ScriptError(s.line, s.column, f"not_in_a_loop_on_line:{s.line}:")
+                label = self._loops[-1][isinstance(s, Break)]
+                self._emit(s, lambda after: jump(label))
+            case Halt():
+                self._emit(s, lambda after: halt())
+            case Kill():
+                handle = self._value(s.handle)
+                self._emit(s, lambda after: kill(handle, after))
+            case Join():
+                self._takes_time(s, "join")
+                handle, slot = self._value(s.handle), self._slot()
+                self._emit(s, lambda after: join(handle, slot, after))
+            case Definition():
+                self._define(s)
+
+    def _define(self, s: Definition) -> None:
+        found = self._functions.find(s.name)
+        assert found is not None
+        definition, code = found
+        if definition is not s or s.kind == "sec":
+            raise ScriptError(s.line, s.column, f"compile_error_name_already_used:{s.name}:")
+        _Compiler(self._program, code, s.body, (s,), self._functions).compile()
+
+    def _assign(self, s: Assign) -> None:
+        if s.scope == "global" or s.name not in self._slots:
+            if s.name not in self._program.globals:
+                raise name_not_found(s.line, s.column, s.name)
+            is_global, slot = True, self._program.globals[s.name]
+        else:
+            is_global, slot = False, self._slots[s.name]
+        *indices, value = self._sequence([*s.indices, s.value])
+        if s.indices:
+            self._emit(s, lambda after: store_element(is_global, slot, s.name, indices, value, after))
+        else:
+            self._emit(s, lambda after: store(is_global, slot, value, after))
+
+    def _evaluate(self, s: Evaluate) -> None:
+        expression = s.value
+        if isinstance(expression, Name) and expression.name in _BARE:
+            expression = Call(expression.line, expression.column, 1, expression.name, [], [], False)
+        value = self._value(expression)
+        if not (isinstance(expression, Call) and self._takes(expression, alone=True)):
+            self._emit(s, lambda after: evaluate(value, after))
+
+    def _if(self, s: If) -> None:
+        end = Label()
+        for condition, body in s.branches:
+            otherwise = Label()
+            self._condition(condition, otherwise)
+            self._block(body)
+            if s.otherwise or condition is not s.branches[-1][0]:
+                self._emit(s, lambda after: jump(end))
+            self._mark(otherwise)
+        self._block(s.otherwise)
+        self._mark(end)
+
+    def _while(self, s: While) -> None:
+        begin, end = Label(), Label()
+        self._mark(begin)
+        self._condition(s.condition, end)
+        self._loops.append((begin, end))
+        self._block(s.body)
+        self._loops.pop()
+        self._emit(s, lambda after: jump(begin))
+        self._mark(end)
+
+    def _condition(self, condition: Expression, otherwise: Label) -> None:
+        if isinstance(condition, Constant) and condition.value is True:
+            return
+        used = self._used
+        value = self._value(condition)
+        self._used = used
+        self._emit(condition, lambda after: branch(value, otherwise, after))
+
+    # -- expressions -------------------------------------------------------------------------------
+
+    def _takes(self, node: Expression, alone: bool = False) -> bool:
+        """It has calls that are instructions; with `alone`, it is one."""
+        if not alone and id(node) in self._taking:
+            return self._taking[id(node)]
+        taking = False
+        if isinstance(node, Call) and not node.is_run:
+            builtin = None if self._functions.find(node.name) else find(node.name, self._program.firmware)
+            taking = builtin is None or builtin.takes_time
+        if alone:
+            return taking
+        taking = taking or any(self._takes(part) for part in _parts(node))
+        self._taking[id(node)] = taking
+        return taking
+
+    def _sequence(self, nodes: Sequence[Expression]) -> list[Function]:
+        """Several expressions, worked out from left to right."""
+        last = max((at for at, node in enumerate(nodes) if self._takes(node)), default=-1)
+        functions = []
+        for at, node in enumerate(nodes):
+            function = self._value(node)
+            if at < last and not isinstance(node, Constant):
+                function = self._kept(node, function)
+            functions.append(function)
+        return functions
+
+    def _kept(self, node: Node, function: Function) -> Function:
+        slot = self._slot()
+        self._emit(node, lambda after: store(False, slot, function, after))
+        return operations.temporary(slot)
+
+    def _value(self, node: Expression) -> Function:
+        """The expression; what in it is an instruction is emitted."""
+        place = (node.line, node.column)
+        match node:
+            case Constant():
+                return operations.constant(node.value)
+            case Name():
+                return self._variable(node)
+            case ListDisplay():
+                return operations.display(self._sequence(node.items), place)
+            case PoseDisplay():
+                return operations.pose_display(self._sequence(node.items), place)
+            case Index():
+                base, index = self._sequence([node.base, node.index])
+                return operations.element(base, index, place)
+            case Unary():
+                operand = self._value(node.operand)
+                return (
+                    operations.inverted(operand, place)
+                    if node.operator == "not"
+                    else (operations.signed(node.operator, operand, place))
+                )
+            case Binary():
+                return self._binary(node)
+            case Call():
+                return self._call(node)
+            case _:
+                raise AssertionError(node)
+
+    def _variable(self, node: Name) -> Function:
+        place = (node.line, node.column)
+        if node.name in self._slots:
+            return operations.local_variable(self._slots[node.name], node.name, place)
+        if node.name in self._program.globals:
+            return operations.global_variable(self._program.globals[node.name], node.name, place)
+        raise name_not_found(node.line, node.column, node.name)
+
+    def _binary(self, node: Binary) -> Function:
+        place = (node.line, node.column)
+        if node.operator not in ("and", "or"):
+            left, right = self._sequence([node.left, node.right])
+            return operations.operation(node.operator, left, right, place)
+        join_of = operations.both if node.operator == "and" else operations.either
+        if not self._takes(node.right):
+            return join_of(self._value(node.left), self._value(node.right), place)
+        # The instructions of the right side are jumped over where the left side settles it.
+        settled, slot = Label(), self._slot()
+        left = operations.checked_truth(self._value(node.left), place)
+        self._emit(node, lambda after: store(False, slot, left, after))
+        known = operations.temporary(slot)
+        goes_on = known if node.operator == "and" else operations.inverted(known, place)
+        self._emit(node, lambda after: branch(goes_on, settled, after))
+        right = operations.checked_truth(self._value(node.right), place)
+        self._emit(node, lambda after: store(False, slot, right, after))
+        self._mark(settled)
+        return known
+
+    # -- calls -------------------------------------------------------------------------------------
+
+    def _call(self, node: Call) -> Function:
+        found = self._functions.find(node.name)
+        if found is None:
+            if node.is_run:
+                raise name_not_found(node.line, node.column, node.name)
+            return self._call_builtin(node)
+        definition, code = found
+        if node.is_run is not (definition.kind == "thread"):
+            wanted = "thread" if node.is_run else "function"
+            raise ScriptError(node.line, node.column, f"compile_error_not_a_{wanted}:{node.name}:")
+        arguments = self._arguments(
+            node,
+            [(p.name, REQUIRED if p.default is None else UNSET) for p in definition.parameters],
+        )
+        if node.is_run:
+            self._takes_time(node, "run")
+            return operations.placed(start(code, arguments), (node.line, node.column))
+        slot = self._slot()
+        self._emit(node, lambda after: call(code, arguments, slot, after))
+        return operations.temporary(slot)
+
+    def _call_builtin(self, node: Call) -> Function:
+        builtin = find(node.name, self._program.firmware)
+        if builtin is None:
+            raise name_not_found(node.line, node.column, node.name)
+        if not builtin.in_secondary:
+            self._takes_time(node, node.name)
+        if builtin.is_variadic:
+            arguments = self._sequence([*node.arguments, *(value for _, value in node.named)])
+        else:
+            arguments = self._arguments(node, builtin.parameters)
+        if not builtin.takes_time:
+            return operations.call(builtin.function, arguments, (node.line, node.column))
+        slot = self._slot()
+        self._emit(node, lambda after: await_builtin(builtin.function, arguments, slot, after))
+        return operations.temporary(slot)
+
+    def _takes_time(self, node: Node, what: str) -> None:
+        """That a `sec` program in which time passes does not compile, is a guess; it may not have such calls."""
+        if self._program.kind == "sec":
+            raise ScriptError(node.line, node.column, f"compile_error_not_allowed_in_secondary_program:{what}:")
+
+    def _arguments(self, node: Call, parameters: Sequence[tuple[str, object]]) -> list[Function]:
+        """One for each parameter, in their order; a wrong number of them is an error when the call is made."""
+        names = [name for name, _ in parameters]
+        for name, value in node.named:
+            if name not in names:
+                raise name_not_found(value.line, value.column, name)
+        worked_out = self._sequence([*node.arguments, *(value for _, value in node.named)])
+        given = dict(zip(names, worked_out[: len(node.arguments)], strict=False))
+        problem = len(node.arguments) > len(names)
+        for (name, _), function in zip(node.named, worked_out[len(node.arguments) :], strict=True):
+            problem |= name in given
+            given[name] = function
+        problem |= any(default is REQUIRED and name not in given for name, default in parameters)
+        if problem:
+            least = sum(default is REQUIRED for _, default in parameters)
+            wanted = f"exactly {least}" if least == len(names) else f"{least} to {len(names)}"
+            failing = operations.failing(
+                f"Type error: {node.name} takes {wanted} arguments, {len(node.arguments) + len(node.named)} given"
+            )
+            return [failing] * max(1, len(names))
+        return [given[name] if name in given else operations.constant(default) for name, default in parameters]
+
+
+def _parts(node: Expression) -> Sequence[Expression]:
+    match node:
+        case ListDisplay() | PoseDisplay():
+            return node.items
+        case Index():
+            return (node.base, node.index)
+        case Unary():
+            return (node.operand,)
+        case Binary():
+            return (node.left, node.right)
+        case Call():
+            return [*node.arguments, *(value for _, value in node.named)]
+        case _:
+            return ()

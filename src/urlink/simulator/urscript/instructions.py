@@ -1,0 +1,204 @@
+"""The instructions of the machine, made for their operands. Each returns the number of the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from . import values
+from .code import ENDED, GLOBALS, THREAD, Code, Frame, Instruction
+from .errors import type_error
+from .machine import Thread, Waiting
+from .operations import Function
+from .values import UNSET
+
+__all__ = [
+    "Label",
+    "await_builtin",
+    "branch",
+    "call",
+    "evaluate",
+    "halt",
+    "join",
+    "jump",
+    "kill",
+    "leave",
+    "skip_if_set",
+    "start",
+    "store",
+    "store_element",
+]
+
+
+class Label:
+    """A place among the instructions that is known later.
+
+    Attributes:
+        at: the number of the instruction.
+    """
+
+    def __init__(self) -> None:
+        self.at = -1
+
+
+def evaluate(value: Function, after: int) -> Instruction:
+    """Work it out, for what it does."""
+
+    def run(f: Frame) -> int:
+        value(f)
+        return after
+
+    return run
+
+
+def store(is_global: bool, slot: int, value: Function, after: int) -> Instruction:
+    """Assign to a variable."""
+    if is_global:
+
+        def run_global(f: Frame) -> int:
+            f[GLOBALS][slot] = value(f)
+            return after
+
+        return run_global
+
+    def run(f: Frame) -> int:
+        f[slot] = value(f)
+        return after
+
+    return run
+
+
+def store_element(
+    is_global: bool, slot: int, name: str, indices: Sequence[Function], value: Function, after: int
+) -> Instruction:
+    """Assign to an element of a variable."""
+
+    def run(f: Frame) -> int:
+        at = [index(f) for index in indices]
+        new = value(f)
+        place = f[GLOBALS] if is_global else f
+        old = place[slot]
+        if old is UNSET:
+            raise type_error(f"the variable '{name}' has no value")
+        place[slot] = values.replaced(old, at, new, f[THREAD].machine.charge)
+        return after
+
+    return run
+
+
+def jump(label: Label) -> Instruction:
+    """Go on elsewhere."""
+    at = label.at
+    return lambda f: at
+
+
+def branch(condition: Function, otherwise: Label, after: int) -> Instruction:
+    """Go on if it holds, or else elsewhere."""
+    away = otherwise.at
+
+    def run(f: Frame) -> int:
+        value = condition(f)
+        if value is True:
+            return after
+        if value is False:
+            return away
+        raise type_error(f"a condition is a truth value, not {values.type_name(value)}")
+
+    return run
+
+
+def skip_if_set(slot: int, label: Label, after: int) -> Instruction:
+    """Go elsewhere if a parameter was given."""
+    away = label.at
+    return lambda f: after if f[slot] is UNSET else away
+
+
+def call(code: Code, arguments: Sequence[Function], destination: int, after: int) -> Instruction:
+    """Call a function of the program."""
+
+    def run(f: Frame) -> int:
+        thread: Thread = f[THREAD]
+        return thread.call(code, _frame(code, arguments, f), after, destination)
+
+    return run
+
+
+def leave(value: Function | None) -> Instruction:
+    """Return from a function."""
+
+    def run(f: Frame) -> int:
+        thread: Thread = f[THREAD]
+        return thread.leave(None if value is None else value(f))
+
+    return run
+
+
+def await_builtin(
+    function: Callable[..., Waiting], arguments: Sequence[Function], destination: int, after: int
+) -> Instruction:
+    """Call a built-in function that takes time."""
+
+    def run(f: Frame) -> int:
+        thread: Thread = f[THREAD]
+        return thread.await_(function(thread, *[argument(f) for argument in arguments]), after, destination)
+
+    return run
+
+
+def start(code: Code, arguments: Sequence[Function]) -> Function:
+    """`run`: an expression, whose value is the new thread."""
+
+    def run(f: Frame) -> Thread:
+        thread: Thread = f[THREAD]
+        return thread.machine.start(code, _frame(code, arguments, f))
+
+    return run
+
+
+def kill(handle: Function, after: int) -> Instruction:
+    """End a thread, which may be this one or one that is over."""
+
+    def run(f: Frame) -> int:
+        thread = _thread(handle(f))
+        thread.end()
+        return ENDED if thread is f[THREAD] else after
+
+    return run
+
+
+def join(handle: Function, destination: int, after: int) -> Instruction:
+    """Wait until a thread is over."""
+
+    def wait(thread: Thread) -> Waiting:
+        while not thread.is_over:
+            yield
+
+    def run(f: Frame) -> int:
+        thread: Thread = f[THREAD]
+        return thread.await_(wait(_thread(handle(f))), after, destination)
+
+    return run
+
+
+def halt() -> Instruction:
+    """End the program, whichever thread says so."""
+
+    def run(f: Frame) -> int:
+        thread: Thread = f[THREAD]
+        thread.machine.main.end()
+        return ENDED
+
+    return run
+
+
+def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
+    """Of a called function: its arguments, and its other variables unset."""
+    frame = [f[GLOBALS], f[THREAD], *[argument(f) for argument in arguments]]
+    frame.extend([UNSET] * (code.size - len(frame)))
+    return frame
+
+
+def _thread(value: Any) -> Thread:
+    if isinstance(value, Thread):
+        return value
+    raise type_error(f"a thread handle is wanted, not {values.type_name(value)}")

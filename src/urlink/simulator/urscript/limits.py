@@ -1,0 +1,41 @@
+"""What a program may use before it is stopped. All figures are guesses, wide enough for the programs in the field.
+
+They bound the work of one controller cycle and the memory of one program, whatever the program is.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "MAX_CALL_DEPTH",
+    "MAX_ELEMENTS",
+    "MAX_INSTRUCTIONS",
+    "MAX_INTEGER",
+    "MAX_MEMORY",
+    "MAX_NESTING",
+    "MAX_STRING",
+    "MAX_TEXT",
+    "MAX_THREADS",
+    "MAX_WORK",
+    "MIN_INTEGER",
+]
+
+#: characters of a program's text
+MAX_TEXT = 262_144
+#: of brackets, blocks and operators in one another
+MAX_NESTING = 64
+#: of one controller cycle, all threads together
+MAX_INSTRUCTIONS = 20_000
+#: elements and characters that the operations of one controller cycle make, all threads together
+MAX_WORK = 400_000
+#: calls that have not returned, in one thread
+MAX_CALL_DEPTH = 200
+#: of one program, living ones and those that ended in this cycle
+MAX_THREADS = 100
+#: of a list, those of the lists in it included
+MAX_ELEMENTS = 10_000
+#: characters
+MAX_STRING = 10_000
+#: elements and characters in all variables together
+MAX_MEMORY = 2_000_000
+#: Integers are those of 32 bits. That a result beyond them is an error, and no float, is a guess.
+MIN_INTEGER, MAX_INTEGER = -(2**31), 2**31 - 1

@@ -1,0 +1,264 @@
+"""The machine: threads that take turns, cycle by cycle.
+
+In each cycle every thread runs, in the order in which they were started, until it does something that takes time.
+Which thread a real controller runs first is not known. A critical section keeps out the threads that want to enter
+one; since threads change only where time passes, that matters only to one in which time passes.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable, Generator
+from typing import Any
+
+from linkcore.errors import BadValue
+
+from ..drive import Unreachable
+from .code import ENDED, SWITCHED, THREAD, WAITING, Code, Frame, Script
+from .errors import ANOTHER_THREAD, Fault, ScriptError, endless
+from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, MAX_WORK
+from .values import UNSET, weight
+from .world import Move, World
+
+__all__ = ["Machine", "Thread", "Waiting"]
+
+#: A function that takes time: it yields once for every cycle that it waits, and returns its value.
+Waiting = Generator[None, None, Any]
+
+# Small frames are part of the text's bound; larger ones count as memory.
+_SMALL_FRAME = 64
+
+
+class Thread:
+    """One line of execution: frames, and what it waits for.
+
+    Attributes:
+        is_over: it has ended or was killed.
+    """
+
+    __slots__ = ("_code", "_depth", "_destination", "_frame", "_next", "_stack", "_wait", "is_over", "machine", "world")
+
+    def __init__(self, machine: Machine, code: Code, frame: Frame) -> None:
+        self.machine = machine
+        self.world = machine.world
+        self.is_over = False
+        self._code = code
+        self._frame = frame
+        self._next = 0
+        self._depth = 0
+        self._stack: list[tuple[Code, Frame, int, int]] = []
+        self._wait: Waiting | None = None
+        self._destination = 0
+        frame[THREAD] = self
+
+    def call(self, code: Code, frame: Frame, after: int, destination: int) -> int:
+        """Enter a function; its value will go to the caller's slot `destination`."""
+        self._depth += 1
+        if self._depth > MAX_CALL_DEPTH:
+            raise Fault(f"Too many calls in one another: {MAX_CALL_DEPTH}")
+        if code.size > _SMALL_FRAME:
+            self.machine.charge(code.size)
+        self._stack.append((self._code, self._frame, after, destination))
+        self._code, self._frame, self._next = code, frame, 0
+        return SWITCHED
+
+    def leave(self, value: Any) -> int:
+        """Return from the function."""
+        if not self._stack:
+            self.end()
+            return ENDED
+        self._depth -= 1
+        self._code, self._frame, self._next, destination = self._stack.pop()
+        self._frame[destination] = value
+        return SWITCHED
+
+    def await_(self, waiting: Waiting, after: int, destination: int) -> int:
+        """Begin something that takes time; its value will go to the slot `destination`."""
+        try:
+            next(waiting)
+        except StopIteration as done:
+            self._frame[destination] = done.value
+            return after
+        self._wait, self._next, self._destination = waiting, after, destination
+        return WAITING
+
+    def end(self) -> None:
+        """End it, wherever it is."""
+        if not self.is_over:
+            self.is_over = True
+            wait, self._wait = self._wait, None
+            if wait is not None:
+                wait.close()
+            self._stack.clear()
+            self._frame = []
+            self.machine.forget(self)
+
+    def run(self) -> None:
+        """Until it waits or ends.
+
+        Raises:
+            ScriptError: something went wrong.
+        """
+        at = self._next - 1
+        machine = self.machine
+        try:
+            if self._wait is not None:
+                try:
+                    next(self._wait)
+                    return
+                except StopIteration as done:
+                    self._wait = None
+                    self._frame[self._destination] = done.value
+            at, frame, instructions = self._next, self._frame, self._code.instructions
+            for left in range(machine.left, 0, -1):
+                after = instructions[at](frame)
+                if after >= 0:
+                    at = after
+                elif after == SWITCHED:
+                    at, frame, instructions = self._next, self._frame, self._code.instructions
+                else:
+                    machine.left = left - 1
+                    return
+            machine.left = 0
+            raise endless(machine.world.firmware)
+        except Fault as fault:
+            raise self._error(at, str(fault)) from None
+        except (BadValue, ArithmeticError, ValueError) as error:
+            raise self._error(at, str(error)) from None
+
+    def _error(self, at: int, text: str) -> ScriptError:
+        places = self._code.places
+        line, column = places[min(max(at, 0), len(places) - 1)]
+        return ScriptError(line, column, text)
+
+    @property
+    def memory(self) -> int:
+        """Elements and characters that its variables hold."""
+        frames = [self._frame, *(frame for _, frame, _, _ in self._stack)]
+        return sum(len(frame) + sum(map(weight, frame)) for frame in frames)
+
+
+class Machine:
+    """All threads of one program.
+
+    Attributes:
+        world: the controller.
+        left: instructions that may still be run in this cycle.
+        random: for the function of that name; it gives the same numbers in every run.
+        history: the joint positions of past cycles, newest last.
+        has_moved: a motion was begun.
+    """
+
+    def __init__(self, script: Script, world: World) -> None:
+        self.world = world
+        self.left = MAX_INSTRUCTIONS
+        self.random = random.Random(0)
+        self.history: deque[tuple[float, ...]] = deque(maxlen=500)
+        self.has_moved = False
+        self._owner: Thread | None = None
+        self._move: Move | None = None
+        self._firmware = script.firmware
+        self._globals: list[Any] = [UNSET] * script.n_globals
+        self._work = 0
+        self._made = 0
+        self._critical: Thread | None = None
+        self._entered = 0
+        self._threads: list[Thread] = []
+        self.main = self.start(script.main, [self._globals, None, *[UNSET] * (script.main.size - 2)])
+
+    def start(self, code: Code, frame: Frame) -> Thread:
+        """A new thread. It runs after those that are there, in the same cycle."""
+        if len(self._threads) >= MAX_THREADS:
+            raise Fault(f"Too many threads: {MAX_THREADS}")
+        thread = Thread(self, code, frame)
+        self._threads.append(thread)
+        return thread
+
+    def advance(self) -> None:
+        """One cycle.
+
+        Raises:
+            ScriptError: something went wrong.
+        """
+        self.left = MAX_INSTRUCTIONS
+        self._work = 0
+        self.history.append(tuple(self.world.q_actual))
+        threads = self._threads
+        # A thread that is started appends itself.
+        for thread in threads:
+            if not thread.is_over:
+                thread.run()
+                if self.main.is_over:
+                    return
+        if any(thread.is_over for thread in threads):
+            self._threads = [thread for thread in threads if not thread.is_over]
+
+    def stop(self) -> None:
+        """End all threads."""
+        for thread in self._threads:
+            thread.end()
+        self._threads = []
+        self._globals.clear()
+
+    def forget(self, thread: Thread) -> None:
+        """A thread has ended: what it held is free."""
+        if self._critical is thread:
+            self._critical = None
+            self._entered = 0
+        if self._owner is thread:
+            self._owner = None
+            self.world.drive.release()
+
+    def moving(self, thread: Thread, begin: Callable[[], Move]) -> Waiting:
+        """Command the arm, and wait until that is over.
+
+        Raises:
+            Fault: another thread's motion is not over.
+        """
+        if self._owner is not None and self._owner is not thread and self._move is not None and not self._move.is_over:
+            raise Fault(ANOTHER_THREAD)
+        self._owner, self._move = thread, None
+        self.has_moved = True
+        try:
+            move = self._move = begin()
+        except Unreachable as unreachable:
+            raise Fault(str(unreachable)) from None
+        while True:
+            # Even one that is there already takes a cycle.
+            yield
+            if move.is_over:
+                break
+        if self._owner is thread:
+            self._owner = None
+
+    # -- bounds ------------------------------------------------------------------------------------
+
+    def charge(self, elements: int) -> None:
+        """Something of that many elements is made."""
+        self._work += elements
+        if self._work > MAX_WORK:
+            raise endless(self._firmware)
+        self._made += elements
+        if self._made > MAX_MEMORY // 4:
+            self._made = 0
+            held = sum(map(weight, self._globals)) + sum(thread.memory for thread in self._threads)
+            if held > MAX_MEMORY:
+                raise Fault(f"Out of memory: the variables hold {held} elements")
+
+    # -- critical sections -------------------------------------------------------------------------
+
+    def enter(self, thread: Thread) -> bool:
+        """Try to enter the critical section."""
+        if self._critical is not None and self._critical is not thread:
+            return False
+        self._critical = thread
+        self._entered += 1
+        return True
+
+    def exit(self, thread: Thread) -> None:
+        """Leave it, if the thread is in it."""
+        if self._critical is thread:
+            self._entered -= 1
+            if not self._entered:
+                self._critical = None

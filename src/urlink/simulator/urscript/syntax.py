@@ -1,0 +1,226 @@
+"""What a program is made of, as the parser finds it: expressions and statements, each with its place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = [
+    "Assign",
+    "Binary",
+    "Block",
+    "Break",
+    "Call",
+    "Constant",
+    "Continue",
+    "Declare",
+    "Definition",
+    "Evaluate",
+    "Expression",
+    "Halt",
+    "If",
+    "Index",
+    "Join",
+    "Kill",
+    "ListDisplay",
+    "Name",
+    "Node",
+    "Parameter",
+    "PoseDisplay",
+    "Return",
+    "Scope",
+    "Statement",
+    "Unary",
+    "While",
+]
+
+Scope = Literal["global", "local", "free"]
+
+
+@dataclass(slots=True)
+class Node:
+    """A part of a program.
+
+    Attributes:
+        line, column: where it stands, from 1 on; an operation where its operator stands.
+    """
+
+    line: int
+    column: int
+
+
+@dataclass(slots=True)
+class Expression(Node):
+    """Something with a value.
+
+    Attributes:
+        depth: how many expressions lie in one another here.
+    """
+
+    depth: int
+
+
+@dataclass(slots=True)
+class Constant(Expression):
+    """A number, a string, a truth value."""
+
+    value: float | int | bool | str
+
+
+@dataclass(slots=True)
+class Name(Expression):
+    """The value of a variable."""
+
+    name: str
+
+
+@dataclass(slots=True)
+class ListDisplay(Expression):
+    """`[a, b]`"""
+
+    items: list[Expression]
+
+
+@dataclass(slots=True)
+class PoseDisplay(Expression):
+    """`p[a, b, c, d, e, f]`"""
+
+    items: list[Expression]
+
+
+@dataclass(slots=True)
+class Index(Expression):
+    """`base[index]`"""
+
+    base: Expression
+    index: Expression
+
+
+@dataclass(slots=True)
+class Unary(Expression):
+    """`-a` or `not a`"""
+
+    operator: str
+    operand: Expression
+
+
+@dataclass(slots=True)
+class Binary(Expression):
+    """Arithmetic, comparison, and `and`, `or`, `xor`."""
+
+    operator: str
+    left: Expression
+    right: Expression
+
+
+@dataclass(slots=True)
+class Call(Expression):
+    """`f(a, b=c)`, or `run f(a)`, whose value is the handle of a thread."""
+
+    name: str
+    arguments: list[Expression]
+    named: list[tuple[str, Expression]]
+    is_run: bool
+
+
+@dataclass(slots=True)
+class Statement(Node):
+    """Something that is done."""
+
+
+Block = list[Statement]
+
+
+@dataclass(slots=True)
+class Declare(Statement):
+    """`global a` or `local a`, without a value."""
+
+    name: str
+    scope: Scope
+
+
+@dataclass(slots=True)
+class Assign(Statement):
+    """`a = value`, `local a = value`, or `a[i][j] = value`."""
+
+    name: str
+    scope: Scope
+    indices: list[Expression]
+    value: Expression
+
+
+@dataclass(slots=True)
+class Evaluate(Statement):
+    """An expression on a line of its own: a call, or `enter_critical`."""
+
+    value: Expression
+
+
+@dataclass(slots=True)
+class If(Statement):
+    """`if`, every `elif`, and `else`, which may be empty."""
+
+    branches: list[tuple[Expression, Block]]
+    otherwise: Block
+
+
+@dataclass(slots=True)
+class While(Statement):
+    """`while`"""
+
+    condition: Expression
+    body: Block
+
+
+@dataclass(slots=True)
+class Return(Statement):
+    """`return`, with a value or without."""
+
+    value: Expression | None
+
+
+@dataclass(slots=True)
+class Break(Statement):
+    """`break`"""
+
+
+@dataclass(slots=True)
+class Continue(Statement):
+    """`continue`"""
+
+
+@dataclass(slots=True)
+class Halt(Statement):
+    """`halt`"""
+
+
+@dataclass(slots=True)
+class Kill(Statement):
+    """`kill handle`"""
+
+    handle: Expression
+
+
+@dataclass(slots=True)
+class Join(Statement):
+    """`join handle`"""
+
+    handle: Expression
+
+
+@dataclass(slots=True)
+class Parameter(Node):
+    """Of a function, with its default value where it has one."""
+
+    name: str
+    default: Expression | None
+
+
+@dataclass(slots=True)
+class Definition(Statement):
+    """`def`, `sec` or `thread`."""
+
+    kind: Literal["def", "sec", "thread"]
+    name: str
+    parameters: list[Parameter]
+    body: Block

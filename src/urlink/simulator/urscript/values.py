@@ -1,0 +1,260 @@
+"""What variables hold, and what operators make of it.
+
+A value is a Python number, truth value or string, a tuple for a list, a `Pose`, or the handle of a thread. All are
+immutable, so that passing one on costs nothing and hands nobody another's list; assigning an element makes a new one.
+
+Known: numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces
+(a log of 5.x). Guesses:
+
+- `/` always gives a float; drivers divide integers from a socket by a million and get fractions, so it does not cut;
+- `%` has the sign of its left operand, as in C;
+- an integer beyond 32 bits, and a result that is no finite number, are errors;
+- truth values are no numbers, and conditions are truth values;
+- values of different types are unequal, but an integer equals its float;
+- arithmetic on lists goes element by element, also with one number on either side; poses have none.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from .errors import Fault, type_error
+from .limits import MAX_ELEMENTS, MAX_INTEGER, MIN_INTEGER
+
+__all__ = [
+    "NUMBERS",
+    "UNSET",
+    "Charge",
+    "Pose",
+    "Unset",
+    "add",
+    "checked",
+    "compare",
+    "divide",
+    "element",
+    "equal",
+    "list_of",
+    "modulo",
+    "multiply",
+    "replaced",
+    "signed",
+    "subtract",
+    "to_str",
+    "type_name",
+    "weight",
+]
+
+NUMBERS: frozenset[Any] = frozenset({int, float})
+#: Called with the number of elements that are made.
+Charge = Callable[[int], None]
+
+
+class Pose(tuple[float, ...]):
+    """Six numbers: x, y, z in m and a rotation vector in rad."""
+
+    __slots__ = ()
+
+
+class Unset:
+    """What a variable holds before anything was assigned."""
+
+
+UNSET = Unset()
+
+_NAMES = {bool: "bool", int: "int", float: "float", str: "string", tuple: "list", Pose: "pose", type(None): "none"}
+
+
+def type_name(value: object) -> str:
+    """For messages."""
+    return _NAMES.get(type(value), "thread handle")
+
+
+def to_str(value: object) -> str:
+    """As `textmsg` and `to_str` write it."""
+    if value.__class__ is str:
+        return str(value)
+    if value.__class__ is float:
+        return f"{value:g}"
+    if value.__class__ is Pose or value.__class__ is tuple:
+        assert isinstance(value, tuple)
+        return f"{'p' if isinstance(value, Pose) else ''}[{','.join(map(to_str, value))}]"
+    if value.__class__ is int or value.__class__ is bool:
+        return str(value)
+    return type_name(value)
+
+
+def weight(value: Any) -> int:
+    """How many elements and characters it holds, those of inner lists included."""
+    if value.__class__ is str:
+        return len(value)
+    if value.__class__ is tuple:
+        total = len(value)
+        for inner in value:
+            if inner.__class__ is tuple or inner.__class__ is Pose or inner.__class__ is str:
+                total += weight(inner)
+        return total
+    return 6 if value.__class__ is Pose else 0
+
+
+def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
+    """A list, if it may be made: no longer than allowed, and lists in it hold no lists. The latter is a guess."""
+    made = tuple(items)
+    total = len(made)
+    for item in made:
+        if item.__class__ is tuple:
+            if any(inner.__class__ is tuple for inner in item):
+                raise type_error("the lists in a list cannot hold lists")
+            total += weight(item)
+        elif item.__class__ is str or item.__class__ is Pose:
+            total += weight(item)
+        elif item is None:
+            raise type_error("none cannot be in a list")
+    if total > MAX_ELEMENTS:
+        raise Fault(f"List too long: {total} elements")
+    charge(total)
+    return made
+
+
+def checked(value: float | int) -> float | int:
+    """A number that a program may have: finite, and of 32 bits if it is an integer."""
+    if isinstance(value, int):
+        if not MIN_INTEGER <= value <= MAX_INTEGER:
+            raise Fault("Integer overflow")
+    elif not math.isfinite(value):
+        raise Fault("Floating point overflow, or result is not a number")
+    return value
+
+
+# -- arithmetic --------------------------------------------------------------------------------------
+
+
+def add(a: Any, b: Any, charge: Charge) -> Any:
+    """`a + b`"""
+    return _arithmetic(operator.add, "+", a, b, charge)
+
+
+def subtract(a: Any, b: Any, charge: Charge) -> Any:
+    """`a - b`"""
+    return _arithmetic(operator.sub, "-", a, b, charge)
+
+
+def multiply(a: Any, b: Any, charge: Charge) -> Any:
+    """`a * b`"""
+    return _arithmetic(operator.mul, "*", a, b, charge)
+
+
+def divide(a: Any, b: Any, charge: Charge) -> Any:
+    """`a / b`"""
+    return _arithmetic(operator.truediv, "/", a, b, charge)
+
+
+def modulo(a: Any, b: Any, charge: Charge) -> Any:
+    """`a % b`"""
+    return _arithmetic(_remainder, "%", a, b, charge)
+
+
+def signed(factor: int, a: Any, charge: Charge) -> Any:
+    """`-a` and `+a`, where the factor is -1 or 1."""
+    if a.__class__ is tuple:
+        return _arithmetic(operator.mul, "*", a, factor, charge)
+    if a.__class__ not in NUMBERS:
+        raise type_error(f"{'-' if factor < 0 else '+'} {type_name(a)}")
+    return checked(factor * a)
+
+
+def _remainder(a: Any, b: Any) -> Any:
+    rest = math.fmod(a, b)
+    return rest if float in (a.__class__, b.__class__) else int(rest)
+
+
+def _number(function: Callable[[Any, Any], Any], sign: str, a: Any, b: Any) -> Any:
+    if a.__class__ not in NUMBERS or b.__class__ not in NUMBERS:
+        raise type_error(f"{type_name(a)} {sign} {type_name(b)}")
+    if b == 0 and sign in "/%":
+        raise Fault("Division by zero")
+    try:
+        return checked(function(a, b))
+    except (ArithmeticError, ValueError):
+        raise Fault("Floating point overflow, or result is not a number") from None
+
+
+def _arithmetic(function: Callable[[Any, Any], Any], sign: str, a: Any, b: Any, charge: Charge) -> Any:
+    if a.__class__ is tuple:
+        charge(len(a))
+        if b.__class__ is tuple:
+            if len(a) != len(b):
+                raise Fault(f"List lengths differ: {len(a)} {sign} {len(b)}")
+            return tuple([_number(function, sign, x, y) for x, y in zip(a, b, strict=True)])
+        return tuple([_number(function, sign, x, b) for x in a])
+    if b.__class__ is tuple:
+        charge(len(b))
+        return tuple([_number(function, sign, a, y) for y in b])
+    return _number(function, sign, a, b)
+
+
+# -- comparison --------------------------------------------------------------------------------------
+
+
+def equal(a: Any, b: Any, charge: Charge) -> bool:
+    """`a == b`"""
+    if a.__class__ in NUMBERS and b.__class__ in NUMBERS:
+        return bool(a == b)
+    if a.__class__ is not b.__class__:
+        return False
+    if a.__class__ is tuple or a.__class__ is Pose:
+        if len(a) != len(b):
+            return False
+        charge(len(a))
+        return all(equal(x, y, charge) for x, y in zip(a, b, strict=True))
+    if a.__class__ is str:
+        charge(len(a) // 16)
+    return bool(a == b)
+
+
+def compare(sign: str, a: Any, b: Any) -> bool:
+    """`<`, `<=`, `>`, `>=` of what may not be numbers."""
+    if a.__class__ not in NUMBERS or b.__class__ not in NUMBERS:
+        raise type_error(f"{type_name(a)} {sign} {type_name(b)}")
+    return bool({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}[sign](a, b))
+
+
+# -- elements ----------------------------------------------------------------------------------------
+
+
+def _place(value: Any, index: Any) -> int:
+    if value.__class__ is not tuple and value.__class__ is not Pose:
+        raise type_error(f"{type_name(value)} has no elements")
+    if index.__class__ is float and index.is_integer():
+        index = int(index)
+    if index.__class__ is not int:
+        raise type_error(f"an index is an integer, not {type_name(index)}")
+    if not 0 <= index < len(value):
+        raise Fault(f"Index out of range: {index} of {len(value)}")
+    return int(index)
+
+
+def element(value: Any, index: Any) -> Any:
+    """`value[index]`; a float that is whole is taken as an index (a guess)."""
+    return value[_place(value, index)]
+
+
+def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
+    """`value` after `value[i][j] = new`."""
+    index = _place(value, indices[0])
+    if len(indices) > 1:
+        new = replaced(value[index], indices[1:], new, charge)
+    elif value.__class__ is Pose and new.__class__ not in NUMBERS:
+        raise type_error(f"{type_name(new)} in a pose")
+    items = list(value)
+    items[index] = new
+    if value.__class__ is Pose:
+        return Pose(items)
+    if new.__class__ in NUMBERS or new.__class__ is bool:
+        # No longer than it was.
+        if len(items) > 32:
+            charge(len(items) // 32)
+        return tuple(items)
+    return list_of(items, charge)

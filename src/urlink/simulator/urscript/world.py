@@ -1,0 +1,165 @@
+"""What a program asks of the controller that runs it.
+
+Sequences are read-only and are copied by whoever keeps them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, Protocol
+
+from urlink.firmware import Firmware
+from urlink.models import Model
+
+from ..signals import Signals
+
+__all__ = ["Drive", "Move", "Sockets", "World"]
+
+
+class Move(Protocol):
+    """A movement that was begun."""
+
+    @property
+    def is_over(self) -> bool:
+        """The function that began it returns: the goal, or the blend zone about it, is reached."""
+
+
+class Drive(Protocol):
+    """What makes the arm's targets; each function begins a command and returns at once."""
+
+    @property
+    def is_standing(self) -> bool:
+        """No joint moves."""
+
+    def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> Move:
+        """To joint positions, along a straight line in joint space."""
+
+    def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> Move:
+        """To a pose, along a straight line."""
+
+    def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
+        """To a pose at constant speed."""
+
+    def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> Move:
+        """To a pose along a circle."""
+
+    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Move:
+        """Follow a set-point of the joints."""
+
+    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
+        """Follow a pose."""
+
+    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Move:
+        """Turn the joints at a speed."""
+
+    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> Move:
+        """Move the tool at a speed."""
+
+    def stopj(self, a: float) -> Move:
+        """Brake the joints."""
+
+    def stopl(self, a: float, a_rot: float) -> Move:
+        """Brake the tool."""
+
+    def release(self) -> None:
+        """Nobody commands any more."""
+
+
+class Sockets(Protocol):
+    """The named sockets of a program. Nothing here waits."""
+
+    def open(self, name: str, host: str, port: int) -> None:
+        """Begin to connect."""
+
+    def state(self, name: str) -> Literal["connecting", "open", "failed", "closed"]:
+        """How far that is."""
+
+    def send(self, name: str, data: bytes) -> bool:
+        """False: it is not open."""
+
+    def received(self, name: str) -> bytearray:
+        """What has come and was not taken; who takes some deletes it here."""
+
+    def close(self, name: str) -> None:
+        """Close it, if it is open."""
+
+    def close_all(self) -> None:
+        """Close every one."""
+
+
+class World(Protocol):
+    """The controller, as its programs see it.
+
+    Attributes:
+        period: s per controller cycle.
+        cycle: counts them.
+        q_actual, qd_actual, q_target, qd_target: six numbers, rad and rad/s.
+        pose_actual, pose_target: the TCP in the base frame, m and rad.
+        speed_actual: of the TCP, m/s and rad/s.
+        force: at the TCP, N and Nm.
+        torques: of the joints, Nm.
+        tcp: the TCP in the flange frame.
+        payload: kg.
+        payload_cog: its centre of mass in the flange frame, m.
+        flags: of `set_flag`.
+    """
+
+    @property
+    def firmware(self) -> Firmware: ...
+    @property
+    def model(self) -> Model: ...
+    @property
+    def period(self) -> float: ...
+    @property
+    def cycle(self) -> int: ...
+    @property
+    def drive(self) -> Drive: ...
+    @property
+    def signals(self) -> Signals: ...
+    @property
+    def sockets(self) -> Sockets: ...
+    @property
+    def q_actual(self) -> Sequence[float]: ...
+    @property
+    def qd_actual(self) -> Sequence[float]: ...
+    @property
+    def q_target(self) -> Sequence[float]: ...
+    @property
+    def qd_target(self) -> Sequence[float]: ...
+    @property
+    def pose_actual(self) -> Sequence[float]: ...
+    @property
+    def pose_target(self) -> Sequence[float]: ...
+    @property
+    def speed_actual(self) -> Sequence[float]: ...
+    @property
+    def force(self) -> Sequence[float]: ...
+    @property
+    def torques(self) -> Sequence[float]: ...
+    @property
+    def tcp(self) -> Sequence[float]: ...
+    @property
+    def payload(self) -> float: ...
+    @property
+    def payload_cog(self) -> Sequence[float]: ...
+    @property
+    def flags(self) -> list[bool]: ...
+
+    def set_tcp(self, pose: Sequence[float]) -> None:
+        """Of the TCP in the flange frame, m and rad."""
+
+    def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
+        """In kg, m and kg m²; None leaves the figure to the controller."""
+
+    def set_gravity(self, vector: Sequence[float]) -> None:
+        """The acceleration that the arm feels at rest, in the base frame, m/s²."""
+
+    def text_message(self, text: str) -> None:
+        """Into the log, and to all clients of the primary interface."""
+
+    def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
+        """Show it on the pendant."""
+
+    @property
+    def has_popup(self) -> bool:
+        """One is on the pendant and nobody has closed it."""

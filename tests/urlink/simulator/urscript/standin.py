@@ -1,0 +1,221 @@
+"""A controller for programs to run in, that writes down what they ask of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Literal
+
+from urlink.firmware import Firmware
+from urlink.models import MODELS
+from urlink.simulator import kinematics
+from urlink.simulator.drive import Unreachable
+from urlink.simulator.motion import HOME
+from urlink.simulator.signals import Signals
+from urlink.simulator.urscript import Execution, compile_script
+
+State = Literal["connecting", "open", "failed", "closed"]
+
+
+def short(values: Sequence[float] | None) -> str:
+    return "-" if values is None else "[" + ",".join(f"{value:g}" for value in values) + "]"
+
+
+class StandInMove:
+    """Is over after a number of cycles."""
+
+    def __init__(self, world: StandIn, cycles: int) -> None:
+        self._world = world
+        self._end = world.cycle + cycles
+
+    @property
+    def is_over(self) -> bool:
+        return self._world.cycle >= self._end
+
+
+class StandInDrive:
+    """Each movement takes the cycles that it is told to, and puts the arm at its goal at once."""
+
+    def __init__(self, world: StandIn) -> None:
+        self._world = world
+        self.is_standing = True
+
+    def _begin(self, cycles: int, text: str) -> StandInMove:
+        self._world.note(text)
+        return StandInMove(self._world, cycles)
+
+    def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> StandInMove:
+        self._world.q_target = list(q)
+        return self._begin(3, f"movej {short(q)} a={a:g} v={v:g} t={t:g} r={r:g}")
+
+    def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> StandInMove:
+        if pose[2] > 2.0:
+            raise Unreachable("out of reach")
+        return self._begin(4, f"movel {short(pose)} a={a:g} v={v:g} t={t:g} r={r:g}")
+
+    def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> StandInMove:
+        return self._begin(4, f"movep {short(pose)} a={a:g} v={v:g} r={r:g}")
+
+    def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> StandInMove:
+        return self._begin(5, f"movec {short(via)} {short(to)} a={a:g} v={v:g} r={r:g} mode={mode}")
+
+    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> StandInMove:
+        self._world.q_target = list(q)
+        return self._begin(1, f"servoj {short(q)} t={t:g} lookahead_time={lookahead_time:g} gain={gain:g}")
+
+    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> StandInMove:
+        return self._begin(2, f"servoc {short(pose)} a={a:g} v={v:g} r={r:g}")
+
+    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> StandInMove:
+        return self._begin(2, f"speedj {short(qd)} a={a:g} t={t}")
+
+    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> StandInMove:
+        return self._begin(2, f"speedl {short(xd)} a={a:g} t={t} aRot={a_rot:g}")
+
+    def stopj(self, a: float) -> StandInMove:
+        return self._begin(2, f"stopj a={a:g}")
+
+    def stopl(self, a: float, a_rot: float) -> StandInMove:
+        return self._begin(2, f"stopl a={a:g} aRot={a_rot:g}")
+
+    def release(self) -> None:
+        self._world.note("release")
+
+
+class StandInSockets:
+    """Peers that answer as they are told to."""
+
+    def __init__(self, world: StandIn) -> None:
+        self._world = world
+        self._states: dict[str, State] = {}
+        self._buffers: dict[str, bytearray] = {}
+        #: what a peer sends, by port; the ports that nobody listens at are left out
+        self.peers: dict[int, list[bytes]] = {}
+        self._coming: dict[str, deque[bytes]] = {}
+
+    def open(self, name: str, host: str, port: int) -> None:
+        self._world.note(f"open {name} {host}:{port}")
+        self._states[name] = "connecting"
+        self._buffers[name] = bytearray()
+        self._coming[name] = deque(self.peers.get(port, ()))
+        if port not in self.peers:
+            self._states[name] = "failed" if port else "connecting"
+
+    def step(self) -> None:
+        """A cycle passes: who is connecting is connected, and each peer sends one piece."""
+        for name, state in self._states.items():
+            if state == "connecting" and self._coming[name]:
+                self._states[name] = "open"
+            if self._states[name] == "open" and self._coming[name]:
+                piece = self._coming[name].popleft()
+                if piece == b"EOF":
+                    self._states[name] = "closed"
+                else:
+                    self._buffers[name] += piece
+
+    def state(self, name: str) -> State:
+        return self._states.get(name, "closed")
+
+    def send(self, name: str, data: bytes) -> bool:
+        if self.state(name) != "open":
+            return False
+        self._world.note(f"send {name} {data!r}")
+        return True
+
+    def received(self, name: str) -> bytearray:
+        return self._buffers.setdefault(name, bytearray())
+
+    def close(self, name: str) -> None:
+        if self._states.pop(name, None) is not None:
+            self._world.note(f"close {name}")
+
+    def close_all(self) -> None:
+        for name in list(self._states):
+            self.close(name)
+
+
+class StandIn:
+    """A controller at a firmware, with an arm that obeys at once.
+
+    Attributes:
+        notes: what was asked, "<cycle> <what>".
+    """
+
+    def __init__(self, firmware: str = "5.11") -> None:
+        self.firmware = Firmware.parse(firmware)
+        self.model = MODELS["UR5e"]
+        self.period = 1.0 / self.firmware.rate if hasattr(self.firmware, "rate") else 0.002
+        self.cycle = 0
+        self.notes: list[str] = []
+        self.q_target: list[float] = list(HOME)
+        self.qd_target: Sequence[float] = [0.0] * 6
+        self.qd_actual: Sequence[float] = [0.0] * 6
+        self.speed_actual: Sequence[float] = [0.0] * 6
+        self.force: Sequence[float] = [1.0, 2.0, 2.0, 0.0, 0.0, 0.0]
+        self.torques: Sequence[float] = [0.0, 10.0, 5.0, 1.0, 0.0, 0.0]
+        self.tcp: Sequence[float] = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+        self.payload = 1.5
+        self.payload_cog: Sequence[float] = [0.0, 0.0, 0.05]
+        self.flags = [False] * 64
+        self.has_popup = False
+        self.signals = Signals()
+        self.drive = StandInDrive(self)
+        self.sockets = StandInSockets(self)
+
+    def note(self, text: str) -> None:
+        self.notes.append(f"{self.cycle} {text}")
+
+    @property
+    def q_actual(self) -> Sequence[float]:
+        return self.q_target
+
+    @property
+    def pose_target(self) -> Sequence[float]:
+        found: list[float] = kinematics.pose(self.model, self.q_target, self.tcp).tolist()
+        return found
+
+    pose_actual = pose_target
+
+    def set_tcp(self, pose: Sequence[float]) -> None:
+        self.tcp = pose
+        self.note(f"tcp {short(pose)}")
+
+    def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
+        self.payload = mass
+        self.payload_cog = cog or self.payload_cog
+        self.note(f"payload {mass:g} {short(cog)} {short(inertia)}")
+
+    def set_gravity(self, vector: Sequence[float]) -> None:
+        self.note(f"gravity {short(vector)}")
+
+    def text_message(self, text: str) -> None:
+        self.note(f"textmsg {text}")
+
+    def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
+        self.has_popup = is_blocking
+        self.note(f"popup {title}: {text} warning={is_warning} error={is_error} blocking={is_blocking}")
+
+
+def run(text: str, world: StandIn | None = None, cycles: int = 200) -> StandIn:
+    """Let a program run to its end, or for so many cycles; how it ended is the last note.
+
+    Raises:
+        ScriptError: it does not compile.
+    """
+    world = world or StandIn()
+    execution = Execution(compile_script(text, world.firmware), world)
+    for _ in range(cycles):
+        outputs = world.signals.digital_outputs
+        execution.advance()
+        if world.signals.digital_outputs != outputs:
+            world.note(f"digital outputs {world.signals.digital_outputs:#x}")
+        if execution.is_over:
+            break
+        world.cycle += 1
+        world.sockets.step()
+    else:
+        execution.stop()
+        world.note("stopped")
+        return world
+    world.note(f"error {execution.error}" if execution.error else "over")
+    return world
