@@ -78,7 +78,8 @@ class Dashboard:
         host: name or address.
         port: 29999 on a real controller.
         firmware: says what runs there; asked before each command, since it may have changed in between.
-        timeout: seconds for a command, connecting included. Those that take longer have more: `COMMANDS` says how much.
+        timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
+            how much.
 
     Raises:
         BadValue: the timeout is not positive.
@@ -349,7 +350,11 @@ class Dashboard:
                 f"{self._name}: {line!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
             )
         try:
-            reply = self._asked(line, until)
+            protocol = self._connected(min(until, time.monotonic() + self._timeout))
+            self._transport.send(protocol.ask(line), max(until - time.monotonic(), 0.0))
+            reply = None
+            while reply is None:
+                reply = protocol.feed(self._received(until, f"no reply to {line!r} within {timeout:g} s"))
             if not stays(reply):
                 self._disconnect()
         except BaseException as error:
@@ -357,19 +362,9 @@ class Dashboard:
             self._disconnect()
             if self._is_closed and isinstance(error, ConnectionLost):
                 raise Closed(f"{self._name} was closed while {line!r} waited") from error
-            if isinstance(error, LinkTimeout):
-                raise LinkTimeout(f"{self._name}: no reply to {line!r} within {timeout:g} s ({error})") from error
             raise
         finally:
             self._lock.release()
-        return reply
-
-    def _asked(self, line: str, until: float) -> str:
-        protocol = self._connected(until)
-        self._transport.send(protocol.ask(line), max(until - time.monotonic(), 0.0))
-        reply = None
-        while reply is None:
-            reply = protocol.feed(self._received(until))
         return reply
 
     def _connected(self, until: float) -> DashboardProtocol:
@@ -384,7 +379,7 @@ class Dashboard:
             if self._is_closed:
                 raise ConnectionLost(f"{self._name} was closed here")
             while not protocol.is_greeted:
-                protocol.feed(self._received(until))
+                protocol.feed(self._received(until, "no greeting came"))
             self._protocol = protocol
         return self._protocol
 
@@ -395,11 +390,14 @@ class Dashboard:
         except ConnectionLost:
             return False
 
-    def _received(self, until: float) -> bytes:
-        left = until - time.monotonic()
-        if left <= 0:
-            raise LinkTimeout("time is up")
-        return self._transport.receive(left)[0]
+    def _received(self, until: float, otherwise: str) -> bytes:
+        try:
+            left = until - time.monotonic()
+            if left > 0:
+                return self._transport.receive(left)[0]
+        except LinkTimeout:
+            pass
+        raise LinkTimeout(f"{self._name}: {otherwise}")
 
     def _disconnect(self) -> None:
         self._protocol = None
