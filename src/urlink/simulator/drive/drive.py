@@ -20,6 +20,7 @@ from urlink.models import Model
 
 from ..motion import Setpoint
 from .blend import Remainder
+from .circular_move import CircularPath
 from .joint_move import JointPath
 from .limits import Limits, LimitViolation, checked, positive
 from .linear_move import LinearPath
@@ -163,6 +164,27 @@ class Drive:
         start, remainder = self._take_over()
         path = LinearPath(self._model, self.tcp, start, checked(pose, "a pose"))
         return self._travel(path, start, remainder, a, v, t, r)
+
+    def movec(
+        self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
+    ) -> Move:
+        """The TCP along the circle from its place by way of one pose to another, with `a` m/s² and `v` m/s.
+
+        Args:
+            via, to: (6,) m and rad; only the position of `via` counts.
+            r: m, the blend radius.
+            mode: 0 turns the tool to the orientation of `to`; 1 keeps it as it is towards the path.
+
+        Raises:
+            BadValue: an argument is no such number.
+            Unreachable: the arm does not reach the end, or the points are on no circle.
+        """
+        if mode not in (0, 1):
+            raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
+        start, remainder = self._take_over()
+        ends = checked(via, "a pose"), checked(to, "a pose")
+        path = CircularPath(self._model, self.tcp, start, *ends, fixed=mode == 1)
+        return self._travel(path, start, remainder, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
         """As `movel`: with blends between them, the tool goes on at about the same speed."""
