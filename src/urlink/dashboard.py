@@ -28,7 +28,7 @@ from .protocols.dashboard import (
     parse_truth,
     parse_user_role,
 )
-from .schemas.dashboard import COMMANDS, POLYSCOPE_X, FlightReport, OperationalMode, UserRole
+from .schemas.dashboard import COMMANDS, NOT_IN_REMOTE_CONTROL, POLYSCOPE_X, FlightReport, OperationalMode, UserRole
 from .schemas.enums import RobotMode, RobotModeCB2, SafetyMode
 
 if TYPE_CHECKING:
@@ -38,6 +38,9 @@ __all__ = ["Dashboard", "DashboardRefused"]
 
 #: Seconds between two looks at the robot mode while it starts.
 _POLL = 0.2
+
+# The beginning of the reply after which a controller wants to be connected to anew.
+_NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
 class DashboardRefused(RemoteError):
@@ -62,7 +65,8 @@ class Dashboard:
 
     Connects at first use, and again where a connection was lost between two commands. A command that may have reached
     the controller is never sent a second time: where the reply does not come, the connection is closed and the error
-    says so, and the next command begins on a new one. Threads may share it; they take turns.
+    says so, and the next command begins on a new one. So it does after the refusal in local mode, as the controller
+    asks for there. Threads may share it; they take turns.
 
     All methods that talk to the controller raise
 
@@ -295,7 +299,8 @@ class Dashboard:
         """
         self._present()
         encode_line(command)
-        return self._exchange(command, self._timeout if timeout is None else _positive(timeout), lambda reply: True)
+        within = self._timeout if timeout is None else _positive(timeout)
+        return self._exchange(command, within, lambda reply: not reply.casefold().startswith(_NOT_ALLOWED))
 
     def quit(self) -> None:
         """Take leave of the controller and disconnect; the next command connects again."""

@@ -249,6 +249,10 @@ def test_after_a_refusal_in_local_mode_it_connects_anew(opened: Opened) -> None:
     assert caught.value.reply == NOT_IN_REMOTE_CONTROL
     assert dashboard.robot_mode() == RobotMode.RUNNING
     assert desk.connections == 2
+    assert dashboard.send("power off") == NOT_IN_REMOTE_CONTROL
+    host.remote_control = True
+    assert dashboard.send("power off") == "Powering off"
+    assert desk.connections == 3
 
 
 @pytest.mark.parametrize("reply", [b"\n", b"Safetymode: NORMAL\n", b"\xff\xfe\n", b"Kraftwerk\n"])
