@@ -199,11 +199,14 @@ class Safety:
             return self._gate.hindrance(time.monotonic())
 
     def close(self, timeout: float = 1.0) -> None:
-        """Listen no more; within `timeout` seconds. Nothing is let through once its last word is too old."""
+        """Listen no more, within `timeout` seconds, and let nothing through."""
+        until = time.monotonic() + timeout
         with self._attending:
-            subscriptions = [each for group in self._subscriptions.values() for each in group]
-        for subscription in subscriptions:
-            subscription.close()
+            listened = dict(self._subscriptions)
+        for name, subscriptions in listened.items():
+            for subscription in subscriptions:
+                subscription.close(max(until - time.monotonic(), 0.0))
+            self._tell(lambda name=name: self._gate.lose(name, "closed here", time.monotonic()))  # type: ignore[misc]
 
     # -- what is heard -------------------------------------------------------------------------------
 

@@ -89,6 +89,6 @@ def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTra
         silence=None,
         lossless=True,
     )
-    with pytest.raises(LocalError, match="recording|is over"):
+    with pytest.raises(LocalError, match=r"recording|is over"):
         played.send(b"text\n", 1.0)
     played.close()

@@ -181,7 +181,12 @@ def test_without_key_messages(robot: StandIn) -> None:
 def test_never_begins(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "START_TIMEOUT", 0.05)
     program = run(robot)
-    until(lambda: robot.state(RobotMode.IDLE) or program.done)
+
+    def told() -> bool:
+        robot.state(RobotMode.IDLE)
+        return program.done
+
+    until(told)
     with pytest.raises(LinkTimeout, match=r"has not begun within .* robot mode is IDLE, no program runs"):
         program.wait(5)
 
@@ -289,7 +294,7 @@ def test_done_callbacks(robot: StandIn) -> None:
 
 def test_waiting_has_an_end(robot: StandIn) -> None:
     program = run(robot)
-    with pytest.raises(LinkTimeout, match="not over within 0.01 s"):
+    with pytest.raises(LinkTimeout, match=r"not over within 0\.01 s"):
         program.wait(0.01)
     assert not program.done
     robot.clear()

@@ -18,7 +18,6 @@ from linkcore.errors import ConnectionLost, LinkError
 from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.stamp import Stamp
 from linkcore.stream import Stream
-from urlink import safety as module
 from urlink.errors import NotRunning, SafetyStop
 from urlink.gate import STALE, Policy
 from urlink.outlet import Outlet
@@ -66,9 +65,9 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
     @initialize(policy=policies)
     def begin(self, policy: Policy) -> None:
         self.now = 100.0
-        self.patches = [
-            mock.patch.object(module.time, "monotonic", lambda: self.now),
-            mock.patch.object(module, "_FIRST_WORD", 0.0),
+        self.patches: list[Any] = [
+            mock.patch("urlink.safety.time.monotonic", self.clock),
+            mock.patch("urlink.safety._FIRST_WORD", 0.0),
         ]
         for patch in self.patches:
             patch.start()
@@ -241,6 +240,9 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
             assert self.safety.is_enabled == self.is_open
 
     # -- small change --------------------------------------------------------------------------------
+
+    def clock(self) -> float:
+        return self.now
 
     def tick(self) -> None:
         self.now += 0.01
