@@ -6,6 +6,7 @@ No thread and no clock: the streams are stand-ins whose subscribers the test cal
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, cast, get_args
 from unittest import mock
 
@@ -66,7 +67,7 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
     def begin(self, policy: Policy) -> None:
         self.now = 100.0
         self.patches: list[Any] = [
-            mock.patch("urlink.safety.time.monotonic", self.clock),
+            mock.patch("urlink.safety.time", SimpleNamespace(monotonic=self.clock)),
             mock.patch("urlink.safety._FIRST_WORD", 0.0),
         ]
         for patch in self.patches:
