@@ -55,3 +55,11 @@ class Equipment:
             return None if name is None else model(name)
         except UnknownModel:
             return None
+
+    def state(self) -> RealtimeState:
+        """The newest state, or the next one.
+
+        Raises:
+            LinkTimeout, RemoteError: none comes.
+        """
+        return self.realtime.latest or self.realtime.wait()

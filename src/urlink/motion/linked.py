@@ -74,9 +74,9 @@ class LinkedMotion(Motion):
     def _conclude(self) -> None:
         """All is done: let the program end, and then be done."""
         if self._last_word is None:
+            self._last_word = time.monotonic()  # before it is said: the program may end before this thread goes on
             if self._farewell():
                 self._say(self._farewell())
-            self._last_word = time.monotonic()
 
     # ----------------------------------------------------------------------------------------------------
 

@@ -207,7 +207,7 @@ class Motions:
         running = self.current
         if running is None:
             # Otherwise it is looked at once the arm stands, after the motion before.
-            trajectory.check(near=equipment.realtime.wait().q_target, within=tolerances.start)
+            trajectory.check(near=equipment.state().q_target, within=tolerances.start)
         if low_bandwidth:
             return self._begin(
                 WaypointFollower(equipment, trajectory, tolerances, feedback, lookahead_time=lookahead_time, gain=gain)

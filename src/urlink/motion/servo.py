@@ -178,7 +178,7 @@ class Servo(LinkedMotion):
         if self._last is None:
             last, seconds = self._here, None
             if last is None:
-                last = self._equipment.realtime.wait(1.0).q_target.tolist()
+                last = self._equipment.state().q_target.tolist()
         else:
             last, seconds = self._last, now - self._sent_at + _LENIENCE
         for joint, (value, before, (low, high, speed)) in enumerate(zip(values, last, self._limits, strict=True)):

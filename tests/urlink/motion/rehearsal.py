@@ -1,0 +1,176 @@
+"""A robot whose arm is where it is led to, cycle by cycle as the test says; it plays both sides of the reverse link."""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+import struct
+from collections.abc import Callable, Sequence
+
+from tests.urlink.stand_in import StandIn
+from tests.waiting import until
+from urlink.identity import Identity
+from urlink.motion import Motions
+from urlink.schemas.enums import RobotMode, RobotModeCB2, SafetyMode
+from urlink.schemas.realtime import RealtimeState
+from urlink.script.source import finish_marker, start_marker
+
+PATIENCE = 10.0
+STOP, FOLLOW, WAIT = 0, 1, 2
+#: rad; far from the limits and from singular postures.
+HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
+
+
+class Rehearsal(StandIn):
+    """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `word`."""
+
+    def __init__(self, firmware: str = "5.11", model: str = "UR5e", port: int = 0) -> None:
+        super().__init__(firmware)
+        identity = Identity(self.firmware, True, model)
+        self.motion = Motions(
+            self.script, self.outlet, self.safety, self.realtime, lambda: identity, "127.0.0.1", None, port
+        )
+        self.q = list(HOME)
+        self.qd = [0.0] * 6
+        self.time = 100.0
+        self.cycle = 1.0 / self.firmware.rate
+        self.link: socket.socket | None = None
+        self._rest = b""
+        self.clear()
+        self.show()
+
+    def close(self) -> None:
+        if self.link is not None:
+            self.link.close()
+        self.motion.close()
+        super().close()
+
+    def tick(self, away: float = 0.0) -> None:
+        """One state later; wrist 3 is reported `away` rad from where it was led."""
+        self.time += self.cycle
+        self.state(fast=False)
+        mode = {"robot_mode": RobotModeCB2.RUNNING if self.firmware.is_cb2 else RobotMode.RUNNING}
+        safety = {} if self.firmware.is_cb2 else {"safety_mode": SafetyMode.NORMAL}
+        actual = [*self.q[:5], self.q[5] + away]
+        state = RealtimeState(
+            self.firmware,
+            time=self.time,
+            q_target=self.q,
+            q_actual=actual,
+            qd_target=self.qd,
+            qd_actual=self.qd,
+            **mode,
+            **safety,
+        )
+        self.fast.put(bytes(state))
+
+    def show(self) -> None:
+        """Tick, and wait until that has been heard."""
+        self.tick()
+        until(lambda: self.realtime.latest and self.realtime.latest.time == self.time)
+
+    def until(self, condition: Callable[[], object]) -> None:
+        """Tick until something is so."""
+
+        def tick() -> bool:
+            self.tick()
+            return bool(condition())
+
+        until(tick)
+
+    # -- its program ---------------------------------------------------------------------------------
+
+    @property
+    def program(self) -> str:
+        """Name of the program that was sent last."""
+        found = re.match(r"def (\w+)\(\):", self.sent[-1])
+        assert found is not None
+        return found[1]
+
+    def begin(self) -> None:
+        self.key("PROGRAM_XXX_STARTED", self.program)
+        self.text(start_marker(self.program))
+
+    def finish(self, name: str | None = None) -> None:
+        """It comes to its end."""
+        self.text(finish_marker(name or self.program))
+        self.key("PROGRAM_XXX_STOPPED", name or self.program)
+
+    def vanish(self) -> None:
+        """It is stopped."""
+        self.key("PROGRAM_XXX_STOPPED", self.program)
+
+    # -- the reverse link ----------------------------------------------------------------------------
+
+    @property
+    def port(self) -> int:
+        found = re.search(r'socket_open\("127\.0\.0\.1", (\d+)\)', self.sent[-1])
+        assert found is not None
+        return int(found[1])
+
+    def connect(self) -> None:
+        """The program that was sent last begins and connects."""
+        self.begin()
+        if self.link is not None:
+            self.link.close()
+        self.link = socket.create_connection(("127.0.0.1", self.port), PATIENCE)
+        self._rest = b""
+
+    def word(self) -> tuple[list[float], int] | None:
+        """The next word: six joints in rad, and what to do; None where the connection has ended."""
+        assert self.link is not None
+        while len(self._rest) < 28:
+            try:
+                data = self.link.recv(4096)
+            except ConnectionError:
+                return None
+            if not data:
+                return None
+            self._rest += data
+        numbers = struct.unpack(">7i", self._rest[:28])
+        self._rest = self._rest[28:]
+        return [each / 1e6 for each in numbers[:6]], numbers[6]
+
+    def obey(self) -> tuple[list[float], int] | None:
+        """One tick, and the word that answers it; the arm goes there."""
+        self.tick()
+        word = self.word()
+        if word is not None and word[1] == FOLLOW:
+            self.q = word[0]
+        return word
+
+    def line(self) -> str:
+        """The next line that was answered."""
+        assert self.link is not None
+        while b"\n" not in self._rest:
+            data = self.link.recv(4096)
+            assert data, "closed"
+            self._rest += data
+        line, self._rest = self._rest.split(b"\n", 1)
+        return line.decode().strip()
+
+    def ask(self, number: int) -> list[float]:
+        """Ask for something as the waypoint program does, and return the answer."""
+        assert self.link is not None
+        self.link.sendall(b"%d\n" % number)
+        answer: list[str] = []
+
+        def is_answered() -> bool:
+            assert self.link is not None
+            self.link.settimeout(0.01)
+            try:
+                answer.append(self.line())
+            except TimeoutError:
+                return False
+            finally:
+                self.link.settimeout(PATIENCE)
+            return True
+
+        self.until(is_answered)
+        return [float(each) for each in answer[0].strip("()").split(",")]
+
+
+def turned(angle: float, q: Sequence[float] = HOME) -> list[float]:
+    """A posture with wrist 3 turned."""
+    return [*q[:5], q[5] + angle]

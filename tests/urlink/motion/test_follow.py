@@ -1,0 +1,378 @@
+"""Trajectories as set-points and as waypoints; the robot's side is played by the test."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadAddress, BadValue, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
+from tests.urlink.motion.rehearsal import FOLLOW, PATIENCE, STOP, WAIT, Rehearsal, turned
+from tests.waiting import until
+from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.motion import Motion, MotionPhase, TrajectoryFeedback
+from urlink.schemas.enums import SafetyMode
+from urlink.trajectory import Trajectory
+
+#: A tenth of a radian there and back.
+PATH = Trajectory.from_arrays([0.0, 0.2, 0.4], [turned(0), turned(0.1), turned(0)])
+
+
+def begun(robot: Rehearsal, **options: object) -> Motion:
+    """A motion whose program has connected, and that has been told the first set-point."""
+    motion = robot.motion.follow(PATH, **options)  # type: ignore[arg-type]
+    robot.connect()
+    while not (word := robot.obey()) or word[1] != FOLLOW:
+        assert word is not None
+    return motion
+
+
+def half_way(robot: Rehearsal, motion: Motion) -> None:
+    while motion.progress < 0.5:
+        assert robot.obey() is not None
+
+
+# -- to the end ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("firmware", "arm"), [("1.8", "UR5"), ("3.4", "UR5"), ("5.11", "UR5e")])
+def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehearsal], firmware: str, arm: str) -> None:
+    robot = rehearsal(firmware, arm)
+    motion = robot.motion.follow(PATH)
+    robot.connect()
+    words = []
+    while not motion.done:
+        word = robot.obey()
+        if word is None or word[1] == STOP:
+            break
+        words.append((robot.time, *word))
+    robot.finish()
+    motion.wait(PATIENCE)
+    assert motion.phase is MotionPhase.DONE
+    assert motion.progress == 1.0
+    t0 = words[0][0]
+    for time, q, what in words:
+        assert what == FOLLOW
+        expected = PATH.at(time + 2 * robot.cycle - t0)[0]
+        assert np.allclose(q, expected, rtol=0, atol=1e-6)
+    assert words[-1][1] == pytest.approx(PATH.q[-1], abs=1e-6)
+    assert robot.word() is None
+    assert len(robot.sent) == 1
+
+
+def test_waits_until_the_arm_stands(robot: Rehearsal) -> None:
+    robot.qd = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
+    motion = robot.motion.follow(PATH)
+    robot.connect()
+    assert [robot.obey() for _ in range(3)] == [([0.0] * 6, WAIT)] * 3
+    robot.qd = [0.0] * 6
+    robot.tick()
+    until(lambda: robot.word()[1] == FOLLOW)  # type: ignore[index]
+    motion.cancel()
+
+
+def test_an_arm_that_does_not_come_to_rest(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.following._REST_TIMEOUT", 0.05)
+    robot.qd = [0.5] * 6
+    motion = robot.motion.follow(PATH)
+    robot.connect()
+    robot.until(lambda: motion.done)
+    with pytest.raises(LinkTimeout, match="did not come to rest"):
+        motion.wait(0)
+
+
+def test_what_is_between_the_arm_and_the_first_point_is_faded_out(robot: Rehearsal) -> None:
+    robot.q = turned(0.03)
+    robot.show()
+    motion = robot.motion.follow(PATH)
+    robot.connect()
+    path = []
+    while not motion.done and (word := robot.obey()) is not None and word[1] == FOLLOW:
+        path.append(word[0][5])
+    assert path[0] == pytest.approx(0.03, abs=2e-3)
+    assert path[-1] == pytest.approx(0.0, abs=1e-6)
+    steps = np.abs(np.diff(path)) / robot.cycle
+    assert steps.max() < 0.25 + np.abs(PATH.at(np.linspace(0, 0.4, 100))[1]).max() + 0.01
+    robot.finish()
+    motion.wait(PATIENCE)
+
+
+def test_feedback_may_be_slow_and_may_raise(robot: Rehearsal) -> None:
+    told: list[TrajectoryFeedback] = []
+    release = threading.Event()
+
+    def feedback(each: TrajectoryFeedback) -> None:
+        told.append(each)
+        release.wait(PATIENCE)
+        raise ValueError("of the user's own")
+
+    motion = begun(robot, feedback=feedback)
+    while not motion.done and (word := robot.obey()) is not None and word[1] == FOLLOW:
+        pass
+    robot.finish()
+    motion.wait(PATIENCE)
+    release.set()
+    assert len(told) == 1
+    assert told[0].q_desired - told[0].q_actual == pytest.approx(told[0].error)
+    assert told[0].time >= 0
+    assert told[0].qd_actual.shape == told[0].qd_desired.shape == (6,)
+
+
+# -- refused before anything is sent -------------------------------------------------------------------
+
+
+def test_what_no_arm_could_follow_is_refused(robot: Rehearsal) -> None:
+    far = Trajectory.from_arrays([0, 1], [turned(1), turned(1)])
+    wild = Trajectory.from_arrays([0, 0.1], [turned(0), turned(1)])
+    for trajectory, message in ((far, "too far from where the arm is"), (wild, "limit of a UR5e")):
+        with pytest.raises(BadValue, match=message):
+            robot.motion.follow(trajectory)
+    for options in ({"goal_tolerance": -1}, {"path_tolerance": 0}, {"watchdog": 0}, {"gain": 1}, {"lookahead_time": 1}):
+        with pytest.raises(BadValue):
+            robot.motion.follow(PATH, **options)  # type: ignore[arg-type]
+    with pytest.raises(BadValue, match="no Trajectory"):
+        robot.motion.follow([turned(0)])  # type: ignore[arg-type]
+    assert robot.sent == []
+    assert robot.motion.current is None
+
+
+def test_a_cb2_cannot_interpolate(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal("1.8", "UR5")
+    with pytest.raises(LocalError, match=r"firmware 1\.8"):
+        robot.motion.follow(PATH, low_bandwidth=True)
+    assert robot.sent == []
+
+
+def test_an_arm_that_is_nobody_knows_which(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(model="UR9000")
+    begun(robot).cancel()
+
+
+# -- ended before its time -----------------------------------------------------------------------------
+
+
+def test_cancelled_half_way(robot: Rehearsal) -> None:
+    motion = begun(robot)
+    half_way(robot, motion)
+    motion.cancel()
+    motion.cancel()
+    assert robot.word() == ([0.0] * 6, STOP)
+    assert robot.word() is None
+    for _ in range(5):
+        robot.tick()
+    with pytest.raises(MotionCancelled):
+        motion.wait(PATIENCE)
+    assert motion.phase is MotionPhase.CANCELLED
+    assert 0.4 < motion.progress < 0.6
+    assert len(robot.sent) == 1
+
+
+def test_a_block_that_is_left_cancels(robot: Rehearsal) -> None:
+    with begun(robot) as motion:
+        assert not motion.done
+    assert motion.phase is MotionPhase.CANCELLED
+
+
+@pytest.mark.parametrize("low_bandwidth", [False, True])
+def test_a_stop_half_way(robot: Rehearsal, low_bandwidth: bool) -> None:
+    motion = robot.motion.follow(PATH, low_bandwidth=low_bandwidth)
+    robot.connect()
+    if low_bandwidth:
+        robot.ask(0)
+    else:
+        robot.obey()
+    robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
+    with pytest.raises(SafetyStop, match="emergency stop"):
+        motion.wait(PATIENCE)
+    while (word := robot.word()) is not None:
+        assert word[1] != STOP
+    assert len(robot.sent) == 1
+    with pytest.raises(SafetyStop):
+        robot.motion.stop()
+    assert len(robot.sent) == 1
+
+
+def test_goes_on_after_a_stop(robot: Rehearsal) -> None:
+    motion = begun(robot)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    with pytest.raises(SafetyStop):
+        motion.wait(PATIENCE)
+    robot.q = turned(0)
+    robot.until(lambda: robot.safety.is_enabled)
+    robot.show()
+    begun(robot).cancel()
+
+
+def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.linked._GRACE", 0.05)
+    motion = begun(robot)
+    assert robot.link is not None
+    robot.link.close()
+    robot.until(lambda: motion.done)
+    with pytest.raises(ConnectionLost, match="brakes by itself"):
+        motion.wait(0)
+
+
+@pytest.mark.parametrize("word", ["urlink: the link ended", "urlink: nothing to go to"])
+def test_the_program_says_that_the_link_is_gone(robot: Rehearsal, word: str) -> None:
+    motion = begun(robot)
+    robot.text(word)
+    with pytest.raises(ConnectionLost, match="brakes by itself"):
+        motion.wait(PATIENCE)
+
+
+def test_the_program_is_stopped_at_the_pendant(robot: Rehearsal) -> None:
+    motion = begun(robot)
+    robot.vanish()
+    with pytest.raises(ProgramStopped):
+        motion.wait(PATIENCE)
+
+
+def test_no_states_come(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.linked._SILENCE", 0.05)
+    motion = begun(robot)
+    with pytest.raises(ConnectionLost, match=r"no state of the robot came"):
+        motion.wait(PATIENCE)
+    assert robot.word() in (([0.0] * 6, STOP), None)
+
+
+def test_off_its_path(robot: Rehearsal) -> None:
+    motion = begun(robot, path_tolerance=0.05)
+    robot.tick(away=0.07)
+    with pytest.raises(ToleranceExceeded, match=r"wrist 3 \(joint 5\) is 0\.0[67]\d+ rad .* tolerance is 0\.05 rad"):
+        motion.wait(PATIENCE)
+    while (word := robot.word()) is not None:
+        last = word
+    assert last[1] == STOP
+
+
+def test_does_not_arrive(robot: Rehearsal) -> None:
+    motion = begun(robot, goal_time=0.1)
+    while not motion.done:
+        robot.tick(away=0.02)
+        if (word := robot.word()) is None:
+            break
+        if word[1] == FOLLOW:
+            robot.q = word[0]
+    with pytest.raises(ToleranceExceeded, match=r"0\.1 s after the end of its path; the tolerance is 0\.01"):
+        motion.wait(PATIENCE)
+
+
+# -- the program does not connect ------------------------------------------------------------------------
+
+
+def test_refused(robot: Rehearsal) -> None:
+    motion = robot.motion.follow(PATH)
+    robot.begin()
+    robot.text("urlink: cannot connect")
+    with pytest.raises(ConnectFailed, match=rf"127\.0\.0\.1:{robot.port}.*reverse_host.*firewall.*reverse_port"):
+        motion.wait(PATIENCE)
+
+
+def test_missing(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.linked.CONNECT_TIMEOUT", 0.05)
+    motion = robot.motion.follow(PATH)
+    port = robot.port
+    robot.until(lambda: motion.done)
+    with pytest.raises(ConnectFailed, match=rf"127\.0\.0\.1:{port}: it has not within 0\.05 s"):
+        motion.wait(0)
+    assert "stopj" in robot.sent[-1]
+    assert len(robot.sent) == 2
+
+
+def test_a_port_that_is_taken(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
+    robot.motion.follow(PATH)
+    other = rehearsal(port=robot.port)
+    with pytest.raises(BadAddress, match=str(robot.port)):
+        other.motion.follow(PATH)
+    assert other.sent == []
+    assert other.motion.current is None
+
+
+def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
+    robot.motion.follow(PATH)
+    port = robot.port
+    robot.motion.close()
+    fixed = rehearsal(port=port)
+    waiting = fixed.motion.follow(PATH)
+    connected = begun(fixed)
+    after = begun(fixed)
+    assert fixed.port == port
+    for each in (waiting, connected):
+        with pytest.raises(MotionCancelled, match="superseded by follow"):
+            each.wait(PATIENCE)
+    after.cancel()
+
+
+# -- point by point --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_quintic", [False, True])
+@pytest.mark.parametrize("firmware", ["3.4", "5.11"])
+def test_hands_every_point_over(rehearsal: Callable[..., Rehearsal], firmware: str, is_quintic: bool) -> None:
+    robot = rehearsal(firmware, "UR5e" if firmware[0] == "5" else "UR5")
+    path = PATH
+    if is_quintic:
+        path = Trajectory.from_arrays(PATH.time, PATH.q, PATH.qd, np.arange(18).reshape(3, 6) / 100)
+    motion = robot.motion.follow(path, low_bandwidth=True)
+    robot.connect()
+    assert robot.ask(-1) == [1.0]
+    for n in range(3):
+        answer = robot.ask(n)
+        assert len(answer) == (20 if is_quintic else 14)
+        assert answer[0] == n
+        assert answer[1:7] == pytest.approx(path.q[n], abs=1e-9)
+        assert answer[7:13] == pytest.approx(path.qd[n], abs=1e-9)
+        if path.qdd is not None:
+            assert answer[13:19] == pytest.approx(path.qdd[n], abs=1e-9)
+        assert answer[-1] == pytest.approx(0.2 if n else 0.0)
+    assert robot.ask(3)[0] == -1
+    assert robot.link is not None
+    robot.link.sendall(b"-2\n")
+    robot.until(lambda: motion.progress >= 1.0)
+    robot.finish()
+    robot.until(lambda: motion.done)
+    motion.wait(0)
+
+
+def test_begins_where_the_arm_stands(robot: Rehearsal) -> None:
+    robot.q = turned(0.02)
+    robot.show()
+    motion = robot.motion.follow(PATH, low_bandwidth=True)
+    robot.connect()
+    assert robot.ask(0)[6] == pytest.approx(0.02)
+    motion.cancel()
+    until(lambda: len(robot.sent) == 2)
+    assert "stopj" in robot.sent[-1]
+
+
+def test_a_program_that_talks_nonsense(robot: Rehearsal) -> None:
+    motion = robot.motion.follow(PATH, low_bandwidth=True)
+    robot.connect()
+    assert robot.link is not None
+    robot.link.sendall(b"hello\n")
+    robot.until(lambda: motion.done)
+    with pytest.raises(ProgramStopped, match="does not speak in numbers"):
+        motion.wait(0)
+
+
+def test_a_program_that_falls_silent(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.waypoints._SILENCE", 0.05)
+    monkeypatch.setattr("urlink.motion.linked._GRACE", 0.05)
+    motion = robot.motion.follow(PATH, low_bandwidth=True)
+    robot.connect()
+    for n in range(3):
+        robot.ask(n)
+    robot.until(lambda: motion.done)
+    with pytest.raises(ConnectionLost, match="said nothing"):
+        motion.wait(0)
+
+
+def test_too_far_from_the_first_waypoint(robot: Rehearsal) -> None:
+    motion = robot.motion.follow(PATH, low_bandwidth=True)
+    robot.begin()
+    robot.text("urlink: the first point is too far away")
+    with pytest.raises(ToleranceExceeded):
+        motion.wait(PATIENCE)

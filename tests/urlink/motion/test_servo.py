@@ -1,0 +1,186 @@
+"""Closed loops; the robot's side is played by the test."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from linkcore.errors import BadValue, ConnectFailed, ConnectionLost, LinkError
+from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
+from tests.waiting import until
+from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop
+from urlink.motion import MotionPhase, Servo
+from urlink.schemas.enums import SafetyMode
+
+
+class Beside:
+    """The robot's side of the beginning and the end of a block, which the thread of the test waits in."""
+
+    def __init__(self, robot: Rehearsal) -> None:
+        self._robot = robot
+        self._thread = threading.Thread(target=self._run)
+        self.over = threading.Event()
+
+    def _run(self) -> None:
+        until(lambda: self._robot.sent)
+        self._robot.connect()
+        while not self.over.wait(0.002):
+            self._robot.tick()
+
+    def __enter__(self) -> Beside:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.over.set()
+        self._thread.join()
+
+
+@contextmanager
+def opened(robot: Rehearsal, **options: float) -> Iterator[Servo]:
+    """A servo that has connected; the program ends when it is told to."""
+    servo = robot.motion.servo(**options)
+    with Beside(robot):
+        servo.__enter__()
+    yield servo
+    if not servo.done:
+        ended = threading.Thread(target=servo.__exit__)
+        ended.start()
+        while (word := robot.word()) is not None and word[1] != STOP:
+            pass
+        robot.finish()
+        ended.join()
+
+
+def next_set_point(robot: Rehearsal) -> list[float]:
+    while True:
+        word = robot.word()
+        assert word is not None
+        if word[1] == FOLLOW:
+            return word[0]
+
+
+@pytest.mark.parametrize(("firmware", "arm"), [("1.8", "UR5"), ("3.4", "UR5"), ("5.11", "UR5e")])
+def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: str, arm: str) -> None:
+    robot = rehearsal(firmware, arm)
+    with opened(robot) as servo:
+        assert servo.rate == robot.firmware.rate
+        for i in range(10):
+            servo.send(turned(0.001 * i))
+            assert next_set_point(robot) == pytest.approx(turned(0.001 * i), abs=1e-6)
+    assert servo.phase is MotionPhase.DONE
+    assert robot.word() is None
+    assert len(robot.sent) == 1
+    with pytest.raises(LinkError, match="over"):
+        servo.send(HOME)
+
+
+def test_statistics(robot: Rehearsal) -> None:
+    with opened(robot, rate=1000.0) as servo:
+        assert servo.stats.count == 0
+        for _ in range(101):
+            servo.send(HOME)
+        stats = servo.stats
+    assert stats.count == 101
+    assert stats.mean > 0.0
+    assert 0.0 <= stats.p50 <= stats.p99 <= stats.max
+    assert 0 <= stats.late <= 100
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        ([0] * 5, "shape"),
+        (turned(float("nan")), "not finite"),
+        (turned(0.1), r"0\.1000 rad from where the arm is; at most 0\.0500"),
+    ],
+)
+def test_a_first_set_point_that_is_refused(robot: Rehearsal, q: list[float], message: str) -> None:
+    with opened(robot) as servo:
+        with pytest.raises(BadValue, match=message):
+            servo.send(q)
+        assert servo.stats.count == 0
+        servo.send(HOME)
+        assert next_set_point(robot) == pytest.approx(HOME, abs=1e-6)
+
+
+def test_a_jump_is_refused(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        servo.send(HOME)
+        with pytest.raises(BadValue, match=r"q\[5\] \(wrist 3\) is 1\.0000 rad, 1\.0000 rad from the last set-point"):
+            servo.send(turned(1.0))
+        assert not servo.done
+
+
+def test_a_stop(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        servo.send(HOME)
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        until(lambda: servo.done)
+        with pytest.raises(SafetyStop, match="protective stop"):
+            servo.send(HOME)
+
+
+def test_the_link_is_cut(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        servo.send(HOME)
+        assert robot.link is not None
+        robot.link.close()
+        robot.text("urlink: the link ended")
+        until(lambda: servo.done)
+        with pytest.raises(ConnectionLost, match="brakes by itself"):
+            servo.send(HOME)
+
+
+def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.servo._REASON", 0.05)
+    with opened(robot) as servo:
+        assert robot.link is not None
+        robot.link.close()
+
+        def send_on() -> None:
+            for _ in range(1000):
+                servo.send(HOME)
+
+        with pytest.raises(ConnectionLost):
+            send_on()
+        servo.cancel()
+
+
+def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        robot.vanish()
+        until(lambda: servo.done)
+        with pytest.raises(ProgramStopped):
+            servo.send(HOME)
+
+
+def test_superseded(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        servo.send(HOME)
+        motion = robot.motion.move_joints(HOME)
+        with pytest.raises(MotionCancelled, match="superseded by move_joints"):
+            servo.send(HOME)
+        motion.cancel()
+
+
+def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.linked.CONNECT_TIMEOUT", 0.05)
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.wait(0.002):
+            robot.tick()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        with pytest.raises(ConnectFailed, match="reverse_host"), robot.motion.servo():
+            raise AssertionError("it did not connect")
+    finally:
+        over.set()
+        thread.join()
+    assert robot.motion.current is None
