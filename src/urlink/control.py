@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from linkcore.errors import LocalError
+from linkcore.errors import LinkError, LocalError
 from linkcore.stream import Stream
 
 from .gate import Policy
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from .motion import Motions
 
 __all__ = ["Control"]
+
+_log = logging.getLogger(__name__)
 
 
 class Control:
@@ -112,7 +115,10 @@ class Control:
         with self._lock:
             motion, dashboard = self._motion, self._dashboard
         if motion is not None:
-            motion.close()
+            try:
+                motion.close()
+            except LinkError as error:
+                _log.warning("the motion that ran could not be stopped from here: %s", error)
         self.script.close()
         self.safety.close(max(until - time.monotonic(), 0.0))
         if dashboard is not None:

@@ -306,7 +306,10 @@ class Scripts:
             runs = "a program runs" if mode.is_program_running else "no program runs"
             situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
         what = "has not ended" if run.has_begun else "has not begun"
-        return LinkTimeout(f"program {run.name} {what} within {START_TIMEOUT:g} s, and no error was told; {situation}")
+        hint = "" if run.has_begun else "; an e-Series controller takes no programs while it is in local control"
+        return LinkTimeout(
+            f"program {run.name} {what} within {START_TIMEOUT:g} s, and no error was told; {situation}{hint}"
+        )
 
     # -- what becomes of programs ------------------------------------------------------------------
 
@@ -332,7 +335,7 @@ class Scripts:
                 return
             if run.wrapped.is_secondary or (successor is None and not run.has_begun):
                 continue
-            if run.is_finished or run.error is not None:
+            if run.is_finished or run.error is not None or run.is_asked_to_stop:
                 self._end(run)
             else:
                 self._finish(run, ProgramPhase.STOPPED, ProgramStopped(f"program {run.name} was replaced by {name}"))
