@@ -1,0 +1,38 @@
+"""The errors of commanding: where they hang in the tree, and that they travel."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from linkcore.errors import LinkError, LocalError, RemoteError
+from urlink import errors
+from urlink.errors import CompileError, MotionCancelled, NotEnabled, NotRunning, SafetyStop, ScriptFailed
+
+
+def test_two_branches() -> None:
+    own = {getattr(errors, name) for name in errors.__all__}
+    assert {each for each in own if issubclass(each, LocalError)} == {MotionCancelled}
+    assert all(issubclass(each, RemoteError) != issubclass(each, LocalError) for each in own)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (SafetyStop("stopped: fault", "fault"), "stopped: fault"),
+        (NotEnabled("not enabled", "not enabled"), "not enabled"),
+        (NotRunning("IDLE"), "IDLE"),
+        (CompileError(2, 1, "syntax_error_on_line:2:end:"), "line 2, column 1: syntax_error_on_line:2:end:"),
+        (ScriptFailed(3, 4, "division by zero"), "line 3, column 4: division by zero"),
+    ],
+)
+def test_they_say_what_is_wrong_here_and_elsewhere(error: LinkError, text: str) -> None:
+    assert str(error) == text
+    copy = pickle.loads(pickle.dumps(error))
+    assert (type(copy), str(copy), vars(copy)) == (type(error), text, vars(error))
+
+
+def test_the_tree_is_drawn_whole() -> None:
+    assert errors.__doc__ is not None
+    assert all(name in errors.__doc__ for name in errors.__all__)
