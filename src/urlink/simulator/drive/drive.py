@@ -103,7 +103,7 @@ class Drive:
         if self._command is not None:
             try:
                 setpoint = self._command.advance(last, seconds, self._pace, change)
-                self._limits.check(last, setpoint)
+                self._limits.check(last, setpoint, seconds)
             except LimitViolation as refusal:
                 self._refusal = refusal
                 raise
@@ -217,7 +217,7 @@ class Drive:
         Raises:
             BadValue: an argument is no such number.
         """
-        return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), t))
+        return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), _time(t)))
 
     def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Move:
         """Change the speed of the TCP to `xd` m/s and rad/s in the base frame, by `a` m/s² and `a_rot` rad/s², and keep
@@ -226,7 +226,7 @@ class Drive:
         Raises:
             BadValue: an argument is no such number.
         """
-        return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, t))
+        return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, _time(t)))
 
     def stopj(self, a: float) -> Move:
         """Brake all joints in proportion, the fastest by `a` rad/s², or less where the model cannot; over at rest.
@@ -300,11 +300,16 @@ class Drive:
     def _tool_speed(self, xd: Sequence[float], a: float, a_rot: float | None, t: float | None) -> ToolSpeed:
         line = positive(a, "an acceleration")
         turn = line if not a_rot else positive(a_rot, "an angular acceleration")
-        return ToolSpeed(self._model, self._limits, self.tcp, self.setpoint, xd, line, turn, t)
+        old = self._command if isinstance(self._command, ToolSpeed) else None
+        return ToolSpeed(self._model, self._limits, self.tcp, self.setpoint, xd, line, turn, t, old)
 
     def _at_most(self, a: float) -> list[float]:
         acceleration = positive(a, "an acceleration")
         return [min(acceleration, limit) for limit in self._limits.acceleration]
+
+
+def _time(t: float | None) -> float | None:
+    return None if t is None else _not_negative(t, "a time")
 
 
 def _not_negative(value: float, what: str) -> float:

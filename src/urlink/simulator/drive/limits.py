@@ -1,7 +1,7 @@
 """What a controller does not let an arm do, and the arguments that it cannot make sense of.
 
-A controller stops an arm protectively when a joint is about to leave its range or to go faster than it may. How much it
-tolerates is a guess here.
+A controller stops an arm protectively when a joint is about to leave its range or to go faster than it may, or when
+no arm could follow. How much it tolerates is a guess here.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
 # Part of the largest speed of a joint that a set-point may lie above it: rounding, and a client's rough interpolation.
 _TOLERANCE = 0.03
+# Times the largest acceleration of a joint, which no arm can follow. Less than that is left to the motors.
+_HARDEST = 10.0
 # rad that rounding may put a joint beyond its range
 _ROUNDING = 1e-9
 
@@ -52,11 +54,12 @@ class Limits:
         self.speed: list[float] = model.max_speed.tolist()
         self.acceleration: list[float] = model.max_acceleration.tolist()
         self.allowed_speed = [(1.0 + _TOLERANCE) * speed for speed in self.speed]
+        self._hardest = [_HARDEST * limit for limit in self.acceleration]
         self._lowest: list[float] = (model.position_limits[:, 0] - _ROUNDING).tolist()
         self._highest: list[float] = (model.position_limits[:, 1] + _ROUNDING).tolist()
 
-    def check(self, last: Setpoint, new: Setpoint) -> None:
-        """Refuse a set-point that is too fast, or outside the range and further out than the last.
+    def check(self, last: Setpoint, new: Setpoint, seconds: float) -> None:
+        """Refuse a set-point that is too fast, too sudden after the last, or outside the range and further out than it.
 
         Moving back in is allowed, since an arm may stand outside once it has braked.
 
@@ -66,6 +69,9 @@ class Limits:
         for speed, allowed in zip(new.qd, self.allowed_speed, strict=True):
             if not -allowed <= speed <= allowed:
                 raise LimitViolation(self._too_fast(new.qd))
+        for old, speed, hardest in zip(last.qd, new.qd, self._hardest, strict=True):
+            if abs(speed - old) > hardest * seconds:
+                raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
         for q, lowest, highest in zip(new.q, self._lowest, self._highest, strict=True):
             if not lowest <= q <= highest:
                 self._check_range(last, new)
@@ -85,6 +91,12 @@ class Limits:
         ratios = [abs(speed) / limit for speed, limit in zip(qd, self.speed, strict=True)]
         joint = ratios.index(max(ratios))
         return f"{JOINTS[joint]}: a speed of {qd[joint]:.3f} rad/s; at most {self.speed[joint]:.3f} is allowed"
+
+    def _too_sudden(self, old: Sequence[float], new: Sequence[float], seconds: float) -> str:
+        changes = [(b - a) / seconds for a, b in zip(old, new, strict=True)]
+        ratios = [abs(change) / limit for change, limit in zip(changes, self.acceleration, strict=True)]
+        joint = ratios.index(max(ratios))
+        return f"{JOINTS[joint]}: an acceleration of {changes[joint]:.0f} rad/s², which no arm can follow"
 
     def _check_range(self, last: Setpoint, new: Setpoint) -> None:
         for joint, old, q, lowest, highest in zip(JOINTS, last.q, new.q, self._lowest, self._highest, strict=True):

@@ -22,8 +22,6 @@ from .move import Move
 __all__ = ["Servo", "lag_of"]
 
 _REST = [0.0] * 6
-# Times the acceleration of the model, beyond which a set-point counts as one that no arm can follow. A guess.
-_HARDEST = 10.0
 # rad and rad/s below which a joint has arrived
 _NEAR, _SLOW = 1e-9, 1e-7
 
@@ -55,7 +53,7 @@ class Servo:
         """The set-point one cycle later.
 
         Raises:
-            LimitViolation: the target is too far for the largest speed or the largest acceleration of a joint.
+            LimitViolation: the target is too far for the largest speed of a joint, or out of its range.
         """
         lag = max(self._lag, seconds)
         if self._is_new:
@@ -76,9 +74,7 @@ class Servo:
         qd: list[float] = []
         qdd: list[float] = []
         is_near = self.goal is self._end
-        for position, speed, old_goal, goal, most in zip(
-            last.q, last.qd, old_goals, self.goal, self._limits.acceleration, strict=True
-        ):
+        for position, speed, old_goal, goal in zip(last.q, last.qd, old_goals, self.goal, strict=True):
             # Seen from what trails the moving goal, a deviation dies away.
             goal_speed = (goal - old_goal) / seconds
             trail = lag * goal_speed
@@ -86,15 +82,10 @@ class Servo:
             push = speed - goal_speed + omega * error
             new_error = (error + push * seconds) * decay - trail
             new_speed = (speed - goal_speed - omega * push * seconds) * decay + goal_speed
-            acceleration = (new_speed - speed) / seconds
-            if abs(acceleration) > _HARDEST * most:
-                raise LimitViolation(
-                    f"{JOINTS[len(q)]}: an acceleration of {acceleration:.0f} rad/s² to a servoj target"
-                )
             is_near = is_near and abs(new_error) < _NEAR and abs(new_speed) < _SLOW
             q.append(goal + new_error)
             qd.append(new_speed)
-            qdd.append(acceleration)
+            qdd.append((new_speed - speed) / seconds)
         if is_near:
             self.is_at_rest = True
             return Setpoint(self._end, _REST, _REST)

@@ -41,9 +41,7 @@ class JointSpeed:
             qd = [old + part * way for old, way in zip(last.qd, wanted, strict=True)]
         q = [a + 0.5 * seconds * (old + new) for a, old, new in zip(last.q, last.qd, qd, strict=True)]
         setpoint = Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
-        self.is_at_rest = self._stops and is_reached and not any(last.qd)
-        if self.is_at_rest:
-            setpoint = Setpoint(last.q, _REST, _REST)
+        self.is_at_rest = self._stops and is_reached
         if self._left is None:
             self.move.is_over = is_reached
         else:

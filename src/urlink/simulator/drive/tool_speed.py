@@ -27,7 +27,7 @@ class ToolSpeed:
     brake instead.
 
     Attributes:
-        move: over after `t` s, or when the speed is reached where that is None.
+        move: over after `t` s, or when the speed is reached where that is None; for a stop, at rest.
     """
 
     def __init__(
@@ -40,13 +40,20 @@ class ToolSpeed:
         a: float,
         a_rot: float,
         t: float | None,
+        old: ToolSpeed | None,
     ) -> None:
-        """A speed of the TCP in m/s and rad/s in the base frame, and how fast it changes, in m/s² and rad/s²."""
+        """A speed of the TCP in m/s and rad/s in the base frame, and how fast it changes, in m/s² and rad/s².
+
+        Where this takes over from an `old` one, the line goes on exactly.
+        """
         self.move = Move()
         self._model, self._limits, self._tcp = model, limits, list(tcp)
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
         self._pose: list[float] = kinematics.pose(model, begin.q, tcp).tolist()
-        self._speed = tool_speed(geometry(model), begin.q, begin.qd, self._pose) if any(begin.qd) else list(_REST)
+        if old is not None and old._brake is None and old._tcp == self._tcp:
+            self._speed = old._speed
+        else:
+            self._speed = tool_speed(geometry(model), begin.q, begin.qd, self._pose) if any(begin.qd) else list(_REST)
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
         self.is_at_rest = False
@@ -75,7 +82,7 @@ class ToolSpeed:
         try:
             setpoint = setpoint_at(self._model, pose, self._tcp, last, seconds)
             if self._stops:
-                self._limits.check(last, setpoint)
+                self._limits.check(last, setpoint, seconds)
         except (Unreachable, LimitViolation) as error:
             if not self._stops:
                 raise LimitViolation(str(error)) from None
@@ -83,7 +90,7 @@ class ToolSpeed:
             return self._braking(self._brake, last, seconds)
         self._pose, self._speed = pose, speed
         if self._left is None:
-            self.move.is_over = line_reached and turn_reached
+            self.move.is_over = line_reached and turn_reached and not self._stops
         else:
             self._left -= seconds
             self.move.is_over = self._left < 0.5 * seconds
