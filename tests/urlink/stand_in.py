@@ -28,7 +28,7 @@ AT_ONCE = Backoff(first=0, most=0)
 class StandIn:
     """Says what `state`, `key`, `text` and `exception` are told to say; `sent` is what it was sent."""
 
-    def __init__(self, firmware: str = "5.11", policy: Policy = "never") -> None:
+    def __init__(self, firmware: str = "5.11", policy: Policy = "never", backoff: Backoff = AT_ONCE) -> None:
         self.firmware = Firmware.parse(firmware)
         self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
         self.primary: Stream[RobotState] = Stream(
@@ -37,11 +37,11 @@ class StandIn:
             PrimaryProtocol,
             RobotState,
             parts=lambda packet: getattr(packet, "packages", ()),
-            backoff=AT_ONCE,
+            backoff=backoff,
             silence=None,
         )
         self.realtime: Stream[RealtimeState] = Stream(
-            "stand-in realtime", self.fast, RealtimeProtocol, RealtimeState, backoff=AT_ONCE, silence=None
+            "stand-in realtime", self.fast, RealtimeProtocol, RealtimeState, backoff=backoff, silence=None
         )
         self.safety = Safety(lambda: self.primary, lambda: self.realtime, policy)
         self.outlet = Outlet(lambda: self.primary, self.safety)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout
 from tests.linkcore.script import ScriptedTransport
 from tests.urlink.stand_in import StandIn
@@ -232,6 +233,21 @@ def test_callbacks_are_called_without_the_lock(robot: StandIn) -> None:
         with pytest.raises(SafetyStop):
             robot.outlet.setpoint(lambda: None)
     assert stopped.wait(10)
+
+
+def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
+    with StandIn(backoff=Backoff(tries=0)) as robot:
+        robot.clear()
+        program = robot.script.run("movej(q)")
+        robot.slow.put(ConnectionLost("pulled"))
+        with pytest.raises(ConnectionLost):
+            program.wait(5)
+        until(lambda: "primary" not in robot.safety._subscriptions and not robot.script._subscriptions)
+        robot.clear()
+        again = robot.script.run("movej(q)")
+        robot.begins(again)
+        robot.comes_to_its_end(again)
+        again.wait(5)
 
 
 def test_closed(robot: StandIn) -> None:
