@@ -369,6 +369,7 @@ def waypoints(
                 else:
                   before = answer
                   follow_thread = run follow()
+                  n = 1
                 end
               else:
                 while ready and not leave:
@@ -378,8 +379,8 @@ def waypoints(
                 point = answer
                 ready = True
                 exit_critical
+                n = n + 1
               end
-              n = n + 1
             elif answer[1] == {NO_MORE}:
               complete = True
               asking = False

@@ -48,7 +48,7 @@ def test_sends_one_program_and_ends_with_it(
     assert motion.name == name
     assert f"\n  {text}\n" in robot.sent[0]
     assert not motion.done
-    assert robot.motion.current is motion
+    assert [robot.motion.current] == [motion]
     told: list[Motion] = []
     motion.add_done_callback(told.append)
     robot.begin()
@@ -60,7 +60,7 @@ def test_sends_one_program_and_ends_with_it(
     assert told == [motion, motion]
     motion.cancel()
     assert motion.phase is MotionPhase.DONE
-    assert robot.motion.current is None
+    assert [robot.motion.current] == [None]
     assert len(robot.sent) == 1
     assert repr(motion) == f"<Motion {name} done>"
 

@@ -1,0 +1,101 @@
+"""One program on one arm, without controller, network or clock: cycle by cycle, as the test says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, cast
+
+from tests.urlink.motion.rehearsal import HOME
+from urlink.firmware import Firmware
+from urlink.models import model
+from urlink.script.source import program
+from urlink.simulator.drive import Drive
+from urlink.simulator.motion import Setpoint
+from urlink.simulator.urscript import Execution, World, compile_script
+
+
+class Line:
+    """The program's one socket: what it sends is in `sent`, what it is to receive goes into `waiting`."""
+
+    def __init__(self) -> None:
+        self.is_open = False
+        self.is_refused = False
+        self.sent = bytearray()
+        self.waiting = bytearray()
+
+    def open(self, name: str, host: str, port: int) -> None:
+        self.is_open = not self.is_refused
+
+    def state(self, name: str) -> Literal["connecting", "open", "failed", "closed"]:
+        return "open" if self.is_open else "failed" if self.is_refused else "closed"
+
+    def send(self, name: str, data: bytes) -> bool:
+        if self.is_open:
+            self.sent += data
+        return self.is_open
+
+    def received(self, name: str) -> bytearray:
+        return self.waiting
+
+    def close(self, name: str) -> None:
+        self.is_open = False
+
+    def close_all(self) -> None:
+        self.is_open = False
+
+    def lines(self) -> list[int]:
+        """The whole lines that it has sent since."""
+        *lines, rest = bytes(self.sent).split(b"\n")
+        self.sent = bytearray(rest)
+        return [int(line) for line in lines]
+
+
+class Bench:
+    """Runs the lines of a program; `q` is where the arm is led, cycle by cycle, and `texts` what the program says."""
+
+    def __init__(self, body: Sequence[str], firmware: Firmware, q: Sequence[float] = HOME) -> None:
+        self.firmware = firmware
+        self.model = model("UR5e" if firmware.is_e_series else "UR5")
+        self.period = 1.0 / firmware.rate
+        self.cycle = 0
+        self.drive = Drive(self.model, Setpoint(list(q), [0.0] * 6, [0.0] * 6))
+        self.sockets = Line()
+        self.texts: list[str] = []
+        self.path: list[list[float]] = []
+        script = compile_script(program("tried", body).text, firmware)
+        self.execution = Execution(script, cast(World, self))
+
+    @property
+    def q_actual(self) -> Sequence[float]:
+        return self.drive.setpoint.q
+
+    @property
+    def qd_target(self) -> Sequence[float]:
+        return self.drive.setpoint.qd
+
+    def text_message(self, text: str) -> None:
+        self.texts.append(text)
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"the program asks for {name}, which it has no need of")
+
+    def run(self, cycles: int = 1, each: Callable[[], object] = lambda: None) -> None:
+        """So many cycles, each after `each`; stops when the program is over."""
+        for _ in range(cycles):
+            if self.execution.is_over:
+                return
+            each()
+            self.cycle += 1
+            self.execution.advance()
+            assert self.execution.error is None, self.execution.error
+            self.path.append(list(self.drive.advance(self.period).q))
+
+    @property
+    def said(self) -> list[str]:
+        """What it said, but for that it began and ended."""
+        return [text for text in self.texts if not text.startswith("tried ")]
+
+    @property
+    def has_finished(self) -> bool:
+        """It has come to its own end."""
+        return self.execution.is_over and self.texts[-1] == "tried finished"

@@ -1,0 +1,217 @@
+"""The uploaded programs, run by the simulator's interpreter, cycle by cycle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import HOME, turned
+from urlink.firmware import Firmware
+from urlink.motion.follower import STOP_WORD, WAIT_WORD, setpoint
+from urlink.script import programs
+from urlink.script.text import number
+from urlink.trajectory import Trajectory
+
+FIRMWARES = [Firmware(1, 8), Firmware(3, 4), Firmware(5, 11)]
+NEW = FIRMWARES[1:]
+
+#: Smooth: at rest at both ends, with accelerations.
+WAVE = Trajectory.from_arrays(
+    [0, 0.5, 1.0, 1.5],
+    [turned(0), turned(0.2), turned(-0.1), turned(0)],
+    [[0] * 6, [0, 0, 0, 0, 0, 0.1], [0, 0, 0, 0, 0, -0.1], [0] * 6],
+    np.zeros((4, 6)),
+)
+
+
+def streaming(firmware: Firmware, **options: float) -> Bench:
+    bench = Bench(programs.streaming(firmware, "10.0.0.1", 50001, **options), firmware)  # type: ignore[arg-type]
+    bench.run(3, lambda: bench.sockets.waiting.extend(WAIT_WORD))
+    return bench
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_follows_what_is_streamed(firmware: Firmware) -> None:
+    bench = streaming(firmware, lookahead_time=0.03)
+    cycles = round(WAVE.duration / bench.period)
+    times = iter(np.arange(cycles) * bench.period)
+    bench.run(cycles, lambda: bench.sockets.waiting.extend(setpoint(WAVE.sample(next(times))[0])))
+    wanted = WAVE.at(np.arange(cycles) * bench.period)[0]
+    # Whatever the arm trails by, it is never further away than it gets in 60 ms.
+    fastest = np.abs(WAVE.at(np.linspace(0, 1.5, 1000))[1]).max()
+    assert np.abs(np.array(bench.path[3:]) - wanted).max() < 0.06 * fastest
+    bench.sockets.waiting.extend(setpoint(HOME) + STOP_WORD)
+    bench.run(200)
+    assert bench.has_finished
+    assert bench.drive.is_standing
+    assert bench.said == []
+    assert not bench.sockets.is_open
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_a_set_point_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
+    smooth, gappy = streaming(firmware), streaming(firmware)
+    for bench in (smooth, gappy):
+        for i in range(100):
+            if bench is smooth or i % 10:
+                bench.sockets.waiting.extend(setpoint(turned(0.5 * i * bench.period)))
+            bench.run()
+    assert np.abs(np.array(smooth.path[-60:]) - gappy.path[-60:]).max() < 0.5 * 0.5 * smooth.period
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
+    bench = streaming(firmware, watchdog=0.1)
+    for i in range(50):
+        bench.sockets.waiting.extend(setpoint(turned(1.0 * i * bench.period)))
+        bench.run()
+    watchdog = round(np.ceil(0.1 / bench.period))
+    bench.run(watchdog)
+    assert bench.said == []
+    bench.run(2)
+    assert bench.said == [programs.STARVED]
+    bench.run(round(0.6 / bench.period))
+    assert bench.drive.is_standing
+    assert not bench.execution.is_over
+    # What comes now comes too late.
+    bench.sockets.waiting.extend(setpoint(turned(0)))
+    bench.run(10)
+    assert bench.has_finished
+    assert bench.drive.is_standing
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
+    bench = streaming(firmware)
+    for i in range(50):
+        bench.sockets.waiting.extend(setpoint(turned(1.0 * i * bench.period)))
+        bench.run()
+    bench.sockets.is_open = False
+    bench.run(round(0.6 / bench.period))
+    assert bench.said == [programs.LINK_ENDED]
+    assert bench.has_finished
+    assert bench.drive.is_standing
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
+    for body in (
+        programs.streaming(firmware, "10.0.0.1", 50001),
+        programs.waypoints(firmware, "10.0.0.1", 50001, is_quintic=True),
+    ):
+        bench = Bench(body, firmware)
+        bench.sockets.is_refused = True
+        bench.run(20)
+        assert bench.said == [programs.NO_CONNECTION]
+        assert bench.has_finished
+
+
+class Server:
+    """Answers a waypoint program, so many cycles later."""
+
+    def __init__(self, bench: Bench, path: Trajectory, late: int = 0, until: int = 99) -> None:
+        self.bench, self.path, self.late, self.until = bench, path, late, until
+        self.requests: list[int] = []
+        self.beats = 0
+        self._due: list[tuple[int, bytes]] = []
+
+    def __call__(self) -> None:
+        for request in self.bench.sockets.lines():
+            self.requests.append(request)
+            self._due.append((self.bench.cycle + self.late, self.answer(request)))
+        while self._due and self._due[0][0] <= self.bench.cycle:
+            self.bench.sockets.waiting.extend(self._due.pop(0)[1])
+
+    def answer(self, request: int) -> bytes:
+        if request == programs.BEAT:
+            self.beats += 1
+            return b"(1)\r\n"
+        if request == programs.ARRIVED or request >= self.until:
+            return b""
+        if request >= len(self.path):
+            numbers = [0.0] * (programs.numbers_of_point(self.path.is_quintic) - 1)
+            return f"(-1, {', '.join(map(str, numbers))})\r\n".encode()
+        path = self.path
+        numbers = [*path.q[request], *path.qd[request]]
+        if path.qdd is not None:
+            numbers += [*path.qdd[request]]
+        numbers.append(path.time[request] - path.time[max(request - 1, 0)])
+        return f"({request}, {', '.join(map(number, numbers))})\r\n".encode()
+
+
+def waypoints(firmware: Firmware, path: Trajectory = WAVE, **options: int) -> tuple[Bench, Server]:
+    body = programs.waypoints(firmware, "10.0.0.1", 50001, is_quintic=path.is_quintic, lookahead_time=0.03)
+    bench = Bench(body, firmware)
+    return bench, Server(bench, path, **options)
+
+
+@pytest.mark.parametrize("is_quintic", [False, True])
+@pytest.mark.parametrize("firmware", NEW, ids=str)
+def test_follows_what_it_is_handed(firmware: Firmware, is_quintic: bool) -> None:
+    path = WAVE if is_quintic else Trajectory.from_arrays(WAVE.time, WAVE.q, WAVE.qd)
+    bench, server = waypoints(firmware, path)
+    bench.run(round(4.0 / bench.period), server)
+    server()
+    assert bench.has_finished
+    assert bench.said == []
+    assert [each for each in server.requests if each != programs.BEAT] == [0, 1, 2, 3, 4, programs.ARRIVED]
+    assert server.beats > 1
+    assert bench.path[-1] == pytest.approx(WAVE.q[-1], abs=1e-6)
+    moves = np.flatnonzero(np.abs(np.diff([q[5] for q in bench.path])) > 1e-9)
+    times = np.arange(len(bench.path) - moves[0]) * bench.period
+    wanted = path.at(times)[0]
+    fastest = np.abs(path.at(np.linspace(0, 1.5, 1000))[1]).max()
+    assert np.abs(np.array(bench.path[moves[0] :]) - wanted).max() < 0.06 * fastest
+
+
+@pytest.mark.parametrize("firmware", NEW, ids=str)
+def test_an_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
+    bench, server = waypoints(firmware, late=round(0.4 * firmware.rate))
+    bench.run(round(5.0 / bench.period), server)
+    assert bench.said == []
+    assert bench.path[-1] == pytest.approx(WAVE.q[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("firmware", NEW, ids=str)
+def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
+    bench, server = waypoints(firmware, until=2)
+    bench.run(round(4.0 / bench.period), server)
+    assert bench.said[0] in (programs.STARVED, programs.LINK_ENDED)
+    assert bench.has_finished
+    assert bench.drive.is_standing
+    assert bench.path[-1][5] < 0.3
+
+
+@pytest.mark.parametrize("firmware", NEW, ids=str)
+def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None:
+    slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])
+    bench, server = waypoints(firmware, slow)
+    bench.run(round(5.0 / bench.period), server)
+    bench.sockets.is_open = False
+    bench.run(round(1.0 / bench.period), server)
+    assert bench.said == [programs.LINK_ENDED]
+    assert bench.has_finished
+    assert bench.drive.is_standing
+    assert 0.9 < bench.path[-1][5] < 1.2
+
+
+@pytest.mark.parametrize("firmware", NEW, ids=str)
+def test_a_first_waypoint_that_is_too_far_away(firmware: Firmware) -> None:
+    far = Trajectory.from_arrays([0, 1], [turned(0.02), turned(0.02)])
+    bench, server = waypoints(firmware, far)
+    bench.run(50, server)
+    assert bench.said == [programs.TOO_FAR]
+    assert bench.has_finished
+    assert bench.path[-1] == list(HOME)
+
+
+@pytest.mark.parametrize("version", ["1.8", "3.1", "3.4", "5.11"])
+def test_a_speed_lasts_as_long_as_it_was_told_to(version: str) -> None:
+    firmware = Firmware.parse(version)
+    bench = Bench(programs.speed_joints(firmware, [0, 0, 0, 0, 0, 0.5], 2.0, 0.5), firmware)
+    bench.run(round(2.0 / bench.period))
+    assert bench.has_finished
+    assert bench.drive.is_standing
+    # 3.1 counts the time only from when the speed is reached.
+    assert 0.2 < bench.path[-1][5] < 0.4
