@@ -28,6 +28,7 @@ from .instructions import (
     kill,
     leave,
     skip_if_set,
+    spend,
     start,
     store,
     store_element,
@@ -66,6 +67,8 @@ __all__ = ["compile_script"]
 
 # Statements that are written without brackets too.
 _BARE = ("enter_critical", "exit_critical")
+# An expression of more parts counts as work.
+_SHORT = 32
 
 
 def compile_script(text: str, firmware: Firmware) -> Script:
@@ -119,6 +122,8 @@ class _Compiler:
         self._makers: list[tuple[Callable[[int], Instruction], Place]] = []
         self._loops: list[tuple[Label, Label]] = []
         self._taking: dict[int, bool] = {}
+        # Of the expressions since the last instruction.
+        self._parts = 0
 
     def compile(self) -> None:
         """Fill the code."""
@@ -144,6 +149,9 @@ class _Compiler:
     # -- instructions ------------------------------------------------------------------------------
 
     def _emit(self, node: Node, maker: Callable[[int], Instruction]) -> None:
+        parts, self._parts = self._parts, 0
+        if parts > _SHORT:
+            self._makers.append((lambda after: spend(parts, after), (node.line, node.column)))
         self._makers.append((maker, (node.line, node.column)))
 
     def _mark(self, label: Label) -> None:
@@ -288,12 +296,15 @@ class _Compiler:
     def _value(self, node: Expression) -> Function:
         """The expression; what in it is an instruction is emitted."""
         place = (node.line, node.column)
+        self._parts += 1
         match node:
             case Constant():
                 return operations.constant(node.value)
             case Name():
                 return self._variable(node)
             case ListDisplay():
+                if all(isinstance(item, Constant) for item in node.items) and len(node.items) < 32:
+                    return operations.constant(tuple([item.value for item in node.items if isinstance(item, Constant)]))
                 return operations.display(self._sequence(node.items), place)
             case PoseDisplay():
                 return operations.pose_display(self._sequence(node.items), place)

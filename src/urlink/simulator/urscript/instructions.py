@@ -7,10 +7,10 @@ from typing import Any
 
 from . import values
 from .code import ENDED, GLOBALS, THREAD, Code, Frame, Instruction
-from .errors import type_error
+from .errors import Fault, type_error
 from .machine import Thread, Waiting
 from .operations import Function
-from .values import UNSET
+from .values import NUMBERS, UNSET
 
 __all__ = [
     "Label",
@@ -24,10 +24,14 @@ __all__ = [
     "kill",
     "leave",
     "skip_if_set",
+    "spend",
     "start",
     "store",
     "store_element",
 ]
+
+# Lists that are copied without counting it as work.
+_SHORT = 32
 
 
 class Label:
@@ -46,6 +50,16 @@ def evaluate(value: Function, after: int) -> Instruction:
 
     def run(f: Frame) -> int:
         value(f)
+        return after
+
+    return run
+
+
+def spend(work: int, after: int) -> Instruction:
+    """Count what the next instruction costs beyond the usual."""
+
+    def run(f: Frame) -> int:
+        f[THREAD].machine.spend(work)
         return after
 
     return run
@@ -72,6 +86,8 @@ def store_element(
     is_global: bool, slot: int, name: str, indices: Sequence[Function], value: Function, after: int
 ) -> Instruction:
     """Assign to an element of a variable."""
+    if len(indices) == 1:
+        return _store_one(is_global, slot, name, indices[0], value, after)
 
     def run(f: Frame) -> int:
         at = [index(f) for index in indices]
@@ -79,8 +95,26 @@ def store_element(
         place = f[GLOBALS] if is_global else f
         old = place[slot]
         if old is UNSET:
-            raise type_error(f"the variable '{name}' has no value")
+            raise Fault(f"The variable '{name}' has no value")
         place[slot] = values.replaced(old, at, new, f[THREAD].machine.charge)
+        return after
+
+    return run
+
+
+def _store_one(is_global: bool, slot: int, name: str, index: Function, value: Function, after: int) -> Instruction:
+    def run(f: Frame) -> int:
+        at, new = index(f), value(f)
+        place = f[GLOBALS] if is_global else f
+        old = place[slot]
+        if old.__class__ is tuple and at.__class__ is int and new.__class__ in NUMBERS and 0 <= at < len(old) <= _SHORT:
+            items = list(old)
+            items[at] = new
+            place[slot] = tuple(items)
+        elif old is UNSET:
+            raise Fault(f"The variable '{name}' has no value")
+        else:
+            place[slot] = values.replaced(old, (at,), new, f[THREAD].machine.charge)
         return after
 
     return run

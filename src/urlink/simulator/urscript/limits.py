@@ -25,7 +25,8 @@ MAX_TEXT = 262_144
 MAX_NESTING = 64
 #: of one controller cycle, all threads together
 MAX_INSTRUCTIONS = 20_000
-#: elements and characters that the operations of one controller cycle make, all threads together
+#: Of one controller cycle, all threads together: elements and characters that are made, parts of long expressions, and
+#: what costs as much as them.
 MAX_WORK = 400_000
 #: calls that have not returned, in one thread
 MAX_CALL_DEPTH = 200

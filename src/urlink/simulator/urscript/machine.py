@@ -195,7 +195,8 @@ class Machine:
             self._threads = [thread for thread in threads if not thread.is_over]
 
     def stop(self) -> None:
-        """End all threads."""
+        """End all threads. Who stops the program lets go of the arm."""
+        self._owner = None
         for thread in self._threads:
             thread.end()
         self._threads = []
@@ -234,11 +235,15 @@ class Machine:
 
     # -- bounds ------------------------------------------------------------------------------------
 
-    def charge(self, elements: int) -> None:
-        """Something of that many elements is made."""
-        self._work += elements
+    def spend(self, work: int) -> None:
+        """Something is done that costs as much as the making of that many elements."""
+        self._work += work
         if self._work > MAX_WORK:
             raise endless(self._firmware)
+
+    def charge(self, elements: int) -> None:
+        """Something of that many elements is made."""
+        self.spend(elements)
         self._made += elements
         if self._made > MAX_MEMORY // 4:
             self._made = 0

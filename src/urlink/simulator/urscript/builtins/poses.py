@@ -24,36 +24,39 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
+# What they cost, in elements of a list.
+_TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
+
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
 @FAMILY.declare()
 def pose_trans(thread: Thread, p_from: Any, p_from_to: Any) -> Pose:
-    return _transformed(pose(p_from, "pose_trans: p_from"), pose(p_from_to, "pose_trans: p_from_to"))
+    return _transformed(thread, pose(p_from, "pose_trans: p_from"), pose(p_from_to, "pose_trans: p_from_to"))
 
 
 @FAMILY.declare()
 def pose_inv(thread: Thread, p_from: Any) -> Pose:
-    return _inverse(pose(p_from, "pose_inv: p_from"))
+    return _inverse(thread, pose(p_from, "pose_inv: p_from"))
 
 
 @FAMILY.declare()
 def pose_add(thread: Thread, p_1: Any, p_2: Any) -> Pose:
     a, b = pose(p_1, "pose_add: p_1"), pose(p_2, "pose_add: p_2")
-    turned = _transformed([*_NOWHERE, *a[3:]], [*_NOWHERE, *b[3:]])
+    turned = _transformed(thread, [*_NOWHERE, *a[3:]], [*_NOWHERE, *b[3:]])
     return Pose([a[0] + b[0], a[1] + b[1], a[2] + b[2], *turned[3:]])
 
 
 @FAMILY.declare()
 def pose_sub(thread: Thread, p_to: Any, p_from: Any) -> Pose:
     a, b = pose(p_to, "pose_sub: p_to"), pose(p_from, "pose_sub: p_from")
-    turned = _transformed([*_NOWHERE, *a[3:]], _inverse([*_NOWHERE, *b[3:]]))
+    turned = _transformed(thread, [*_NOWHERE, *a[3:]], _inverse(thread, [*_NOWHERE, *b[3:]]))
     return Pose([a[0] - b[0], a[1] - b[1], a[2] - b[2], *turned[3:]])
 
 
 @FAMILY.declare()
 def pose_dist(thread: Thread, p_from: Any, p_to: Any) -> float:
-    between = _transformed(_inverse(pose(p_from, "pose_dist: p_from")), pose(p_to, "pose_dist: p_to"))
+    between = _transformed(thread, _inverse(thread, pose(p_from, "pose_dist: p_from")), pose(p_to, "pose_dist: p_to"))
     return math.hypot(*between)
 
 
@@ -66,8 +69,8 @@ def point_dist(thread: Thread, p_from: Any, p_to: Any) -> float:
 def interpolate_pose(thread: Thread, p_from: Any, p_to: Any, alpha: Any) -> Pose:
     a, b = pose(p_from, "interpolate_pose: p_from"), pose(p_to, "interpolate_pose: p_to")
     x = number(alpha, "interpolate_pose: alpha")
-    turn = _transformed(_inverse([*_NOWHERE, *a[3:]]), [*_NOWHERE, *b[3:]])
-    turned = _transformed([*_NOWHERE, *a[3:]], [*_NOWHERE, *(x * angle for angle in turn[3:])])
+    turn = _transformed(thread, _inverse(thread, [*_NOWHERE, *a[3:]]), [*_NOWHERE, *b[3:]])
+    turned = _transformed(thread, [*_NOWHERE, *a[3:]], [*_NOWHERE, *(x * angle for angle in turn[3:])])
     return Pose([*(p + x * (q - p) for p, q in zip(a[:3], b[:3], strict=True)), *turned[3:]])
 
 
@@ -86,7 +89,9 @@ def rotvec2rpy(thread: Thread, rotation_vector: Any) -> tuple[float, ...]:
 def rpy2rotvec(thread: Thread, rpy_vector: Any) -> tuple[float, ...]:
     roll, pitch, yaw = vector(rpy_vector, "rpy2rotvec: vector", 3)
     turned = _transformed(
-        _transformed([*_NOWHERE, 0.0, 0.0, yaw], [*_NOWHERE, 0.0, pitch, 0.0]), [*_NOWHERE, roll, 0.0, 0.0]
+        thread,
+        _transformed(thread, [*_NOWHERE, 0.0, 0.0, yaw], [*_NOWHERE, 0.0, pitch, 0.0]),
+        [*_NOWHERE, roll, 0.0, 0.0],
     )
     return tuple(turned[3:])
 
@@ -94,6 +99,7 @@ def rpy2rotvec(thread: Thread, rpy_vector: Any) -> tuple[float, ...]:
 @FAMILY.declare()
 def get_forward_kin(thread: Thread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> Pose:
     world = thread.world
+    thread.machine.spend(_FORWARD)
     where = world.q_actual if isinstance(q, str) else joints(q, "get_forward_kin: q")
     return Pose(kinematics.pose(world.model, list(where), _tool(thread, tcp)).tolist())
 
@@ -154,6 +160,7 @@ def is_within_safety_limits(thread: Thread, pose: Any) -> bool:
 
 def solution(thread: Thread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
     """The joint positions for a pose that are closest to others, or None if it is out of reach."""
+    thread.machine.spend(_INVERSE)
     rows = kinematics.inverse(thread.world.model, x, _tool(thread, tcp), near)
     return rows[0].tolist() if len(rows) else None
 
@@ -170,11 +177,13 @@ def _tool(thread: Thread, tcp: Any) -> list[float]:
     return pose(tcp, "tcp")
 
 
-def _transformed(first: Sequence[float], second: Sequence[float]) -> Pose:
+def _transformed(thread: Thread, first: Sequence[float], second: Sequence[float]) -> Pose:
+    thread.machine.spend(_TRANSFORMATION)
     return Pose(kinematics.pose_trans(first, second).tolist())
 
 
-def _inverse(of: Sequence[float]) -> Pose:
+def _inverse(thread: Thread, of: Sequence[float]) -> Pose:
+    thread.machine.spend(_TRANSFORMATION)
     return Pose(kinematics.pose_inv(of).tolist())
 
 

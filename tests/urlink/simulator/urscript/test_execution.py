@@ -1,0 +1,157 @@
+"""Programs seen from the controller."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.urlink.simulator.urscript.standin import StandIn, run
+from urlink.firmware import Firmware
+from urlink.simulator.urscript import Execution, ScriptError, compile_script
+from urlink.simulator.urscript.builtins import find
+
+FIRMWARE = Firmware(5, 11)
+
+
+def start(text: str, world: StandIn) -> Execution:
+    return Execution(compile_script(text, world.firmware), world)
+
+
+def test_a_script_says_what_it_is() -> None:
+    program = compile_script("def name():\n  sync()\nend\n", FIRMWARE)
+    assert (program.name, program.kind) == ("name", "def")
+    secondary = compile_script("sec name():\n  set_digital_out(1, True)\nend", FIRMWARE)
+    assert (secondary.name, secondary.kind) == ("name", "sec")
+    lines = compile_script("set_digital_out(1, True)", FIRMWARE)
+    assert (lines.name, lines.kind) == ("unnamed", "def")
+    assert compile_script("", FIRMWARE).name == "unnamed"
+    assert compile_script("def f():\r\n  sync()\r\nend\r\n", FIRMWARE).name == "f"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "message"),
+    [
+        # As controllers said it.
+        ("def silly():\nend", 2, 1, "syntax_error_on_line:2:end:"),
+        ("def f():\n  calldoesntexist()\nend", 2, 3, "compile_error_name_not_found:calldoesntexist:"),
+        ("def f():\n    textmsg(1\n    movej([0], a=1)\nend", 3, 5, "syntax_error_on_line:3:    movej([0], a=1):"),
+        # The rest is of that form.
+        ("x = ", 1, 5, "syntax_error_on_line:1:x =:"),
+        ("x = 'open", 1, 5, "syntax_error_on_line:1:x = 'open:"),
+        ("x = [1, 2", 1, 10, "syntax_error_on_line:1:x = [1, 2:"),
+        ("x = p[1, 2]", 1, 5, "syntax_error_on_line:1:x = p[1, 2]:"),
+        ("x = 1 2", 1, 7, "syntax_error_on_line:1:x = 1 2:"),
+        ("1 = x", 1, 3, "syntax_error_on_line:1:1 = x:"),
+        ("f(a=1, 2)", 1, 8, "syntax_error_on_line:1:f(a=1, 2):"),
+        ("def f(a, a):\n  pass\nend", 1, 10, "syntax_error_on_line:1:def f(a, a)::"),
+        ("def f():\n  pass\n", 3, 1, "syntax_error_on_line:3::"),
+        ("end", 1, 1, "syntax_error_on_line:1:end:"),
+        ("x = 1e999", 1, 5, "syntax_error_on_line:1:x = 1e999:"),
+        ("x = 3 $ 4", 1, 7, "syntax_error_on_line:1:x = 3 $ 4:"),
+        ("break", 1, 1, "not_in_a_loop_on_line:1:"),
+        ("def f():\n  pass\nend\nx = run f()", 4, 9, "compile_error_not_a_thread:f:"),
+        ("thread f():\n  pass\nend\nf()", 4, 1, "compile_error_not_a_function:f:"),
+        ("def f():\n  pass\nend\ndef f():\n  pass\nend\nf()", 1, 5, "compile_error_name_already_used:f:"),
+        ("def f(a):\n  sync()\nend", 1, 7, "program_with_parameters:f:"),
+        ("sec f():\n  h = run t()\nend", 2, 11, "compile_error_name_not_found:t:"),
+        (
+            "sec f():\n  thread t():\n    pass\n  end\n  run t()\nend",
+            5,
+            7,
+            "compile_error_not_allowed_in_secondary_program:run:",
+        ),
+        ("movej([0,0,0,0,0,0], acc=1)", 1, 26, "compile_error_name_not_found:acc:"),
+    ],
+)
+def test_what_does_not_compile_says_where(text: str, line: int, column: int, message: str) -> None:
+    with pytest.raises(ScriptError) as caught:
+        compile_script(text, FIRMWARE)
+    assert (caught.value.line, caught.value.column, caught.value.text) == (line, column, message)
+
+
+def test_stopping_ends_the_motion_and_the_sockets() -> None:
+    world = StandIn()
+    world.sockets.peers[1] = [b""]
+    execution = start("socket_open('h', 1)\nmovej([0,0,0,0,0,0])\ntextmsg('never')", world)
+    for _ in range(2):
+        execution.advance()
+        world.cycle += 1
+        world.sockets.step()
+    over = [execution.is_over]
+    execution.stop()
+    over.append(execution.is_over)
+    assert over == [False, True]
+    assert execution.error is None
+    assert world.notes[-2:] == ["2 release", "2 close socket_0"]
+
+
+def test_a_secondary_program_leaves_the_arm_and_the_sockets_alone() -> None:
+    world = StandIn()
+    world.sockets.peers[1] = [b""]
+    world.sockets.open("socket_0", "h", 1)
+    run("sec f():\n  set_standard_digital_out(1, True)\nend", world)
+    assert world.notes == ["0 open socket_0 h:1", "0 digital outputs 0x2", "0 over"]
+
+
+def test_connecting_gives_up() -> None:
+    world = StandIn("3.4")
+    assert run("textmsg(socket_open('h', 0))", world, cycles=1000).notes == [
+        "0 open socket_0 h:0",
+        "250 close socket_0",
+        "250 textmsg False",
+        "250 over",
+    ]
+
+
+def test_a_popup_waits_until_it_is_closed() -> None:
+    world = StandIn()
+    execution = start("popup('x', blocking=True)\ntextmsg('on')", world)
+    for _ in range(5):
+        execution.advance()
+    assert len(world.notes) == 1
+    world.has_popup = False
+    execution.advance()
+    assert world.notes[1:] == ["0 textmsg on"]
+    assert execution.is_over
+
+
+def test_random_numbers_are_the_same_in_every_run() -> None:
+    text = "textmsg([random(), random()])"
+    assert run(text).notes == run(text).notes
+
+
+#: Called by the programs of three drivers.
+DRIVERS = """
+direct_torque enable_external_ft_sensor end_force_mode end_freedrive_mode end_teach_mode force_mode
+force_mode_set_damping force_mode_set_gain_scaling freedrive_mode ft_rtde_input_enable get_actual_joint_positions
+get_actual_joint_positions_history get_actual_tcp_pose get_actual_tcp_speed get_actual_tool_flange_pose
+get_forward_kin get_inverse_kin get_joint_positions get_joint_torques get_list_length get_steptime
+get_target_joint_positions get_target_joint_speeds is_steady is_within_safety_limits movec movej movel movep norm
+optimovej optimovel popup pose_sub pose_trans pow read_input_float_register read_input_integer_register
+rtde_set_watchdog servoc servoj set_gravity set_payload set_target_payload set_tcp set_tool_voltage sleep socket_close
+socket_open socket_read_ascii_float socket_read_binary_integer socket_send_byte socket_send_int socket_send_string
+speedj speedl stopj stopl str_cat sync teach_mode textmsg to_str tool_contact write_output_float_register
+write_output_integer_register zero_ftsensor
+"""
+
+
+@pytest.mark.parametrize("name", DRIVERS.split())
+def test_every_function_that_drivers_call_is_known(name: str) -> None:
+    assert find(name, FIRMWARE) is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "firmware", "known"),
+    [
+        ("set_digital_out", "1.8", True),
+        ("set_standard_digital_out", "1.8", False),
+        ("set_configurable_digital_out", "1.8", False),
+        ("set_tool_digital_out", "1.8", False),
+        ("set_standard_digital_out", "3.4", True),
+        ("set_target_payload", "5.9", False),
+        ("set_target_payload", "5.10", True),
+        ("get_inverse_kin_has_solution", "5.8", False),
+        ("servoj", "1.8", True),
+    ],
+)
+def test_firmware_decides_what_is_known(name: str, firmware: str, known: bool) -> None:
+    assert (find(name, Firmware.parse(firmware)) is not None) is known

@@ -1,0 +1,47 @@
+"""Small programs with what they do, cycle by cycle.
+
+A program may begin with lines for the stand-in: `#! firmware 3.4`, and `#! peer <port> <list of what it sends>`.
+A trace has a line for each thing that was asked of the controller, and last how the program ended, or the error with
+which it did not compile.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.urlink.simulator.urscript.standin import StandIn, run
+from urlink.simulator.urscript import ScriptError
+
+FOLDER = Path(__file__).parent / "programs"
+PROGRAMS = sorted(path.stem for path in FOLDER.glob("*.script"))
+
+
+def trace(name: str) -> list[str]:
+    text = (FOLDER / f"{name}.script").read_text(encoding="utf-8")
+    settings = [line.split(maxsplit=3) for line in text.splitlines() if line.startswith("#! ")]
+    firmware = next((words[2] for words in settings if words[1] == "firmware"), "5.11")
+    world = StandIn(firmware)
+    for words in settings:
+        if words[1] == "peer":
+            world.sockets.peers[int(words[2])] = eval(words[3], {})
+    try:
+        return run(text, world).notes
+    except ScriptError as error:
+        return [f"does not compile: {error}"]
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_the_program_does_what_its_trace_says(name: str) -> None:
+    expected = (FOLDER / f"{name}.trace").read_text(encoding="utf-8").splitlines()
+    assert trace(name) == expected
+
+
+def test_every_trace_has_a_program() -> None:
+    assert sorted(path.stem for path in FOLDER.glob("*.trace")) == PROGRAMS
+    assert len(PROGRAMS) >= 50
+
+
+def test_the_same_program_does_the_same_again() -> None:
+    assert trace("big_driver") == trace("big_driver")
