@@ -20,13 +20,13 @@ NEW = FIRMWARES[1:]
 WAVE = Trajectory.from_arrays(
     [0, 0.5, 1.0, 1.5],
     [turned(0), turned(0.2), turned(-0.1), turned(0)],
-    [[0] * 6, [0, 0, 0, 0, 0, 0.1], [0, 0, 0, 0, 0, -0.1], [0] * 6],
+    np.array([[0.0] * 6, [0, 0, 0, 0, 0, 0.1], [0, 0, 0, 0, 0, -0.1], [0] * 6]),
     np.zeros((4, 6)),
 )
 
 
 def streaming(firmware: Firmware, **options: float) -> Bench:
-    bench = Bench(programs.streaming(firmware, "10.0.0.1", 50001, **options), firmware)  # type: ignore[arg-type]
+    bench = Bench(programs.streaming(firmware, "10.0.0.1", 50001, **options), firmware)
     bench.run(3, lambda: bench.sockets.waiting.extend(WAIT_WORD))
     return bench
 
