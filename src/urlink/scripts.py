@@ -41,6 +41,8 @@ _log = logging.getLogger(__name__)
 START_TIMEOUT = 5.0
 #: Seconds after an error within which the controller says that the program is over; then it is taken to be.
 _AFTERMATH = 1.0
+#: Seconds after the beginning of a program by which the flag in the robot mode data shows it: five states.
+_FLAG_LAG = 0.5
 #: Seconds that news of a stop may come after the end of the program that it stopped.
 _STOP_LAG = 0.3
 
@@ -58,6 +60,7 @@ class _Run:
         self.on_text = on_text
         self.sent = time.monotonic()
         self.has_begun = False
+        self.begun = 0.0
         self.is_finished = False  # it has said its last word
         self.is_asked_to_stop = False
         self.was_seen = False  # in the robot mode data
@@ -89,6 +92,7 @@ class Scripts:
         self._runs: list[_Run] = []  # in the order in which they were sent
         self._subscriptions: list[Subscription] = []
         self._mode: RobotModeData | None = None
+        self._has_keys = False  # this controller sends key messages
 
     # -- what users call ---------------------------------------------------------------------------
 
@@ -236,6 +240,7 @@ class Scripts:
 
     def _on_key(self, title: str, name: str) -> None:
         run = self._named(name)
+        self._has_keys |= title in (_STARTED, _STOPPED)
         if title == _STARTED and run is not None:
             self._begin(run)
         elif title == _STARTED:
@@ -286,9 +291,13 @@ class Scripts:
                 continue
             if mode.is_program_running or mode.is_program_paused:
                 run.was_seen = True
-            elif run.was_seen or run.is_finished or run.error is not None:
+            elif run.was_seen or run.is_finished or run.error is not None or self._was_missed(run):
                 self._end(run)
         self._check_time()
+
+    def _was_missed(self, run: _Run) -> bool:
+        """It was over before a state could show it, and no key message tells: the flag has been down for too long."""
+        return not self._has_keys and time.monotonic() - run.begun > _FLAG_LAG
 
     def _check_time(self) -> None:
         now = time.monotonic()
@@ -325,7 +334,7 @@ class Scripts:
             return
         if not run.wrapped.is_secondary:
             self._replace(run.name, run)
-        run.has_begun = True
+        run.has_begun, run.begun = True, time.monotonic()
         run.program.set_running()
 
     def _replace(self, name: str, successor: _Run | None) -> None:

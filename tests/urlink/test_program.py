@@ -178,6 +178,20 @@ def test_without_key_messages(robot: StandIn) -> None:
         stopped.wait(5)
 
 
+def test_without_key_messages_and_over_between_two_states(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = run(robot)
+    robot.text(f"{program.name} started")
+    until(lambda: program.phase is ProgramPhase.RUNNING)
+    robot.state(runs=False)
+    robot.text("heard")
+    until(lambda: program.texts == ("heard",))
+    assert not program.done
+    monkeypatch.setattr(module, "_FLAG_LAG", 0.0)
+    robot.state(runs=False)
+    with pytest.raises(ProgramStopped):
+        program.wait(5)
+
+
 def test_never_begins(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "START_TIMEOUT", 0.05)
     program = run(robot)
