@@ -122,7 +122,7 @@ class Drive:
             self._begin(JointSpeed(_REST, self._gentle, None))
         elif isinstance(self._command, Travel):
             way = [b - a for a, b in zip(self.setpoint.q, self._command.place, strict=True)]
-            # On average no faster than half of what the joints may.
+            # Its fastest point, 3/2 of the mean, is half of what the joints may.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
             self._command.restart(Remainder(way, _REST, max(3.0 * furthest, 0.1), self._gentle))
         elif isinstance(self._command, ToolSpeed):

@@ -50,10 +50,11 @@ class ToolSpeed:
         self._model, self._limits, self._tcp = model, limits, list(tcp)
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
         self._pose: list[float] = kinematics.pose(model, begin.q, tcp).tolist()
+        self._speed: list[float] = list(_REST)
         if old is not None and old._brake is None and old._tcp == self._tcp:
             self._speed = old._speed
-        else:
-            self._speed = tool_speed(geometry(model), begin.q, begin.qd, self._pose) if any(begin.qd) else list(_REST)
+        elif any(begin.qd):
+            self._speed = tool_speed(geometry(model), begin.q, begin.qd, self._pose)
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
         self.is_at_rest = False

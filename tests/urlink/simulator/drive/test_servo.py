@@ -97,6 +97,14 @@ def test_a_joint_jump_is_a_violation(by: float, passes: bool) -> None:
         assert drive.setpoint == before
 
 
+def test_what_no_arm_can_follow_is_a_violation() -> None:
+    """Within the way that the largest speed allows, but from rest, and without any smoothing."""
+    drive = standing()
+    drive.servoj([HOME[0] + 0.01, *HOME[1:]], CYCLE, 0.0, 0.0)
+    with pytest.raises(LimitViolation, match=r"base: an acceleration of .* which no arm can follow"):
+        cycles(drive, 10)
+
+
 def test_a_smoother_follower_takes_larger_steps() -> None:
     drive = standing()
     drive.servoj([*HOME[:5], HOME[5] + 0.15], CYCLE, 0.2, 300.0)

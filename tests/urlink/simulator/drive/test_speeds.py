@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from tests.urlink.simulator.drive.stepping import (
     to_rest,
 )
 from urlink.simulator import kinematics
-from urlink.simulator.drive import LimitViolation
+from urlink.simulator.drive import LimitViolation, Move
 from urlink.simulator.motion import HOME
 from urlink.simulator.twist import geometry, tool_speed
 
@@ -143,7 +145,7 @@ def test_a_speed_above_the_limit_is_a_violation() -> None:
 
 def test_arguments_without_meaning() -> None:
     drive = standing()
-    for wrong in (
+    wrongs: list[Callable[[], Move]] = [
         lambda: drive.speedj([0.0] * 5, 1.0, None),
         lambda: drive.speedj([0.0] * 6, 0.0, None),
         lambda: drive.speedj([0.1] * 6, 1.0, -1.0),
@@ -152,7 +154,8 @@ def test_arguments_without_meaning() -> None:
         lambda: drive.stopj(0.0),
         lambda: drive.stopl(float("inf"), 1.0),
         lambda: drive.stopl(1.0, -1.0),
-    ):
+    ]
+    for wrong in wrongs:
         with pytest.raises(BadValue):
             wrong()
 
