@@ -191,6 +191,8 @@ class Safety:
                 self._listen(name)
             with self._changed:
                 self._changed.wait_for(lambda name=name: self._gate.has_word(name), _FIRST_WORD)  # type: ignore[misc]
+                # Only now: a source that has just been asked must not close a gate that was open.
+                self._gate.expect(name)
 
     def wait_for_stop(self, timeout: float) -> LinkError | None:
         """The stop that holds, or the first to be heard of within `timeout` seconds; else None."""
@@ -242,8 +244,6 @@ class Safety:
                     is_vain = True
                     self._gate.forget(name)
                 raise
-            with self.lock:
-                self._gate.expect(name)
             self._subscriptions[name] = subscriptions
             if stream.connection is not ConnectionState.CONNECTED:
                 self._tell(lambda: self._gate.lose(name, "not connected at present", time.monotonic()))

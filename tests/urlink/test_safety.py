@@ -169,6 +169,26 @@ def test_policies_over_the_streams() -> None:
             robot.safety.policy = "no"  # type: ignore[assignment]
 
 
+def test_listening_more_closely_closes_nothing() -> None:
+    """The first motion asks the real-time interface too; until that speaks, what was enabled stays so."""
+    with StandIn(policy="always") as robot:
+        robot.state(fast=False)
+        robot.safety.enable()
+        heard: list[LinkError] = []
+        robot.safety.on_stop(heard.append)
+        mover = threading.Thread(target=robot.outlet.motion, args=("movej(q)",))
+        mover.start()
+        until(lambda: robot.fast.opened == 1)
+        before = robot.primary.stats.delivered
+        robot.state(fast=False)
+        until(lambda: robot.primary.stats.delivered > before)
+        assert robot.sent == []
+        robot.state()
+        mover.join(10)
+        assert robot.sent == ["movej(q)\n"]
+        assert heard == []
+
+
 def test_waiting_says_what_hinders(robot: StandIn) -> None:
     robot.state(RobotMode.IDLE)
     with pytest.raises(LinkTimeout, match="IDLE"):
