@@ -27,7 +27,7 @@ MAX_NESTING = 64
 MAX_INSTRUCTIONS = 20_000
 #: Of one controller cycle, all threads together: elements and characters that are made, parts of long expressions, and
 #: what costs as much as them.
-MAX_WORK = 400_000
+MAX_WORK = 200_000
 #: calls that have not returned, in one thread
 MAX_CALL_DEPTH = 200
 #: of one program, living ones and those that ended in this cycle

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.urlink.simulator.urscript.standin import StandIn, run
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import Script, ScriptError, compile_script
+from urlink.simulator.urscript.builtins import FAMILIES
 
 FIRMWARE = Firmware(5, 11)
 INTEGERS = st.integers(-1000, 1000)
@@ -198,3 +199,62 @@ LINES = st.sampled_from(
 def test_any_program_of_good_lines_ends_or_goes_on(main: list[str], function: list[str], thread: list[str]) -> None:
     lines = ["y = 2", "def f(x=1):", *function, "return x", "end", "thread t():", "x = 0", *thread, "end", *main]
     is_script_or_error("\n".join(lines))
+
+
+VALUES = st.sampled_from(
+    [
+        "0",
+        "1",
+        "-1",
+        "6",
+        "2147483647",
+        "0.5",
+        "1.5",
+        "-1e300",
+        "nan",
+        "True",
+        "''",
+        "'socket_0'",
+        "'1.5'",
+        "[]",
+        "[1, 2, 3]",
+        "['a']",
+        "[[1, 2], [3]]",
+        "[True, False]",
+        "[0, 0, 0, 0, 0, 0]",
+        "[0, 0, 0, 0, 0, 'x']",
+        "[nan, 0, 0, 0, 0, 0]",
+        "p[0.4, 0.1, 0.3, 0, 3, 0]",
+        "p[1e300, 0, 0, 1e300, 0, 0]",
+        "p[nan, 0, 0, 0, nan, 0]",
+        "handle",
+        "nothing",
+    ]
+)
+NAMES = st.sampled_from(sorted({name for family in FAMILIES for name in family.functions}))
+BEGINNING = """
+def nothing_at_all():
+  sync()
+end
+thread waiting():
+  sync()
+end
+handle = run waiting()
+nothing = nothing_at_all()
+connected = socket_open("host", 1)
+nan = socket_read_ascii_float(1)
+nan = nan[1]
+"""
+
+
+@pytest.mark.property
+@given(NAMES, st.lists(VALUES, max_size=6), st.sampled_from(["1.8", "3.4", "5.11"]))
+def test_any_call_of_a_built_in_function_works_or_is_an_error(name: str, values: list[str], firmware: str) -> None:
+    world = StandIn(firmware)
+    world.sockets.peers[1] = [b"(x)", b"rest\n"]
+    try:
+        run(f"{BEGINNING}\ntextmsg({name}({', '.join(values)}))", world, cycles=20)
+    except ScriptError as error:
+        assert error.text == f"compile_error_name_not_found:{name}:"  # noqa: PT017
+    else:
+        assert world.notes[-1].split()[1] in ("over", "error", "stopped")

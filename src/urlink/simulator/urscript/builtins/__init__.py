@@ -7,9 +7,9 @@ from urlink.firmware import Firmware
 from . import lists_and_strings, mathematics, motion, poses, program, signals, sockets, state, unmodelled
 from .declaration import Builtin, Family
 
-__all__ = ["find"]
+__all__ = ["FAMILIES", "find"]
 
-_FAMILIES: tuple[Family, ...] = (
+FAMILIES: tuple[Family, ...] = (
     lists_and_strings.FAMILY,
     mathematics.FAMILY,
     motion.FAMILY,
@@ -24,7 +24,7 @@ _FAMILIES: tuple[Family, ...] = (
 
 def find(name: str, firmware: Firmware) -> Builtin | None:
     """The function of that name on a controller of that firmware, or None if it has none."""
-    for family in _FAMILIES:
+    for family in FAMILIES:
         for builtin in family.functions.get(name, ()):
             if builtin.is_in(firmware):
                 return builtin

@@ -97,29 +97,29 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
 
 @FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
 def servoj(thread: Thread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
-    """Of CB2: how far it looks ahead and how hard it follows cannot be said."""
-    return _servoj(thread, q, a, v, t, 0.1, 300)
+    """Of CB2: how far it looks ahead and how hard it follows cannot be said, which the drive is told by zeros."""
+    return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 
 @FAMILY.declare(name="servoj", takes_time=True, in_secondary=False, since="3.0")
 def servoj_with_gain(
     thread: Thread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
 ) -> Waiting:
-    """The ranges of the last two are those of the manuals."""
-    return _servoj(thread, q, a, v, t, lookahead_time, gain)
-
-
-def _servoj(thread: Thread, q: Any, a: Any, v: Any, t: Any, lookahead_time: Any, gain: Any) -> Waiting:
-    target = joints(q, "servoj: q")
-    # Not used by the controller either.
-    number(a, "servoj: a")
-    number(v, "servoj: v")
-    seconds = _not_negative(t, "servoj: t") or thread.world.period
+    """The ranges of the last two are those of the manuals, as remembered."""
     ahead, stiffness = number(lookahead_time, "servoj: lookahead_time"), number(gain, "servoj: gain")
     if not 0.03 <= ahead <= 0.2:
         raise Fault(f"servoj: lookahead_time is from 0.03 to 0.2, not {ahead:g}")
     if not 100 <= stiffness <= 2000:
         raise Fault(f"servoj: gain is from 100 to 2000, not {stiffness:g}")
+    return _servoj(thread, q, a, v, t, ahead, stiffness)
+
+
+def _servoj(thread: Thread, q: Any, a: Any, v: Any, t: Any, ahead: float, stiffness: float) -> Waiting:
+    target = joints(q, "servoj: q")
+    # Not used by the controller either.
+    number(a, "servoj: a")
+    number(v, "servoj: v")
+    seconds = _not_negative(t, "servoj: t") or thread.world.period
     return thread.machine.moving(thread, lambda: thread.world.drive.servoj(target, seconds, ahead, stiffness))
 
 
