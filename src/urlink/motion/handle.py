@@ -17,7 +17,7 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
-from linkcore.errors import LinkError, LinkTimeout
+from linkcore.errors import LinkError, LinkTimeout, LocalError
 
 from ..errors import MotionCancelled
 from .equipment import Equipment
@@ -58,6 +58,7 @@ class Motion:
         self._lock = threading.Lock()
         self._phase = MotionPhase.MOVING
         self._error: Exception | None = None
+        self._has_begun = False
         self._is_yielding = False
         self._held: Exception | None = None
         self._ignore_stops: Callable[[], None] = lambda: None
@@ -146,7 +147,12 @@ class Motion:
 
         Raises:
             LinkError: it could not begin; it is over then.
+            LocalError: it has been begun before.
         """
+        with self._lock:
+            if self._has_begun:
+                raise LocalError(f"{self.name} has been begun before; each motion is good for one time")
+            self._has_begun = True
         self._ignore_stops = self._equipment.safety.on_stop(self._fail_at_once)
         try:
             self._begin()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue, LinkError, LinkTimeout
+from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
 
 from ..schemas.realtime import RealtimeState
 from ..script.programs import streaming
@@ -141,9 +141,12 @@ class Servo(LinkedMotion):
         Raises:
             BadValue: not six finite numbers, out of reach in that time, or beyond a limit of the arm; nothing was sent.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, MotionCancelled: it is over.
+            LocalError: not within the block.
         """
+        if not self._is_linked.is_set():
+            raise LocalError("a servo takes set-points within its block: with robot.motion.servo() as servo: ...")
         if self.done or self._last_word is not None:
-            raise self._error or LinkTimeout(f"{self.name} is over")
+            raise self._error or Closed("the block of the servo was left")
         now = time.monotonic()
         values = self._checked(q, now)
         try:

@@ -68,7 +68,7 @@ class WaypointFollower(Following):
     def _step(self, link: ReverseLink, state: RealtimeState) -> None:
         now = time.monotonic()
         if self._has_arrived:
-            if self._follow_up(state, []):
+            if self._t0 is None or self._follow_up(state, self._desired(state.time - self._t0)[0]):
                 self._conclude()
             return
         self._read(link.received(), now)

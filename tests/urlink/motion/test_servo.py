@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from linkcore.errors import BadValue, ConnectFailed, ConnectionLost, LinkError
+from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LocalError
 from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop
@@ -74,8 +74,16 @@ def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: s
     assert servo.phase is MotionPhase.DONE
     assert robot.word() is None
     assert len(robot.sent) == 1
-    with pytest.raises(LinkError, match="over"):
+    with pytest.raises(Closed, match="was left"):
         servo.send(HOME)
+    with pytest.raises(LocalError, match="begun before"):
+        servo.__enter__()
+
+
+def test_outside_of_its_block(robot: Rehearsal) -> None:
+    with pytest.raises(LocalError, match="within its block"):
+        robot.motion.servo().send(HOME)
+    assert robot.sent == []
 
 
 def test_statistics(robot: Rehearsal) -> None:
