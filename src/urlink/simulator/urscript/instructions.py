@@ -8,7 +8,7 @@ from typing import Any
 from . import values
 from .code import ENDED, GLOBALS, THREAD, Code, Frame, Instruction
 from .errors import Fault, type_error
-from .machine import Thread, Waiting
+from .machine import ScriptThread, Waiting
 from .operations import Function
 from .values import NUMBERS, UNSET
 
@@ -151,7 +151,7 @@ def call(code: Code, arguments: Sequence[Function], destination: int, after: int
     """Call a function of the program."""
 
     def run(f: Frame) -> int:
-        thread: Thread = f[THREAD]
+        thread: ScriptThread = f[THREAD]
         return thread.call(code, _frame(code, arguments, f), after, destination)
 
     return run
@@ -161,7 +161,7 @@ def leave(value: Function | None) -> Instruction:
     """Return from a function."""
 
     def run(f: Frame) -> int:
-        thread: Thread = f[THREAD]
+        thread: ScriptThread = f[THREAD]
         return thread.leave(None if value is None else value(f))
 
     return run
@@ -173,7 +173,7 @@ def await_builtin(
     """Call a built-in function that takes time."""
 
     def run(f: Frame) -> int:
-        thread: Thread = f[THREAD]
+        thread: ScriptThread = f[THREAD]
         return thread.await_(function(thread, *[argument(f) for argument in arguments]), after, destination)
 
     return run
@@ -182,8 +182,8 @@ def await_builtin(
 def start(code: Code, arguments: Sequence[Function]) -> Function:
     """`run`: an expression, whose value is the new thread."""
 
-    def run(f: Frame) -> Thread:
-        thread: Thread = f[THREAD]
+    def run(f: Frame) -> ScriptThread:
+        thread: ScriptThread = f[THREAD]
         return thread.machine.start(code, _frame(code, arguments, f))
 
     return run
@@ -203,12 +203,12 @@ def kill(handle: Function, after: int) -> Instruction:
 def join(handle: Function, destination: int, after: int) -> Instruction:
     """Wait until a thread is over."""
 
-    def wait(thread: Thread) -> Waiting:
+    def wait(thread: ScriptThread) -> Waiting:
         while not thread.is_over:
             yield
 
     def run(f: Frame) -> int:
-        thread: Thread = f[THREAD]
+        thread: ScriptThread = f[THREAD]
         return thread.await_(wait(_thread(handle(f))), after, destination)
 
     return run
@@ -218,7 +218,7 @@ def halt() -> Instruction:
     """End the program, whichever thread says so."""
 
     def run(f: Frame) -> int:
-        thread: Thread = f[THREAD]
+        thread: ScriptThread = f[THREAD]
         thread.machine.main.end()
         return ENDED
 
@@ -232,7 +232,7 @@ def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
     return frame
 
 
-def _thread(value: Any) -> Thread:
-    if isinstance(value, Thread):
+def _thread(value: Any) -> ScriptThread:
+    if isinstance(value, ScriptThread):
         return value
     raise type_error(f"a thread handle is wanted, not {values.type_name(value)}")

@@ -21,7 +21,7 @@ from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, M
 from .values import UNSET, weight
 from .world import Move, World
 
-__all__ = ["Machine", "Thread", "Waiting"]
+__all__ = ["Machine", "ScriptThread", "Waiting"]
 
 #: A function that takes time: it yields once for every cycle that it waits, and returns its value.
 Waiting = Generator[None, None, Any]
@@ -30,7 +30,7 @@ Waiting = Generator[None, None, Any]
 _SMALL_FRAME = 64
 
 
-class Thread:
+class ScriptThread:
     """One line of execution: frames, and what it waits for.
 
     Attributes:
@@ -156,22 +156,22 @@ class Machine:
         self.random = random.Random(0)
         self.history: deque[tuple[float, ...]] = deque(maxlen=500)
         self.has_moved = False
-        self._owner: Thread | None = None
+        self._owner: ScriptThread | None = None
         self._move: Move | None = None
         self._firmware = script.firmware
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
         self._made = 0
-        self._critical: Thread | None = None
+        self._critical: ScriptThread | None = None
         self._entered = 0
-        self._threads: list[Thread] = []
+        self._threads: list[ScriptThread] = []
         self.main = self.start(script.main, [self._globals, None, *[UNSET] * (script.main.size - 2)])
 
-    def start(self, code: Code, frame: Frame) -> Thread:
+    def start(self, code: Code, frame: Frame) -> ScriptThread:
         """A new thread. It runs after those that are there, in the same cycle."""
         if len(self._threads) >= MAX_THREADS:
             raise Fault(f"Too many threads: {MAX_THREADS}")
-        thread = Thread(self, code, frame)
+        thread = ScriptThread(self, code, frame)
         self._threads.append(thread)
         return thread
 
@@ -202,7 +202,7 @@ class Machine:
         self._threads = []
         self._globals.clear()
 
-    def forget(self, thread: Thread) -> None:
+    def forget(self, thread: ScriptThread) -> None:
         """A thread has ended: what it held is free."""
         if self._critical is thread:
             self._critical = None
@@ -211,7 +211,7 @@ class Machine:
             self._owner = None
             self.world.drive.release()
 
-    def moving(self, thread: Thread, begin: Callable[[], Move]) -> Waiting:
+    def moving(self, thread: ScriptThread, begin: Callable[[], Move]) -> Waiting:
         """Command the arm, and wait until that is over.
 
         Raises:
@@ -253,7 +253,7 @@ class Machine:
 
     # -- critical sections -------------------------------------------------------------------------
 
-    def enter(self, thread: Thread) -> bool:
+    def enter(self, thread: ScriptThread) -> bool:
         """Try to enter the critical section."""
         if self._critical is not None and self._critical is not thread:
             return False
@@ -261,7 +261,7 @@ class Machine:
         self._entered += 1
         return True
 
-    def exit(self, thread: Thread) -> None:
+    def exit(self, thread: ScriptThread) -> None:
         """Leave it, if the thread is in it."""
         if self._critical is thread:
             self._entered -= 1

@@ -4,7 +4,8 @@ A value is a Python number, truth value or string, a tuple for a list, a `Pose`,
 immutable, so that passing one on costs nothing and hands nobody another's list; assigning an element makes a new one.
 
 Known: numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces
-(a log of 5.x). Guesses:
+(a log of 5.x). Controllers of 5.9 to 5.14 refuse to give a variable a list of another length ("Resizing of 'List' is
+not supported", by a project's tests); here that is not looked at. Guesses:
 
 - `/` always gives a float; drivers divide integers from a socket by a million and get fractions, so it does not cut;
 - `%` has the sign of its left operand, as in C;

@@ -30,7 +30,7 @@ def test_a_script_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "column", "message"),
     [
-        # As controllers said it.
+        # The texts are those of controllers; what they were given for the first is a guess.
         ("def silly():\nend", 2, 1, "syntax_error_on_line:2:end:"),
         ("def f():\n  calldoesntexist()\nend", 2, 3, "compile_error_name_not_found:calldoesntexist:"),
         ("def f():\n    textmsg(1\n    movej([0], a=1)\nend", 3, 5, "syntax_error_on_line:3:    movej([0], a=1):"),

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import Fault, type_error
 from ..limits import MAX_STRING
-from ..machine import Thread
+from ..machine import ScriptThread
 from ..values import checked, list_of, to_str, type_name
 from .arguments import boolean, integer, is_list, string
 from .declaration import Family
@@ -19,7 +19,7 @@ FAMILY = Family()
 _NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?\s*")
 
 
-def made(thread: Thread, text: str) -> str:
+def made(thread: ScriptThread, text: str) -> str:
     """A new string, if it is not too long."""
     if len(text) > MAX_STRING:
         raise Fault(f"String too long: {len(text)} characters")
@@ -28,7 +28,7 @@ def made(thread: Thread, text: str) -> str:
 
 
 @FAMILY.declare("get_list_length", "size")
-def length(thread: Thread, v: Any) -> int:
+def length(thread: ScriptThread, v: Any) -> int:
     """Of a list; of a string its characters."""
     if is_list(v) or isinstance(v, (str, tuple)):
         return len(v)
@@ -37,12 +37,12 @@ def length(thread: Thread, v: Any) -> int:
 
 # Named after what it is in a program, as all are; `to_str` of values is what does it.
 @FAMILY.declare(name="to_str")
-def to_string(thread: Thread, val: Any) -> str:
+def to_string(thread: ScriptThread, val: Any) -> str:
     return made(thread, to_str(val))
 
 
 @FAMILY.declare()
-def to_num(thread: Thread, str_to_convert: Any) -> float | int:
+def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
     text = string(str_to_convert, "to_num: str_to_convert")
     match = _NUMBER.fullmatch(text) if len(text) < 400 else None
     if match is None:
@@ -52,23 +52,23 @@ def to_num(thread: Thread, str_to_convert: Any) -> float | int:
 
 
 @FAMILY.declare()
-def str_cat(thread: Thread, op1: Any, op2: Any) -> str:
+def str_cat(thread: ScriptThread, op1: Any, op2: Any) -> str:
     """Of strings, or of what `to_str` makes of other values."""
     return made(thread, to_str(op1) + to_str(op2))
 
 
 @FAMILY.declare()
-def str_len(thread: Thread, str: Any) -> int:
+def str_len(thread: ScriptThread, str: Any) -> int:
     return len(string(str, "str_len: str"))
 
 
 @FAMILY.declare()
-def str_empty(thread: Thread, str: Any) -> bool:
+def str_empty(thread: ScriptThread, str: Any) -> bool:
     return not string(str, "str_empty: str")
 
 
 @FAMILY.declare()
-def str_at(thread: Thread, src: Any, index: Any) -> str:
+def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
     text = string(src, "str_at: src")
     at = integer(index, "str_at: index")
     if not 0 <= at < len(text):
@@ -77,7 +77,7 @@ def str_at(thread: Thread, src: Any, index: Any) -> str:
 
 
 @FAMILY.declare()
-def str_sub(thread: Thread, src: Any, index: Any, len: Any = 2**31 - 1) -> str:
+def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) -> str:
     """The part from `index` on, `len` characters or as many as there are."""
     text = string(src, "str_sub: src")
     at, count = integer(index, "str_sub: index", 0), integer(len, "str_sub: len", 0)
@@ -87,7 +87,7 @@ def str_sub(thread: Thread, src: Any, index: Any, len: Any = 2**31 - 1) -> str:
 
 
 @FAMILY.declare()
-def str_find(thread: Thread, src: Any, target: Any, start_from: Any = 0) -> int:
+def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -> int:
     """Where `target` begins, or -1."""
     text, wanted = string(src, "str_find: src"), string(target, "str_find: target")
     thread.machine.charge(len(text) // 16 + len(wanted) // 16)
@@ -95,14 +95,14 @@ def str_find(thread: Thread, src: Any, target: Any, start_from: Any = 0) -> int:
 
 
 @FAMILY.declare()
-def integer_to_binary_list(thread: Thread, x: Any) -> tuple[bool, ...]:
+def integer_to_binary_list(thread: ScriptThread, x: Any) -> tuple[bool, ...]:
     """32 truth values, the lowest bit first."""
     value = integer(x, "integer_to_binary_list: x") & 0xFFFFFFFF
     return tuple([bool(value >> bit & 1) for bit in range(32)])
 
 
 @FAMILY.declare()
-def binary_list_to_integer(thread: Thread, l: Any) -> int:  # noqa: E741
+def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
     """Of up to 32 truth values, the lowest bit first; bit 31 is the sign."""
     if not is_list(l) or len(l) > 32:
         raise type_error("binary_list_to_integer takes a list of up to 32 truth values")
@@ -111,7 +111,7 @@ def binary_list_to_integer(thread: Thread, l: Any) -> int:  # noqa: E741
 
 
 @FAMILY.declare(since="3.15/5.10")
-def make_list(thread: Thread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
+def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
     """A list of that many equal values. That its longest length makes no difference here is a simplification."""
     count = integer(length, "make_list: length", 0, 10_000)
     return list_of([initial_value] * count, thread.machine.charge)

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ..errors import Fault
-from ..machine import Thread
+from ..machine import ScriptThread
 from ..values import checked
 from .arguments import number, numbers
 from .declaration import Family
@@ -17,7 +17,7 @@ FAMILY = Family()
 
 
 @FAMILY.declare()
-def sqrt(thread: Thread, f: Any) -> float:
+def sqrt(thread: ScriptThread, f: Any) -> float:
     x = number(f, "sqrt: f")
     if x < 0:
         raise Fault("sqrt of a negative number")
@@ -25,7 +25,7 @@ def sqrt(thread: Thread, f: Any) -> float:
 
 
 @FAMILY.declare()
-def pow(thread: Thread, base: Any, exponent: Any) -> float:
+def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
     """Always a float, which is a guess."""
     x, y = float(number(base, "pow: base")), float(number(exponent, "pow: exponent"))
     try:
@@ -35,7 +35,7 @@ def pow(thread: Thread, base: Any, exponent: Any) -> float:
 
 
 @FAMILY.declare()
-def exp(thread: Thread, f: Any) -> float:
+def exp(thread: ScriptThread, f: Any) -> float:
     try:
         return math.exp(number(f, "exp: f"))
     except OverflowError:
@@ -43,7 +43,7 @@ def exp(thread: Thread, f: Any) -> float:
 
 
 @FAMILY.declare()
-def log(thread: Thread, b: Any, f: Any) -> float:
+def log(thread: ScriptThread, b: Any, f: Any) -> float:
     """The logarithm of f to base b."""
     base, x = number(b, "log: b"), number(f, "log: f")
     if base <= 0 or base == 1 or x <= 0:
@@ -52,27 +52,27 @@ def log(thread: Thread, b: Any, f: Any) -> float:
 
 
 @FAMILY.declare()
-def sin(thread: Thread, f: Any) -> float:
+def sin(thread: ScriptThread, f: Any) -> float:
     return math.sin(number(f, "sin: f"))
 
 
 @FAMILY.declare()
-def cos(thread: Thread, f: Any) -> float:
+def cos(thread: ScriptThread, f: Any) -> float:
     return math.cos(number(f, "cos: f"))
 
 
 @FAMILY.declare()
-def tan(thread: Thread, f: Any) -> float:
+def tan(thread: ScriptThread, f: Any) -> float:
     return math.tan(number(f, "tan: f"))
 
 
 @FAMILY.declare()
-def asin(thread: Thread, f: Any) -> float:
+def asin(thread: ScriptThread, f: Any) -> float:
     return math.asin(_of_an_angle(f, "asin"))
 
 
 @FAMILY.declare()
-def acos(thread: Thread, f: Any) -> float:
+def acos(thread: ScriptThread, f: Any) -> float:
     return math.acos(_of_an_angle(f, "acos"))
 
 
@@ -84,51 +84,51 @@ def _of_an_angle(f: Any, name: str) -> float:
 
 
 @FAMILY.declare()
-def atan(thread: Thread, f: Any) -> float:
+def atan(thread: ScriptThread, f: Any) -> float:
     return math.atan(number(f, "atan: f"))
 
 
 @FAMILY.declare()
-def atan2(thread: Thread, x: Any, y: Any) -> float:
+def atan2(thread: ScriptThread, x: Any, y: Any) -> float:
     """Of the sine x and the cosine y."""
     return math.atan2(number(x, "atan2: x"), number(y, "atan2: y"))
 
 
 @FAMILY.declare()
-def d2r(thread: Thread, d: Any) -> float:
+def d2r(thread: ScriptThread, d: Any) -> float:
     return math.radians(number(d, "d2r: d"))
 
 
 @FAMILY.declare()
-def r2d(thread: Thread, r: Any) -> float:
+def r2d(thread: ScriptThread, r: Any) -> float:
     return math.degrees(number(r, "r2d: r"))
 
 
 @FAMILY.declare()
-def floor(thread: Thread, f: Any) -> float | int:
+def floor(thread: ScriptThread, f: Any) -> float | int:
     return checked(math.floor(number(f, "floor: f")))
 
 
 @FAMILY.declare()
-def ceil(thread: Thread, f: Any) -> float | int:
+def ceil(thread: ScriptThread, f: Any) -> float | int:
     return checked(math.ceil(number(f, "ceil: f")))
 
 
 @FAMILY.declare()
-def round(thread: Thread, f: Any) -> float | int:
+def round(thread: ScriptThread, f: Any) -> float | int:
     """Halves away from zero, as in C: a guess, and so is the function."""
     x = number(f, "round: f")
     return checked(math.floor(abs(x) + 0.5) * (-1 if x < 0 else 1))
 
 
 @FAMILY.declare()
-def random(thread: Thread) -> float:
+def random(thread: ScriptThread) -> float:
     """From 0 to 1, the same numbers in every run of a program."""
     return thread.machine.random.random()
 
 
 @FAMILY.declare()
-def norm(thread: Thread, a: Any) -> float | int:
+def norm(thread: ScriptThread, a: Any) -> float | int:
     """The length of a vector, the magnitude of a number."""
     if a.__class__ is int or a.__class__ is float:
         return checked(-a if a < 0 else a)
@@ -138,7 +138,7 @@ def norm(thread: Thread, a: Any) -> float | int:
 
 
 @FAMILY.declare()
-def normalize(thread: Thread, v: Any) -> tuple[float, ...]:
+def normalize(thread: ScriptThread, v: Any) -> tuple[float, ...]:
     items = numbers(v, "normalize: v")
     thread.machine.charge(len(items))
     length = checked(math.hypot(*items))

@@ -12,7 +12,7 @@ from typing import Any
 from urlink.simulator import kinematics
 
 from ..errors import Fault, type_error
-from ..machine import Thread, Waiting
+from ..machine import ScriptThread, Waiting
 from ..values import NUMBERS, type_name
 from .arguments import integer, is_list, joints, number, pose, six
 from .declaration import Family
@@ -37,7 +37,7 @@ def _not_negative(value: Any, what: str) -> float:
     return x
 
 
-def _joints(thread: Thread, target: Any, what: str) -> list[float]:
+def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
     """Joint positions, or those of a pose that are closest to the present target."""
     if is_list(target):
         return joints(target, what)
@@ -47,7 +47,7 @@ def _joints(thread: Thread, target: Any, what: str) -> list[float]:
     return found
 
 
-def _pose(thread: Thread, target: Any, what: str) -> Sequence[float]:
+def _pose(thread: ScriptThread, target: Any, what: str) -> Sequence[float]:
     """A pose, or that of joint positions."""
     if is_list(target):
         model = thread.world.model
@@ -56,21 +56,21 @@ def _pose(thread: Thread, target: Any, what: str) -> Sequence[float]:
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def movej(thread: Thread, q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Waiting:
+def movej(thread: ScriptThread, q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Waiting:
     target = _joints(thread, q, "movej: q")
     figures = _path("movej", a, v, t, r)
     return thread.machine.moving(thread, lambda: thread.world.drive.movej(target, *figures))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def movel(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waiting:
+def movel(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "movel: pose")
     figures = _path("movel", a, v, t, r)
     return thread.machine.moving(thread, lambda: thread.world.drive.movel(target, *figures))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def movep(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
+def movep(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "movep: pose")
     acceleration, speed, _, blend = _path("movep", a, v, 0, r)
     return thread.machine.moving(thread, lambda: thread.world.drive.movep(target, acceleration, speed, blend))
@@ -78,7 +78,7 @@ def movep(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) ->
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def movec(
-    thread: Thread, pose_via: Any, pose_to: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0, mode: Any = 0
+    thread: ScriptThread, pose_via: Any, pose_to: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0, mode: Any = 0
 ) -> Waiting:
     via, to = _pose(thread, pose_via, "movec: pose_via"), _pose(thread, pose_to, "movec: pose_to")
     acceleration, speed, _, blend = _path("movec", a, v, 0, r)
@@ -96,14 +96,14 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
-def servoj(thread: Thread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
+def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
     """Of CB2: how far it looks ahead and how hard it follows cannot be said, which the drive is told by zeros."""
     return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 
 @FAMILY.declare(name="servoj", takes_time=True, in_secondary=False, since="3.0")
 def servoj_with_gain(
-    thread: Thread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
+    thread: ScriptThread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
 ) -> Waiting:
     """The ranges of the last two are those of the manuals, as remembered."""
     ahead, stiffness = number(lookahead_time, "servoj: lookahead_time"), number(gain, "servoj: gain")
@@ -114,7 +114,7 @@ def servoj_with_gain(
     return _servoj(thread, q, a, v, t, ahead, stiffness)
 
 
-def _servoj(thread: Thread, q: Any, a: Any, v: Any, t: Any, ahead: float, stiffness: float) -> Waiting:
+def _servoj(thread: ScriptThread, q: Any, a: Any, v: Any, t: Any, ahead: float, stiffness: float) -> Waiting:
     target = joints(q, "servoj: q")
     # Not used by the controller either.
     number(a, "servoj: a")
@@ -124,7 +124,7 @@ def _servoj(thread: Thread, q: Any, a: Any, v: Any, t: Any, ahead: float, stiffn
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def servoc(thread: Thread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
+def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "servoc: pose")
     acceleration, speed, _, blend = _path("servoc", a, v, 0, r)
     return thread.machine.moving(thread, lambda: thread.world.drive.servoc(target, acceleration, speed, blend))
@@ -136,14 +136,14 @@ def _seconds(t: Any, what: str) -> float | None:
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def speedj(thread: Thread, qd: Any, a: Any = 1.4, t: Any = None) -> Waiting:
+def speedj(thread: ScriptThread, qd: Any, a: Any = 1.4, t: Any = None) -> Waiting:
     speeds = six(qd, "speedj: qd")
     acceleration, seconds = _positive(a, "speedj: a"), _seconds(t, "speedj: t")
     return thread.machine.moving(thread, lambda: thread.world.drive.speedj(speeds, acceleration, seconds))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def speedl(thread: Thread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any = "a") -> Waiting:
+def speedl(thread: ScriptThread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any = "a") -> Waiting:
     speeds = six(xd, "speedl: xd")
     acceleration, seconds = _positive(a, "speedl: a"), _seconds(t, "speedl: t")
     turning = _turning(aRot, acceleration, "speedl: aRot")
@@ -151,13 +151,13 @@ def speedl(thread: Thread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any = "a"
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def stopj(thread: Thread, a: Any = 2.0) -> Waiting:
+def stopj(thread: ScriptThread, a: Any = 2.0) -> Waiting:
     acceleration = _positive(a, "stopj: a")
     return thread.machine.moving(thread, lambda: thread.world.drive.stopj(acceleration))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def stopl(thread: Thread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
+def stopl(thread: ScriptThread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
     acceleration = _positive(a, "stopl: a")
     turning = _turning(aRot, acceleration, "stopl: aRot")
     return thread.machine.moving(thread, lambda: thread.world.drive.stopl(acceleration, turning))
@@ -173,6 +173,6 @@ def _turning(aRot: Any, a: float, what: str) -> float:
 
 
 @FAMILY.declare()
-def is_steady(thread: Thread) -> bool:
+def is_steady(thread: ScriptThread) -> bool:
     """The arm stands; how long a real one must have stood is not modelled."""
     return thread.world.drive.is_standing

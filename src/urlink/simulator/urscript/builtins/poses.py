@@ -15,7 +15,7 @@ import numpy as np
 from urlink.simulator import kinematics
 
 from ..errors import Fault, type_error
-from ..machine import Thread
+from ..machine import ScriptThread
 from ..values import Pose, type_name
 from .arguments import is_list, joints, number, pose, vector
 from .declaration import Family
@@ -31,42 +31,42 @@ _NOWHERE = (0.0, 0.0, 0.0)
 
 
 @FAMILY.declare()
-def pose_trans(thread: Thread, p_from: Any, p_from_to: Any) -> Pose:
+def pose_trans(thread: ScriptThread, p_from: Any, p_from_to: Any) -> Pose:
     return _transformed(thread, pose(p_from, "pose_trans: p_from"), pose(p_from_to, "pose_trans: p_from_to"))
 
 
 @FAMILY.declare()
-def pose_inv(thread: Thread, p_from: Any) -> Pose:
+def pose_inv(thread: ScriptThread, p_from: Any) -> Pose:
     return _inverse(thread, pose(p_from, "pose_inv: p_from"))
 
 
 @FAMILY.declare()
-def pose_add(thread: Thread, p_1: Any, p_2: Any) -> Pose:
+def pose_add(thread: ScriptThread, p_1: Any, p_2: Any) -> Pose:
     a, b = pose(p_1, "pose_add: p_1"), pose(p_2, "pose_add: p_2")
     turned = _transformed(thread, [*_NOWHERE, *a[3:]], [*_NOWHERE, *b[3:]])
     return Pose([a[0] + b[0], a[1] + b[1], a[2] + b[2], *turned[3:]])
 
 
 @FAMILY.declare()
-def pose_sub(thread: Thread, p_to: Any, p_from: Any) -> Pose:
+def pose_sub(thread: ScriptThread, p_to: Any, p_from: Any) -> Pose:
     a, b = pose(p_to, "pose_sub: p_to"), pose(p_from, "pose_sub: p_from")
     turned = _transformed(thread, [*_NOWHERE, *a[3:]], _inverse(thread, [*_NOWHERE, *b[3:]]))
     return Pose([a[0] - b[0], a[1] - b[1], a[2] - b[2], *turned[3:]])
 
 
 @FAMILY.declare()
-def pose_dist(thread: Thread, p_from: Any, p_to: Any) -> float:
+def pose_dist(thread: ScriptThread, p_from: Any, p_to: Any) -> float:
     between = _transformed(thread, _inverse(thread, pose(p_from, "pose_dist: p_from")), pose(p_to, "pose_dist: p_to"))
     return math.hypot(*between)
 
 
 @FAMILY.declare()
-def point_dist(thread: Thread, p_from: Any, p_to: Any) -> float:
+def point_dist(thread: ScriptThread, p_from: Any, p_to: Any) -> float:
     return math.dist(pose(p_from, "point_dist: p_from")[:3], pose(p_to, "point_dist: p_to")[:3])
 
 
 @FAMILY.declare()
-def interpolate_pose(thread: Thread, p_from: Any, p_to: Any, alpha: Any) -> Pose:
+def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -> Pose:
     a, b = pose(p_from, "interpolate_pose: p_from"), pose(p_to, "interpolate_pose: p_to")
     x = number(alpha, "interpolate_pose: alpha")
     turn = _transformed(thread, _inverse(thread, [*_NOWHERE, *a[3:]]), [*_NOWHERE, *b[3:]])
@@ -75,7 +75,7 @@ def interpolate_pose(thread: Thread, p_from: Any, p_to: Any, alpha: Any) -> Pose
 
 
 @FAMILY.declare()
-def rotvec2rpy(thread: Thread, rotation_vector: Any) -> tuple[float, ...]:
+def rotvec2rpy(thread: ScriptThread, rotation_vector: Any) -> tuple[float, ...]:
     """Roll, pitch and yaw about the fixed x, y and z, in that order, of a rotation vector; rad."""
     (r00, r01, _), (r10, r11, _), (r20, r21, r22) = _rotation(vector(rotation_vector, "rotvec2rpy: vector", 3))
     pitch = math.atan2(-r20, math.hypot(r00, r10))
@@ -86,7 +86,7 @@ def rotvec2rpy(thread: Thread, rotation_vector: Any) -> tuple[float, ...]:
 
 
 @FAMILY.declare()
-def rpy2rotvec(thread: Thread, rpy_vector: Any) -> tuple[float, ...]:
+def rpy2rotvec(thread: ScriptThread, rpy_vector: Any) -> tuple[float, ...]:
     roll, pitch, yaw = vector(rpy_vector, "rpy2rotvec: vector", 3)
     turned = _transformed(
         thread,
@@ -97,7 +97,7 @@ def rpy2rotvec(thread: Thread, rpy_vector: Any) -> tuple[float, ...]:
 
 
 @FAMILY.declare()
-def get_forward_kin(thread: Thread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> Pose:
+def get_forward_kin(thread: ScriptThread, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> Pose:
     world = thread.world
     thread.machine.spend(_FORWARD)
     where = world.q_actual if isinstance(q, str) else joints(q, "get_forward_kin: q")
@@ -106,14 +106,14 @@ def get_forward_kin(thread: Thread, q: Any = "current_joint_positions", tcp: Any
 
 @FAMILY.declare(since="1.0", until="3.0")
 def get_inverse_kin(
-    thread: Thread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
+    thread: ScriptThread, x: Any, qnear: Any = None, maxPositionError: Any = 1e-10, maxOrientationError: Any = 1e-10
 ) -> tuple[float, ...]:
     return _inverse_kin(thread, x, qnear, "active_tcp")
 
 
 @FAMILY.declare(name="get_inverse_kin", since="3.0")
 def get_inverse_kin_tcp(
-    thread: Thread,
+    thread: ScriptThread,
     x: Any,
     qnear: Any = None,
     maxPositionError: Any = 1e-10,
@@ -123,7 +123,7 @@ def get_inverse_kin_tcp(
     return _inverse_kin(thread, x, qnear, tcp)
 
 
-def _inverse_kin(thread: Thread, x: Any, qnear: Any, tcp: Any) -> tuple[float, ...]:
+def _inverse_kin(thread: ScriptThread, x: Any, qnear: Any, tcp: Any) -> tuple[float, ...]:
     found = solution(thread, pose(x, "get_inverse_kin: x"), _near(thread, qnear), tcp)
     if found is None:
         raise Fault("get_inverse_kin: unable to find an inverse kinematics solution")
@@ -133,7 +133,7 @@ def _inverse_kin(thread: Thread, x: Any, qnear: Any, tcp: Any) -> tuple[float, .
 # 5.9.4 has it and 5.8.2 has not, in one project's test matrix; that it came to CB3 with 3.14 is a guess.
 @FAMILY.declare(since="3.14/5.9")
 def get_inverse_kin_has_solution(
-    thread: Thread,
+    thread: ScriptThread,
     pose: Any,
     qnear: Any = None,
     maxPositionError: Any = 1e-10,
@@ -147,7 +147,7 @@ _pose = pose
 
 
 @FAMILY.declare(since="3.0")
-def is_within_safety_limits(thread: Thread, pose: Any) -> bool:
+def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
     """Of joint positions or a pose, as far as the joints' limits go; the simulator has no safety planes."""
     q: Sequence[float] | None
     if is_list(pose):
@@ -158,18 +158,18 @@ def is_within_safety_limits(thread: Thread, pose: Any) -> bool:
     return q is not None and bool(np.all((limits[:, 0] <= q) & (q <= limits[:, 1])))
 
 
-def solution(thread: Thread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
+def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
     """The joint positions for a pose that are closest to others, or None if it is out of reach."""
     thread.machine.spend(_INVERSE)
     rows = kinematics.inverse(thread.world.model, x, _tool(thread, tcp), near)
     return rows[0].tolist() if len(rows) else None
 
 
-def _near(thread: Thread, qnear: Any) -> list[float]:
+def _near(thread: ScriptThread, qnear: Any) -> list[float]:
     return list(thread.world.q_target) if qnear is None else joints(qnear, "qnear")
 
 
-def _tool(thread: Thread, tcp: Any) -> list[float]:
+def _tool(thread: ScriptThread, tcp: Any) -> list[float]:
     if isinstance(tcp, str):
         return list(thread.world.tcp)
     if not isinstance(tcp, Pose):
@@ -177,12 +177,12 @@ def _tool(thread: Thread, tcp: Any) -> list[float]:
     return pose(tcp, "tcp")
 
 
-def _transformed(thread: Thread, first: Sequence[float], second: Sequence[float]) -> Pose:
+def _transformed(thread: ScriptThread, first: Sequence[float], second: Sequence[float]) -> Pose:
     thread.machine.spend(_TRANSFORMATION)
     return Pose(kinematics.pose_trans(first, second).tolist())
 
 
-def _inverse(thread: Thread, of: Sequence[float]) -> Pose:
+def _inverse(thread: ScriptThread, of: Sequence[float]) -> Pose:
     thread.machine.spend(_TRANSFORMATION)
     return Pose(kinematics.pose_inv(of).tolist())
 

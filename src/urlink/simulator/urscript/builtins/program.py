@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..errors import Fault
-from ..machine import Thread, Waiting
+from ..machine import ScriptThread, Waiting
 from ..values import to_str
 from .arguments import boolean, number
 from .declaration import Family
@@ -17,13 +17,13 @@ FAMILY = Family()
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def sync(thread: Thread) -> Waiting:
+def sync(thread: ScriptThread) -> Waiting:
     """Uses up the cycle."""
     yield
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
-def sleep(thread: Thread, t: Any) -> Waiting:
+def sleep(thread: ScriptThread, t: Any) -> Waiting:
     """In whole cycles, upwards, at least one (a guess)."""
     seconds = number(t, "sleep: t")
     if seconds < 0:
@@ -39,26 +39,26 @@ def sleep(thread: Thread, t: Any) -> Waiting:
 
 
 @FAMILY.declare(takes_time=True)
-def enter_critical(thread: Thread) -> Waiting:
+def enter_critical(thread: ScriptThread) -> Waiting:
     """Waits for the thread that is in one."""
     while not thread.machine.enter(thread):
         yield
 
 
 @FAMILY.declare()
-def exit_critical(thread: Thread) -> None:
+def exit_critical(thread: ScriptThread) -> None:
     thread.machine.exit(thread)
 
 
 @FAMILY.declare()
-def textmsg(thread: Thread, s1: Any, s2: Any = "") -> None:
+def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
     """Both, one after the other, as `to_str` writes them."""
     thread.world.text_message(made(thread, to_str(s1) + to_str(s2)))
 
 
 @FAMILY.declare(takes_time=True)
 def popup(
-    thread: Thread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
+    thread: ScriptThread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
 ) -> Waiting:
     """A blocking one waits until somebody closes it."""
     waits = boolean(blocking, "popup: blocking")

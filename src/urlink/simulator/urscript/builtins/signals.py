@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..errors import Fault
-from ..machine import Thread
+from ..machine import ScriptThread
 from .arguments import boolean, integer, number
 from .declaration import Family
 
@@ -25,7 +25,7 @@ def _old_number(n: Any, what: str) -> int:
     return at if at < 8 else at - 8 + _TOOL
 
 
-def _output(thread: Thread, at: int, b: Any, what: str) -> None:
+def _output(thread: ScriptThread, at: int, b: Any, what: str) -> None:
     thread.world.signals.set_digital_output(at, boolean(b, what))
 
 
@@ -34,85 +34,85 @@ def _bit(mask: int, at: int) -> bool:
 
 
 @FAMILY.declare()
-def set_digital_out(thread: Thread, n: Any, b: Any) -> None:
+def set_digital_out(thread: ScriptThread, n: Any, b: Any) -> None:
     _output(thread, _old_number(n, "set_digital_out: n"), b, "set_digital_out: b")
 
 
 @FAMILY.declare()
-def get_digital_out(thread: Thread, n: Any) -> bool:
+def get_digital_out(thread: ScriptThread, n: Any) -> bool:
     return _bit(thread.world.signals.digital_outputs, _old_number(n, "get_digital_out: n"))
 
 
 @FAMILY.declare()
-def get_digital_in(thread: Thread, n: Any) -> bool:
+def get_digital_in(thread: ScriptThread, n: Any) -> bool:
     return _bit(thread.world.signals.digital_inputs, _old_number(n, "get_digital_in: n"))
 
 
 @FAMILY.declare(since="3.0")
-def set_standard_digital_out(thread: Thread, n: Any, b: Any) -> None:
+def set_standard_digital_out(thread: ScriptThread, n: Any, b: Any) -> None:
     _output(thread, integer(n, "set_standard_digital_out: n", 0, 7), b, "set_standard_digital_out: b")
 
 
 @FAMILY.declare(since="3.0")
-def get_standard_digital_out(thread: Thread, n: Any) -> bool:
+def get_standard_digital_out(thread: ScriptThread, n: Any) -> bool:
     return _bit(thread.world.signals.digital_outputs, integer(n, "get_standard_digital_out: n", 0, 7))
 
 
 @FAMILY.declare(since="3.0")
-def get_standard_digital_in(thread: Thread, n: Any) -> bool:
+def get_standard_digital_in(thread: ScriptThread, n: Any) -> bool:
     return _bit(thread.world.signals.digital_inputs, integer(n, "get_standard_digital_in: n", 0, 7))
 
 
 @FAMILY.declare(since="3.0")
-def set_configurable_digital_out(thread: Thread, n: Any, b: Any) -> None:
+def set_configurable_digital_out(thread: ScriptThread, n: Any, b: Any) -> None:
     at = integer(n, "set_configurable_digital_out: n", 0, 7) + _CONFIGURABLE
     _output(thread, at, b, "set_configurable_digital_out: b")
 
 
 @FAMILY.declare(since="3.0")
-def get_configurable_digital_out(thread: Thread, n: Any) -> bool:
+def get_configurable_digital_out(thread: ScriptThread, n: Any) -> bool:
     at = integer(n, "get_configurable_digital_out: n", 0, 7) + _CONFIGURABLE
     return _bit(thread.world.signals.digital_outputs, at)
 
 
 @FAMILY.declare(since="3.0")
-def get_configurable_digital_in(thread: Thread, n: Any) -> bool:
+def get_configurable_digital_in(thread: ScriptThread, n: Any) -> bool:
     at = integer(n, "get_configurable_digital_in: n", 0, 7) + _CONFIGURABLE
     return _bit(thread.world.signals.digital_inputs, at)
 
 
 @FAMILY.declare(since="3.0")
-def set_tool_digital_out(thread: Thread, n: Any, b: Any) -> None:
+def set_tool_digital_out(thread: ScriptThread, n: Any, b: Any) -> None:
     _output(thread, integer(n, "set_tool_digital_out: n", 0, 1) + _TOOL, b, "set_tool_digital_out: b")
 
 
 @FAMILY.declare(since="3.0")
-def get_tool_digital_out(thread: Thread, n: Any) -> bool:
+def get_tool_digital_out(thread: ScriptThread, n: Any) -> bool:
     return _bit(thread.world.signals.digital_outputs, integer(n, "get_tool_digital_out: n", 0, 1) + _TOOL)
 
 
 @FAMILY.declare(since="3.0")
-def get_tool_digital_in(thread: Thread, n: Any) -> bool:
+def get_tool_digital_in(thread: ScriptThread, n: Any) -> bool:
     return _bit(thread.world.signals.digital_inputs, integer(n, "get_tool_digital_in: n", 0, 1) + _TOOL)
 
 
 @FAMILY.declare()
-def get_analog_in(thread: Thread, n: Any) -> float:
+def get_analog_in(thread: ScriptThread, n: Any) -> float:
     """A or V: 0 and 1 of the control box, 2 and 3 of the tool."""
     return thread.world.signals.analog_inputs[integer(n, "get_analog_in: n", 0, 3)]
 
 
 @FAMILY.declare(since="3.0")
-def get_standard_analog_in(thread: Thread, n: Any) -> float:
+def get_standard_analog_in(thread: ScriptThread, n: Any) -> float:
     return thread.world.signals.analog_inputs[integer(n, "get_standard_analog_in: n", 0, 1)]
 
 
 @FAMILY.declare(since="3.0")
-def get_tool_analog_in(thread: Thread, n: Any) -> float:
+def get_tool_analog_in(thread: ScriptThread, n: Any) -> float:
     return thread.world.signals.analog_inputs[integer(n, "get_tool_analog_in: n", 0, 1) + 2]
 
 
-def _set_analog(thread: Thread, n: Any, f: Any, what: str) -> None:
+def _set_analog(thread: ScriptThread, n: Any, f: Any, what: str) -> None:
     at, level = integer(n, f"{what}: n", 0, 1), number(f, f"{what}: f")
     if not 0 <= level <= 1:
         raise Fault(f"{what}: f is from 0 to 1, not {level:g}")
@@ -120,34 +120,34 @@ def _set_analog(thread: Thread, n: Any, f: Any, what: str) -> None:
     signals.set_analog_output(at, level * 10.0 if signals.analog_output_domains[at] else 0.004 + level * 0.016)
 
 
-def _get_analog(thread: Thread, n: Any, what: str) -> float:
+def _get_analog(thread: ScriptThread, n: Any, what: str) -> float:
     at, signals = integer(n, f"{what}: n", 0, 1), thread.world.signals
     value = signals.analog_outputs[at]
     return value / 10.0 if signals.analog_output_domains[at] else (value - 0.004) / 0.016
 
 
 @FAMILY.declare()
-def set_analog_out(thread: Thread, n: Any, f: Any) -> None:
+def set_analog_out(thread: ScriptThread, n: Any, f: Any) -> None:
     _set_analog(thread, n, f, "set_analog_out")
 
 
 @FAMILY.declare()
-def get_analog_out(thread: Thread, n: Any) -> float:
+def get_analog_out(thread: ScriptThread, n: Any) -> float:
     return _get_analog(thread, n, "get_analog_out")
 
 
 @FAMILY.declare(since="3.0")
-def set_standard_analog_out(thread: Thread, n: Any, f: Any) -> None:
+def set_standard_analog_out(thread: ScriptThread, n: Any, f: Any) -> None:
     _set_analog(thread, n, f, "set_standard_analog_out")
 
 
 @FAMILY.declare(since="3.0")
-def get_standard_analog_out(thread: Thread, n: Any) -> float:
+def get_standard_analog_out(thread: ScriptThread, n: Any) -> float:
     return _get_analog(thread, n, "get_standard_analog_out")
 
 
 @FAMILY.declare()
-def set_analog_outputdomain(thread: Thread, port: Any, domain: Any) -> None:
+def set_analog_outputdomain(thread: ScriptThread, port: Any, domain: Any) -> None:
     """0 current, 1 voltage; the level that is set keeps its fraction of the range, a guess."""
     at = integer(port, "set_analog_outputdomain: port", 0, 1)
     level = _get_analog(thread, at, "set_analog_outputdomain")
@@ -155,24 +155,24 @@ def set_analog_outputdomain(thread: Thread, port: Any, domain: Any) -> None:
     _set_analog(thread, at, min(max(level, 0.0), 1.0), "set_analog_outputdomain")
 
 
-def _set_range(thread: Thread, at: int, domain: Any, what: str) -> None:
+def _set_range(thread: ScriptThread, at: int, domain: Any, what: str) -> None:
     thread.world.signals.analog_input_ranges[at] = integer(domain, what, 0, 1)
 
 
 @FAMILY.declare(since="3.0")
-def set_standard_analog_input_domain(thread: Thread, port: Any, domain: Any) -> None:
+def set_standard_analog_input_domain(thread: ScriptThread, port: Any, domain: Any) -> None:
     at = integer(port, "set_standard_analog_input_domain: port", 0, 1)
     _set_range(thread, at, domain, "set_standard_analog_input_domain: domain")
 
 
 @FAMILY.declare(since="3.0")
-def set_tool_analog_input_domain(thread: Thread, port: Any, domain: Any) -> None:
+def set_tool_analog_input_domain(thread: ScriptThread, port: Any, domain: Any) -> None:
     at = integer(port, "set_tool_analog_input_domain: port", 0, 1) + 2
     _set_range(thread, at, domain, "set_tool_analog_input_domain: domain")
 
 
 @FAMILY.declare()
-def set_tool_voltage(thread: Thread, voltage: Any) -> None:
+def set_tool_voltage(thread: ScriptThread, voltage: Any) -> None:
     volts = integer(voltage, "set_tool_voltage: voltage", 0, 24)
     if volts not in (0, 12, 24):
         raise Fault(f"set_tool_voltage: voltage is 0, 12 or 24, not {volts}")
@@ -180,12 +180,12 @@ def set_tool_voltage(thread: Thread, voltage: Any) -> None:
 
 
 @FAMILY.declare()
-def set_flag(thread: Thread, n: Any, b: Any) -> None:
+def set_flag(thread: ScriptThread, n: Any, b: Any) -> None:
     flags = thread.world.flags
     flags[integer(n, "set_flag: n", 0, len(flags) - 1)] = boolean(b, "set_flag: b")
 
 
 @FAMILY.declare()
-def get_flag(thread: Thread, n: Any) -> bool:
+def get_flag(thread: ScriptThread, n: Any) -> bool:
     flags = thread.world.flags
     return flags[integer(n, "get_flag: n", 0, len(flags) - 1)]

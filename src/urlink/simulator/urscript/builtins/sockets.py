@@ -18,7 +18,7 @@ from typing import Any
 
 from ..errors import Fault
 from ..limits import MAX_STRING
-from ..machine import Thread, Waiting
+from ..machine import ScriptThread, Waiting
 from ..values import to_str
 from .arguments import boolean, integer, number, string
 from .declaration import Family
@@ -38,7 +38,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,
 
 
 @FAMILY.declare(takes_time=True)
-def socket_open(thread: Thread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
+def socket_open(thread: ScriptThread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
     """True if it is connected."""
     name, sockets = string(socket_name, "socket_open: socket_name"), thread.world.sockets
     host, number_ = string(address, "socket_open: address"), integer(port, "socket_open: port", 0, 65535)
@@ -55,14 +55,14 @@ def socket_open(thread: Thread, address: Any, port: Any, socket_name: Any = _NAM
 
 
 @FAMILY.declare()
-def socket_close(thread: Thread, socket_name: Any = _NAME) -> None:
+def socket_close(thread: ScriptThread, socket_name: Any = _NAME) -> None:
     thread.world.sockets.close(string(socket_name, "socket_close: socket_name"))
 
 
 # -- sending -----------------------------------------------------------------------------------------
 
 
-def _send(thread: Thread, socket_name: Any, data: bytes) -> bool:
+def _send(thread: ScriptThread, socket_name: Any, data: bytes) -> bool:
     thread.machine.charge(len(data))
     return thread.world.sockets.send(string(socket_name, "socket_name"), data)
 
@@ -72,27 +72,27 @@ def _bytes(text: str) -> bytes:
 
 
 @FAMILY.declare()
-def socket_send_string(thread: Thread, str: Any, socket_name: Any = _NAME) -> bool:
+def socket_send_string(thread: ScriptThread, str: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, _bytes(to_str(str)))
 
 
 @FAMILY.declare()
-def socket_send_line(thread: Thread, str: Any, socket_name: Any = _NAME) -> bool:
+def socket_send_line(thread: ScriptThread, str: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, _bytes(to_str(str)) + b"\n")
 
 
 @FAMILY.declare()
-def socket_send_byte(thread: Thread, value: Any, socket_name: Any = _NAME) -> bool:
+def socket_send_byte(thread: ScriptThread, value: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, bytes([integer(value, "socket_send_byte: value", 0, 255)]))
 
 
 @FAMILY.declare()
-def socket_send_int(thread: Thread, value: Any, socket_name: Any = _NAME) -> bool:
+def socket_send_int(thread: ScriptThread, value: Any, socket_name: Any = _NAME) -> bool:
     return _send(thread, socket_name, integer(value, "socket_send_int: value").to_bytes(4, "big", signed=True))
 
 
 @FAMILY.declare()
-def socket_set_var(thread: Thread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
+def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
     what, new = string(name, "socket_set_var: name"), integer(value, "socket_set_var: value")
     return _send(thread, socket_name, _bytes(f"SET {what} {new}\n"))
 
@@ -100,7 +100,7 @@ def socket_set_var(thread: Thread, name: Any, value: Any, socket_name: Any = _NA
 # -- reading -----------------------------------------------------------------------------------------
 
 
-def _await(thread: Thread, name: str, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
+def _await(thread: ScriptThread, name: str, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
     """What has come, once it is enough; None if it does not become so in time."""
     sockets = thread.world.sockets
     seconds = number(timeout, "timeout")
@@ -123,7 +123,9 @@ def _count(value: Any, what: str) -> int:
 
 
 @FAMILY.declare(takes_time=True)
-def socket_read_binary_integer(thread: Thread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+def socket_read_binary_integer(
+    thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2
+) -> Waiting:
     count = _count(number, "socket_read_binary_integer: number")
     buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= 4 * count)
     if buffer is None:
@@ -134,7 +136,7 @@ def socket_read_binary_integer(thread: Thread, number: Any, socket_name: Any = _
 
 
 @FAMILY.declare(takes_time=True)
-def socket_read_byte_list(thread: Thread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+def socket_read_byte_list(thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
     count = _count(number, "socket_read_byte_list: number")
     buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= count)
     if buffer is None:
@@ -145,7 +147,7 @@ def socket_read_byte_list(thread: Thread, number: Any, socket_name: Any = _NAME,
 
 
 @FAMILY.declare(takes_time=True)
-def socket_read_ascii_float(thread: Thread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+def socket_read_ascii_float(thread: ScriptThread, number: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
     count = _count(number, "socket_read_ascii_float: number")
     name = string(socket_name, "socket_name")
     buffer = yield from _await(thread, name, timeout, lambda data: b")" in data)
@@ -164,7 +166,7 @@ def socket_read_ascii_float(thread: Thread, number: Any, socket_name: Any = _NAM
 
 
 @FAMILY.declare(takes_time=True)
-def socket_read_line(thread: Thread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+def socket_read_line(thread: ScriptThread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
     """Up to a line feed, which is taken and left out with a carriage return before it; empty if none comes in time."""
     buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: b"\n" in data)
     if buffer is None:
@@ -176,7 +178,7 @@ def socket_read_line(thread: Thread, socket_name: Any = _NAME, timeout: Any = 2)
 
 @FAMILY.declare(takes_time=True)
 def socket_read_string(
-    thread: Thread,
+    thread: ScriptThread,
     socket_name: Any = _NAME,
     prefix: Any = "",
     suffix: Any = "",
@@ -208,7 +210,7 @@ def _unescaped(text: str) -> str:
 
 
 @FAMILY.declare(takes_time=True)
-def socket_get_var(thread: Thread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
+def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
     """Asks `GET name`, and takes the integer of the reply `name value`; 0 if none comes (a guess)."""
     what = string(name, "socket_get_var: name")
     if not _send(thread, socket_name, _bytes(f"GET {what}\n")):

@@ -8,7 +8,7 @@ from typing import Any
 from urlink.simulator import kinematics
 
 from ..errors import Fault
-from ..machine import Thread
+from ..machine import ScriptThread
 from ..values import Pose
 from .arguments import integer, number, pose, vector
 from .declaration import Family
@@ -26,76 +26,76 @@ def _floats(values: Sequence[float]) -> _List:
 
 # The name without "actual" stands in a driver's program; that it means the actual positions is a guess.
 @FAMILY.declare("get_joint_positions")
-def get_actual_joint_positions(thread: Thread) -> _List:
+def get_actual_joint_positions(thread: ScriptThread) -> _List:
     return _floats(thread.world.q_actual)
 
 
 @FAMILY.declare()
-def get_actual_joint_speeds(thread: Thread) -> _List:
+def get_actual_joint_speeds(thread: ScriptThread) -> _List:
     return _floats(thread.world.qd_actual)
 
 
 @FAMILY.declare()
-def get_target_joint_positions(thread: Thread) -> _List:
+def get_target_joint_positions(thread: ScriptThread) -> _List:
     return _floats(thread.world.q_target)
 
 
 @FAMILY.declare()
-def get_target_joint_speeds(thread: Thread) -> _List:
+def get_target_joint_speeds(thread: ScriptThread) -> _List:
     return _floats(thread.world.qd_target)
 
 
 @FAMILY.declare(since="3.0")
-def get_actual_joint_positions_history(thread: Thread, steps: Any = 0) -> _List:
+def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> _List:
     """Of `steps` cycles ago; no further back than the program's start, and 500 cycles (a guess)."""
     past = thread.machine.history
     return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
 
 
 @FAMILY.declare()
-def get_joint_torques(thread: Thread) -> _List:
+def get_joint_torques(thread: ScriptThread) -> _List:
     return _floats(thread.world.torques)
 
 
 @FAMILY.declare()
-def get_actual_tcp_pose(thread: Thread) -> Pose:
+def get_actual_tcp_pose(thread: ScriptThread) -> Pose:
     return Pose(_floats(thread.world.pose_actual))
 
 
 @FAMILY.declare()
-def get_target_tcp_pose(thread: Thread) -> Pose:
+def get_target_tcp_pose(thread: ScriptThread) -> Pose:
     return Pose(_floats(thread.world.pose_target))
 
 
 @FAMILY.declare()
-def get_actual_tcp_speed(thread: Thread) -> _List:
+def get_actual_tcp_speed(thread: ScriptThread) -> _List:
     return _floats(thread.world.speed_actual)
 
 
 @FAMILY.declare()
-def get_actual_tool_flange_pose(thread: Thread) -> Pose:
+def get_actual_tool_flange_pose(thread: ScriptThread) -> Pose:
     return Pose(kinematics.pose(thread.world.model, list(thread.world.q_actual)).tolist())
 
 
 @FAMILY.declare()
-def get_tcp_force(thread: Thread) -> _List:
+def get_tcp_force(thread: ScriptThread) -> _List:
     return _floats(thread.world.force)
 
 
 @FAMILY.declare()
-def force(thread: Thread) -> float:
+def force(thread: ScriptThread) -> float:
     """The magnitude of the force at the TCP, N."""
     x, y, z = _floats(thread.world.force)[:3]
     return float((x * x + y * y + z * z) ** 0.5)
 
 
 @FAMILY.declare()
-def get_tcp_offset(thread: Thread) -> Pose:
+def get_tcp_offset(thread: ScriptThread) -> Pose:
     return Pose(_floats(thread.world.tcp))
 
 
 @FAMILY.declare()
-def set_tcp(thread: Thread, pose: Any) -> None:
+def set_tcp(thread: ScriptThread, pose: Any) -> None:
     thread.world.set_tcp(_pose(pose, "set_tcp: pose"))
 
 
@@ -103,13 +103,13 @@ _pose = pose
 
 
 @FAMILY.declare()
-def set_payload(thread: Thread, m: Any, cog: Any = None) -> None:
+def set_payload(thread: ScriptThread, m: Any, cog: Any = None) -> None:
     """Without a centre of mass it is the TCP's (CB) or the flange's; the controller sees to that."""
     thread.world.set_payload(_mass(m, "set_payload: m"), _cog(cog, "set_payload: cog"), None)
 
 
 @FAMILY.declare(since="3.15/5.10")
-def set_target_payload(thread: Thread, m: Any, cog: Any, inertia: Any = None, transition_time: Any = 0) -> None:
+def set_target_payload(thread: ScriptThread, m: Any, cog: Any, inertia: Any = None, transition_time: Any = 0) -> None:
     """At once; the transition time is not modelled."""
     number(transition_time, "set_target_payload: transition_time")
     moments = None if inertia is None else vector(inertia, "set_target_payload: inertia", 6)
@@ -117,32 +117,32 @@ def set_target_payload(thread: Thread, m: Any, cog: Any, inertia: Any = None, tr
 
 
 @FAMILY.declare()
-def set_payload_mass(thread: Thread, m: Any) -> None:
+def set_payload_mass(thread: ScriptThread, m: Any) -> None:
     thread.world.set_payload(_mass(m, "set_payload_mass: m"), list(thread.world.payload_cog), None)
 
 
 @FAMILY.declare()
-def set_payload_cog(thread: Thread, CoG: Any) -> None:
+def set_payload_cog(thread: ScriptThread, CoG: Any) -> None:
     thread.world.set_payload(thread.world.payload, _cog(CoG, "set_payload_cog: CoG"), None)
 
 
 @FAMILY.declare("get_payload")
-def get_target_payload(thread: Thread) -> float:
+def get_target_payload(thread: ScriptThread) -> float:
     return float(thread.world.payload)
 
 
 @FAMILY.declare("get_payload_cog")
-def get_target_payload_cog(thread: Thread) -> _List:
+def get_target_payload_cog(thread: ScriptThread) -> _List:
     return _floats(thread.world.payload_cog)
 
 
 @FAMILY.declare()
-def set_gravity(thread: Thread, d: Any) -> None:
+def set_gravity(thread: ScriptThread, d: Any) -> None:
     thread.world.set_gravity(vector(d, "set_gravity: d", 3))
 
 
 @FAMILY.declare()
-def get_steptime(thread: Thread) -> float:
+def get_steptime(thread: ScriptThread) -> float:
     return thread.world.period
 
 

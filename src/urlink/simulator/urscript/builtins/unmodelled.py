@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import Fault
-from ..machine import Thread
+from ..machine import ScriptThread
 from .declaration import Family
 
 __all__ = ["FAMILY"]
@@ -47,7 +47,7 @@ _REGISTERS = [
 
 
 def _unmodelled(name: str, what: str) -> Callable[..., Any]:
-    def stop(thread: Thread, *arguments: Any) -> None:
+    def stop(thread: ScriptThread, *arguments: Any) -> None:
         raise Fault(f"{name}: {what} not modelled by this simulator")
 
     return stop
