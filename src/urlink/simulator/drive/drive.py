@@ -113,20 +113,21 @@ class Drive:
     def start(self, q: Sequence[float]) -> None:
         """Go on from rest at six joint positions in rad, to which something else has braked the arm.
 
-        A path move goes on to its end; a speed is approached again; what a violation of the limits had ended is over.
+        A path move goes on to its end and a speed is approached again. What had ended, what broke a limit and a
+        set-point of servoj are forgotten, and the arm stands.
         """
         self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
-        self._pace = 0.0
-        if self._refusal is not None:
-            self._refusal = None
+        command = self._command
+        if self._refusal is not None or command is None or command.is_at_rest or isinstance(command, Servo):
             self._begin(JointSpeed(_REST, self._gentle, None))
-        elif isinstance(self._command, Travel):
-            way = [b - a for a, b in zip(self.setpoint.q, self._command.place, strict=True)]
+        elif isinstance(command, Travel):
+            self._pace = 0.0
+            way = [b - a for a, b in zip(self.setpoint.q, command.place, strict=True)]
             # Its fastest point, 3/2 of the mean, is half of what the joints may.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
-            self._command.restart(Remainder(way, _REST, max(3.0 * furthest, 0.1), self._gentle))
-        elif isinstance(self._command, ToolSpeed):
-            self._command.restart(self.setpoint)
+            command.restart(Remainder(way, _REST, max(3.0 * furthest, 0.1), self._gentle))
+        elif isinstance(command, ToolSpeed):
+            command.restart(self.setpoint)
 
     # -- path moves --------------------------------------------------------------------------------
 

@@ -72,6 +72,11 @@ class Limits:
         for old, speed, hardest in zip(last.qd, new.qd, self._hardest, strict=True):
             if abs(speed - old) > hardest * seconds:
                 raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
+        if not any(new.qd):
+            # At its end a path puts the joints where they belong, which is no leap, unless it ends in a singularity.
+            way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
+            if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
+                raise LimitViolation(self._too_fast(way))
         for q, lowest, highest in zip(new.q, self._lowest, self._highest, strict=True):
             if not lowest <= q <= highest:
                 self._check_range(last, new)

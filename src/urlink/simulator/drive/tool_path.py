@@ -96,9 +96,16 @@ class ToolPath:
             raise LimitViolation(str(error)) from None
 
     def end(self, near: Sequence[float]) -> list[float]:
-        """The joints at the end, by the branch of the inverse kinematics that they come from."""
+        """The joints at the end, by the branch of the inverse kinematics that they come from.
+
+        Raises:
+            LimitViolation: from there the arm does not reach it.
+        """
         if self._end_joints is None:
-            self._end_joints = joints_at(self._model, self._end_pose, self._tcp, near)
+            try:
+                self._end_joints = joints_at(self._model, self._end_pose, self._tcp, near)
+            except Unreachable as error:
+                raise LimitViolation(str(error)) from None
         return self._end_joints
 
     def left(self, q: Sequence[float]) -> float:

@@ -84,7 +84,10 @@ class Travel:
         if arrives and self._remainder is None:
             self.is_at_rest = self.move.is_over = True
         elif self._radius > 0.0 and not self.move.is_over and way >= 0.5 * self._profile.length:
-            self.move.is_over = self._path.left(setpoint.q) <= self._radius
+            if self._path.left(setpoint.q) <= self._radius:
+                # Found now, so that a corner which cannot be reached is a violation in this cycle.
+                self._path.end(self._last.q)
+                self.move.is_over = True
         return setpoint
 
     def restart(self, remainder: Remainder) -> None:

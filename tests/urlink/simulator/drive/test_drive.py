@@ -236,6 +236,23 @@ def test_other_commands_go_on_from_rest(begin: str) -> None:
     check_continuous(drive.setpoint, cycles(drive, 500), HARDEST)
 
 
+@pytest.mark.parametrize("begin", ["movej", "servoj", "stopj"])
+def test_what_has_ended_does_not_bring_the_arm_back(begin: str) -> None:
+    drive = standing()
+    if begin == "movej":
+        drive.movej(moved(0.1, 0, 0, 0, 0, 0))
+    elif begin == "servoj":
+        drive.servoj(moved(0.01, 0, 0, 0, 0, 0), CYCLE, 0.03, 300.0)
+    else:
+        drive.stopj(1.0)
+    to_rest(drive)
+    elsewhere = moved(-0.5, 0, 0, 0, 0, 0)
+    drive.start(elsewhere)
+    cycles(drive, 10)
+    assert drive.setpoint == (elsewhere, REST, REST)
+    assert drive.is_standing
+
+
 def test_a_violation_is_over_when_the_arm_goes_on() -> None:
     drive = standing()
     move = drive.servoj(moved(1, 0, 0, 0, 0, 0), CYCLE, 0.03, 300.0)
