@@ -83,12 +83,16 @@ class Travel:
                 )
         if arrives and self._remainder is None:
             self.is_at_rest = self.move.is_over = True
-        elif self._radius > 0.0 and not self.move.is_over and way >= 0.5 * self._profile.length:
-            if self._path.left(setpoint.q) <= self._radius:
-                # Found now, so that a corner which cannot be reached is a violation in this cycle.
-                self._path.end(self._last.q)
-                self.move.is_over = True
+        elif self._blend_begins(way, setpoint.q):
+            # Found now, so that a corner which cannot be reached is a violation in this cycle.
+            self._path.end(self._last.q)
+            self.move.is_over = True
         return setpoint
+
+    def _blend_begins(self, way: float, q: list[float]) -> bool:
+        if self.move.is_over or not self._radius or way < 0.5 * self._profile.length:
+            return False
+        return self._path.left(q) <= self._radius
 
     def restart(self, remainder: Remainder) -> None:
         """Go on from rest elsewhere: the remainder leads back to the path."""
