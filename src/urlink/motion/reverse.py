@@ -70,11 +70,12 @@ class ReverseLink:
             ConnectionLost: it is gone.
         """
         data = b""
-        while self._connection is not None:
-            more = self._connection.receive_waiting()
-            if more is None:
-                break
-            data += more[0]
+        try:
+            while self._connection is not None and (more := self._connection.receive_waiting()) is not None:
+                data += more[0]
+        except ConnectionLost:
+            if not data:  # its last words come first
+                raise
         return data
 
     def absence(self, why: str) -> ConnectFailed:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from linkcore.errors import ConnectionLost
 
 from ..errors import ProgramStopped
+from ..program import Program, ProgramPhase
 from ..schemas.realtime import RealtimeState
 from ..script import programs
 from ..script.text import number
@@ -53,7 +54,9 @@ class WaypointFollower(Following):
         self._line = b""
         self._requests: list[int] = []
         self._heard: float | None = None
+        self._is_served = False
         self._has_arrived = False
+        self._is_over = False
 
     def _body(self, host: str, port: int) -> list[str]:
         return programs.waypoints(
@@ -70,6 +73,8 @@ class WaypointFollower(Following):
         if self._has_arrived:
             if self._t0 is None or self._follow_up(state, self._desired(state.time - self._t0)[0]):
                 self._conclude()
+                if self._is_over:
+                    self._complete()
             return
         self._read(link.received(), now)
         while self._requests and self._answer(self._requests[0], state):
@@ -82,6 +87,14 @@ class WaypointFollower(Following):
         t = state.time - self._t0
         if t < self._trajectory.duration:
             self._follow_up(state, self._desired(t)[0])
+
+    def _on_program(self, program: Program) -> None:
+        if program.phase is ProgramPhase.FINISHED and self._is_served:
+            # It may be over, and its connection closed, before its last line was read.
+            self._lost = None
+            self._has_arrived = self._is_over = True
+        else:
+            super()._on_program(program)
 
     def _read(self, data: bytes, now: float) -> None:
         """Take apart the lines of the program."""
@@ -113,6 +126,7 @@ class WaypointFollower(Following):
             if request < len(self._trajectory):
                 self._say(self._point(request, self._trajectory.q[request].tolist()))
             else:
+                self._is_served = True
                 zeros = [0.0] * (programs.numbers_of_point(self._trajectory.is_quintic) - 1)
                 self._say(_answer(programs.NO_MORE, zeros))
         return True

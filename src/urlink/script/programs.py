@@ -61,8 +61,8 @@ STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 
 #: Part of its last step that an arm goes on by in each cycle without a set-point: a late one makes no dent, and without
-#: any it comes to rest within four steps.
-_FADING = 0.8
+#: any it comes to rest within nine steps.
+_FADING = 0.9
 #: Seconds for which the last waypoint is held, so that the arm catches up.
 _SETTLING = 0.2
 #: rad/s; at a waypoint that is faster there is no waiting for the next one.
