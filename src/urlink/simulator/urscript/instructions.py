@@ -136,7 +136,7 @@ def branch(condition: Function, otherwise: Label, after: int) -> Instruction:
             return after
         if value is False:
             return away
-        raise type_error(f"a condition is a truth value, not {values.type_name(value)}")
+        return after if values.truth(value) else away
 
     return run
 
@@ -194,7 +194,8 @@ def kill(handle: Function, after: int) -> Instruction:
 
     def run(f: Frame) -> int:
         thread = _thread(handle(f))
-        thread.end()
+        if thread is not None:
+            thread.end()
         return ENDED if thread is f[THREAD] else after
 
     return run
@@ -203,8 +204,8 @@ def kill(handle: Function, after: int) -> Instruction:
 def join(handle: Function, destination: int, after: int) -> Instruction:
     """Wait until a thread is over."""
 
-    def wait(thread: ScriptThread) -> Waiting:
-        while not thread.is_over:
+    def wait(thread: ScriptThread | None) -> Waiting:
+        while thread is not None and not thread.is_over:
             yield
 
     def run(f: Frame) -> int:
@@ -232,7 +233,10 @@ def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
     return frame
 
 
-def _thread(value: Any) -> ScriptThread:
+def _thread(value: Any) -> ScriptThread | None:
+    """The thread of a handle. Drivers kill and join a variable that holds 0 before a thread was started."""
     if isinstance(value, ScriptThread):
         return value
+    if value.__class__ is int:
+        return None
     raise type_error(f"a thread handle is wanted, not {values.type_name(value)}")

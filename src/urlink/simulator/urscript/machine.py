@@ -1,8 +1,11 @@
 """The machine: threads that take turns, cycle by cycle.
 
 In each cycle every thread runs, in the order in which they were started, until it does something that takes time.
-Which thread a real controller runs first is not known. A critical section keeps out the threads that want to enter
-one; since threads change only where time passes, that matters only to one in which time passes.
+Which thread a real controller runs first is not known; its manual says that each has a slice of every cycle.
+
+A critical section keeps a controller from taking turns in the middle of it, and nothing more: a driver in the field
+waits for its socket, and joins a thread that enters one, inside of one. Here turns are taken only where time passes,
+so that it changes nothing.
 """
 
 from __future__ import annotations
@@ -162,8 +165,6 @@ class Machine:
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
         self._made = 0
-        self._critical: ScriptThread | None = None
-        self._entered = 0
         self._threads: list[ScriptThread] = []
         self.main = self.start(script.main, [self._globals, None, *[UNSET] * (script.main.size - 2)])
 
@@ -204,9 +205,6 @@ class Machine:
 
     def forget(self, thread: ScriptThread) -> None:
         """A thread has ended: what it held is free."""
-        if self._critical is thread:
-            self._critical = None
-            self._entered = 0
         if self._owner is thread:
             self._owner = None
             self.world.drive.release()
@@ -250,20 +248,3 @@ class Machine:
             held = sum(map(weight, self._globals)) + sum(thread.memory for thread in self._threads)
             if held > MAX_MEMORY:
                 raise Fault(f"Out of memory: the variables hold {held} elements")
-
-    # -- critical sections -------------------------------------------------------------------------
-
-    def enter(self, thread: ScriptThread) -> bool:
-        """Try to enter the critical section."""
-        if self._critical is not None and self._critical is not thread:
-            return False
-        self._critical = thread
-        self._entered += 1
-        return True
-
-    def exit(self, thread: ScriptThread) -> None:
-        """Leave it, if the thread is in it."""
-        if self._critical is thread:
-            self._entered -= 1
-            if not self._entered:
-                self._critical = None

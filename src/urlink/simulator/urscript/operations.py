@@ -142,9 +142,7 @@ def element(base: Function, index: Function, place: Place) -> Function:
 
 def truth(value: Any) -> bool:
     """Of a condition."""
-    if value is True or value is False:
-        return bool(value)
-    raise type_error(f"a condition is a truth value, not {values.type_name(value)}")
+    return value if value is True or value is False else values.truth(value)
 
 
 def both(left: Function, right: Function, place: Place) -> Function:

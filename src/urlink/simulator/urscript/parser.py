@@ -23,6 +23,8 @@
                | "p" "[" expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
+After an operator between two operands the line may end: a driver's program does so with `or`.
+
 Guesses: the precedence of `xor`; that an empty block is an error (`pass` is there to fill it); that the line after a
 colon need not end; that a word after a whole statement on one line is an error unless it is `end`, `else` or `elif`.
 `true` and `false` stand in users' programs and are taken as `True` and `False`.
@@ -277,6 +279,8 @@ class _Parser:
             left = self._unary()
         while (binding := _BINDING.get(self._next.kind, 0)) >= level:
             token = self._take()
+            while self._accept("newline"):
+                pass
             right = self._expression(binding + 1)
             left = Binary(token.line, token.column, self._joined(token, left, right), token.kind, left, right)
         self._nesting -= 1

@@ -3,14 +3,15 @@
 A value is a Python number, truth value or string, a tuple for a list, a `Pose`, or the handle of a thread. All are
 immutable, so that passing one on costs nothing and hands nobody another's list; assigning an element makes a new one.
 
-Known: numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces
+Known: a number is a condition too (a driver's program has `if has_qnear:` of a quotient), which holds unless it is
+zero; numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces
 (a log of 5.x). Controllers of 5.9 to 5.14 refuse to give a variable a list of another length ("Resizing of 'List' is
 not supported", by a project's tests); here that is not looked at. Guesses:
 
 - `/` always gives a float; drivers divide integers from a socket by a million and get fractions, so it does not cut;
 - `%` has the sign of its left operand, as in C;
 - an integer beyond 32 bits, and a result that is no finite number, are errors;
-- truth values are no numbers, and conditions are truth values;
+- truth values are no numbers;
 - values of different types are unequal, but an integer equals its float;
 - arithmetic on lists goes element by element, also with one number on either side; poses have none.
 """
@@ -44,6 +45,7 @@ __all__ = [
     "signed",
     "subtract",
     "to_str",
+    "truth",
     "type_name",
     "weight",
 ]
@@ -220,6 +222,13 @@ def compare(sign: str, a: Any, b: Any) -> bool:
     if a.__class__ not in NUMBERS or b.__class__ not in NUMBERS:
         raise type_error(f"{type_name(a)} {sign} {type_name(b)}")
     return bool({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}[sign](a, b))
+
+
+def truth(value: Any) -> bool:
+    """Of a condition."""
+    if value.__class__ in NUMBERS or value.__class__ is bool:
+        return bool(value)
+    raise type_error(f"a condition is a truth value or a number, not {type_name(value)}")
 
 
 # -- elements ----------------------------------------------------------------------------------------

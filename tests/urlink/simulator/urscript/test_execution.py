@@ -36,6 +36,7 @@ def test_a_script_says_what_it_is() -> None:
         ("def f():\n    textmsg(1\n    movej([0], a=1)\nend", 3, 5, "syntax_error_on_line:3:    movej([0], a=1):"),
         # The rest is of that form.
         ("x = ", 1, 5, "syntax_error_on_line:1:x =:"),
+        ("x = 1 +\n\n\nend", 4, 1, "syntax_error_on_line:4:end:"),
         ("x = 'open", 1, 5, "syntax_error_on_line:1:x = 'open:"),
         ("x = [1, 2", 1, 10, "syntax_error_on_line:1:x = [1, 2:"),
         ("x = p[1, 2]", 1, 5, "syntax_error_on_line:1:x = p[1, 2]:"),

@@ -122,7 +122,7 @@ def test_a_long_elif_chain_and_a_long_list_are_no_nesting() -> None:
         ("movej([1e308, 0, 0, 0, 0, 0] * 10)", "not a number"),
         ("x = get_forward_kin([0, 0, 0])", "6 numbers"),
         ("x = get_actual_joint_positions_history(-1)", "from 0"),
-        ("h = 3\njoin h", "thread handle"),
+        ("h = 3.5\njoin h", "thread handle"),
         ("kill [1]", "thread handle"),
     ],
 )

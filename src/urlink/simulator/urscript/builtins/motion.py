@@ -87,12 +87,11 @@ def movec(
 
 
 def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
-    return (
-        _positive(a, f"{name}: a"),
-        _positive(v, f"{name}: v"),
-        _not_negative(t, f"{name}: t"),
-        _not_negative(r, f"{name}: r"),
-    )
+    """A time overrides the acceleration and the speed, which may be zero then (a guess)."""
+    seconds, blend = _not_negative(t, f"{name}: t"), _not_negative(r, f"{name}: r")
+    if seconds > 0:
+        return _not_negative(a, f"{name}: a") or 1.0, _not_negative(v, f"{name}: v") or 1.0, seconds, blend
+    return _positive(a, f"{name}: a"), _positive(v, f"{name}: v"), seconds, blend
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
@@ -130,6 +129,11 @@ def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any 
     return thread.machine.moving(thread, lambda: thread.world.drive.servoc(target, acceleration, speed, blend))
 
 
+def _change(a: Any, what: str) -> float:
+    """A driver gives an acceleration of zero where the speed need not change; next to none takes its place."""
+    return max(_not_negative(a, what), 1e-6)
+
+
 def _seconds(t: Any, what: str) -> float | None:
     """Firmware before 3.3 wants the time (1.x) or has none (3.1, 3.2); all of them may leave it out or not here."""
     return None if t is None or (t.__class__ in NUMBERS and t == 0) else _not_negative(t, what)
@@ -138,14 +142,14 @@ def _seconds(t: Any, what: str) -> float | None:
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def speedj(thread: ScriptThread, qd: Any, a: Any = 1.4, t: Any = None) -> Waiting:
     speeds = six(qd, "speedj: qd")
-    acceleration, seconds = _positive(a, "speedj: a"), _seconds(t, "speedj: t")
+    acceleration, seconds = _change(a, "speedj: a"), _seconds(t, "speedj: t")
     return thread.machine.moving(thread, lambda: thread.world.drive.speedj(speeds, acceleration, seconds))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def speedl(thread: ScriptThread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any = "a") -> Waiting:
     speeds = six(xd, "speedl: xd")
-    acceleration, seconds = _positive(a, "speedl: a"), _seconds(t, "speedl: t")
+    acceleration, seconds = _change(a, "speedl: a"), _seconds(t, "speedl: t")
     turning = _turning(aRot, acceleration, "speedl: aRot")
     return thread.machine.moving(thread, lambda: thread.world.drive.speedl(speeds, acceleration, seconds, turning))
 
