@@ -7,7 +7,7 @@
     block      = statement { statement }               at least one that is not empty
     if         = "if" expression ":" block { "elif" expression ":" block } [ "else" ":" block ] "end"
     while      = "while" expression ":" block "end"
-    simple     = [ "global" | "local" ] name [ "=" expression ] | name { "[" expression "]" } "=" expression
+    simple     = [ "global" | "local" ] name [ "=" expression ] | name { "[" expressions "]" } "=" expression
                | "return" [ expression ] | "break" | "continue" | "pass" | "halt" [ "(" ")" ]
                | "kill" expression | "join" expression | expression
     expression = xor { "or" xor }
@@ -18,12 +18,13 @@
     sum        = product { ( "+" | "-" ) product }
     product    = unary { ( "*" | "/" | "%" ) unary }
     unary      = ( "-" | "+" ) unary | postfix
-    postfix    = primary { "[" expression "]" }
+    postfix    = primary { "[" expressions "]" }
     primary    = number | string | "True" | "False" | "(" expression ")" | "[" [ expressions ] "]"
-               | "p" "[" expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
+               | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
-After an operator between two operands the line may end: a driver's program does so with `or`.
+Three things are read off drivers' programs: `m[i, j]` is the element of a matrix, a list of lists; `p[i]` that of a
+variable called p; and after an operator between two operands the line may end.
 
 Guesses: the precedence of `xor`; that an empty block is an error (`pass` is there to fill it); that the line after a
 colon need not end; that a word after a whole statement on one line is an error unless it is `end`, `else` or `elif`.
@@ -306,9 +307,11 @@ class _Parser:
         value = self._primary()
         while self._next.kind == "[":
             token = self._take()
-            index = self._expression()
-            self._expect("]")
-            value = Index(token.line, token.column, self._joined(token, value, index), value, index)
+            indices = self._items("]")
+            if not indices:
+                raise self._source.error(token.line, token.column)
+            for index in indices:
+                value = Index(token.line, token.column, self._joined(token, value, index), value, index)
         return value
 
     def _primary(self) -> Expression:
@@ -319,11 +322,7 @@ class _Parser:
             if self._next.kind == "(":
                 return self._call(token, is_run=False)
             if token.text == "p" and self._next.kind == "[":
-                self._take()
-                items = self._items("]")
-                if len(items) != 6:
-                    raise self._source.error(line, column)
-                return PoseDisplay(line, column, self._joined(token, *items), items)
+                return self._pose(token)
             return Name(line, column, 1, token.text)
         if token.kind == "number":
             self._take()
@@ -347,6 +346,18 @@ class _Parser:
             self._take()
             return self._call(self._expect("name"), is_run=True)
         raise self._unexpected()
+
+    def _pose(self, token: Token) -> Expression:
+        """Six numbers are a pose; with one it is the element of a variable that is called p."""
+        place = (token.line, token.column)
+        self._take()
+        items = self._items("]")
+        depth = self._joined(token, *items)
+        if len(items) == 1:
+            return Index(*place, depth, Name(*place, 1, token.text), items[0])
+        if len(items) != 6:
+            raise self._source.error(*place)
+        return PoseDisplay(*place, depth, items)
 
     def _number(self, token: Token) -> float | int:
         """An integer, if it is one of 32 bits; that a longer one is a float is a guess."""

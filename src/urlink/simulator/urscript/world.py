@@ -163,3 +163,6 @@ class World(Protocol):
     @property
     def has_popup(self) -> bool:
         """One is on the pendant and nobody has closed it."""
+
+    def protective_stop(self, reason: str) -> None:
+        """Stop the arm; the program is not advanced until someone unlocks it."""

@@ -64,3 +64,10 @@ def popup(
     )
     while waits and thread.world.has_popup:
         yield
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False, since="3.8/5.0")
+def protective_stop(thread: ScriptThread) -> Waiting:
+    """Asked for by the program itself; it goes on when someone has unlocked the stop (a guess)."""
+    thread.world.protective_stop("protective_stop() was called by the program")
+    yield

@@ -36,6 +36,16 @@ _FORCE = [
     "zero_ftsensor",
 ]
 _PATHS = ["optimovej", "optimovel"]
+_STATE = [
+    "get_coriolis_and_centrifugal_torques",
+    "get_jacobian",
+    "get_jacobian_time_derivative",
+    "get_mass_matrix",
+    "get_target_joint_accelerations",
+    "get_target_payload_inertia",
+    "get_target_tcp_speed",
+    "get_target_waypoint",
+]
 _REGISTERS = [
     "rtde_set_watchdog",
     *(
@@ -57,6 +67,7 @@ for _names, _what in (
     (_FORCE, "force control is"),
     (_PATHS, "optimised paths are"),
     (_REGISTERS, "RTDE registers are"),
+    (_STATE, "this is"),
 ):
     for _name in _names:
         FAMILY.declare(name=_name, since="1.0" if _name in ("force_mode", "end_force_mode") else "3.0")(
