@@ -9,7 +9,6 @@ jumps in acceleration at the points, as in every cubic.
 
 from __future__ import annotations
 
-import csv
 import os
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
@@ -22,6 +21,7 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 
 from .models import Model
+from .trajectory_csv import read_points, write_points
 from .vectors import JOINTS, FloatArray, numbers, six
 
 __all__ = ["Trajectory", "TrajectoryPoint"]
@@ -130,7 +130,11 @@ class Trajectory:
         Raises:
             BadValue: the file cannot be read, or is no such file; says in which line.
         """
-        return _from_csv(Path(path))
+        arrays, line = read_points(Path(path))
+        try:
+            return cls.from_arrays(*arrays)
+        except BadValue as error:
+            raise BadValue(f"{path} (point 0 is line {line}): {error}") from None
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write what `from_csv` reads; velocities only where they were given. No digit is lost.
@@ -138,18 +142,12 @@ class Trajectory:
         Raises:
             BadValue: the file cannot be written.
         """
-        columns = [self.q]
+        arrays = [self.time, self.q]
         if self.has_velocities:
-            columns.append(self.qd)
+            arrays.append(self.qd)
         if self.qdd is not None:
-            columns.append(self.qdd)
-        try:
-            with open(path, "w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(_names(len(columns)))
-                writer.writerows(np.hstack([self.time[:, None], *columns]).tolist())
-        except OSError as error:
-            raise BadValue(f"{path}: {error.strerror or error}") from error
+            arrays.append(self.qdd)
+        write_points(Path(path), arrays)
 
     def _build(self, time: FloatArray, q: FloatArray, qd: FloatArray | None, qdd: FloatArray | None) -> None:
         if time.ndim != 1 or time.size < 2:
@@ -402,68 +400,3 @@ def _coefficients(time: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArr
             6.0 * way - 3.0 * v0 - 3.0 * v1 - 0.5 * a0 + 0.5 * a1,
         ]
     return np.stack(rows, axis=1)
-
-
-# -- files -------------------------------------------------------------------------------------------
-
-
-def _names(quantities: int) -> list[str]:
-    return ["time", *(f"{name}{joint}" for name, _ in _QUANTITIES[:quantities] for joint in range(6))]
-
-
-def _from_csv(path: Path) -> Trajectory:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
-    except (OSError, ValueError) as error:
-        raise BadValue(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    reader = csv.reader(text.splitlines(keepends=True))
-    lines: list[int] = []
-    rows: list[list[float]] = []
-    columns: list[str] = []
-    try:
-        for row in reader:
-            if not row:
-                continue
-            if not columns:
-                columns = _header(path, reader.line_num, [cell.strip() for cell in row])
-                continue
-            rows.append(_numbers_of(path, reader.line_num, row, columns))
-            lines.append(reader.line_num)
-    except csv.Error as error:
-        raise BadValue(f"{path}, line {reader.line_num}: {error}") from None
-    if len(rows) < 2:
-        raise BadValue(f"{path}: {len(rows)} points; a trajectory has at least two")
-    order = [columns.index(name) for name in _names((len(columns) - 1) // 6)]
-    table = np.array(rows, dtype=np.float64)[:, order]
-    blocks = np.split(table[:, 1:], table.shape[1] // 6, axis=1)
-    try:
-        return Trajectory.from_arrays(table[:, 0], *blocks)
-    except BadValue as error:
-        raise BadValue(f"{path} (point 0 is line {lines[0]}): {error}") from None
-
-
-def _header(path: Path, line: int, columns: list[str]) -> list[str]:
-    for quantities in (1, 2, 3):
-        if sorted(columns) == sorted(_names(quantities)):
-            return columns
-    raise BadValue(
-        f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, and, or not, "
-        "qd0,...,qd5 and qdd0,...,qdd5"
-    )
-
-
-def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> list[float]:
-    if len(row) != len(columns):
-        raise BadValue(f"{path}, line {line}: {len(row)} values; expected {len(columns)}")
-    values = []
-    for name, cell in zip(columns, row, strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            value = float("nan")
-        if not abs(value) <= _LARGEST:
-            raise BadValue(f"{path}, line {line}, column {name}: {cell[:50]!r} is not a finite number")
-        values.append(value)
-    return values

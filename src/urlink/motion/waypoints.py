@@ -14,7 +14,7 @@ from linkcore.errors import ConnectionLost
 from ..errors import ProgramStopped
 from ..program import Program, ProgramPhase
 from ..schemas.realtime import RealtimeState
-from ..script import programs
+from ..script import waypoints
 from ..script.text import number
 from ..trajectory import Trajectory
 from .equipment import Equipment
@@ -59,7 +59,7 @@ class WaypointFollower(Following):
         self._is_over = False
 
     def _body(self, host: str, port: int) -> list[str]:
-        return programs.waypoints(
+        return waypoints.interpolating(
             self._equipment.firmware,
             host,
             port,
@@ -111,9 +111,9 @@ class WaypointFollower(Following):
 
     def _answer(self, request: int, state: RealtimeState) -> bool:
         """Answer one request; False if it has to wait."""
-        if request == programs.ARRIVED:
+        if request == waypoints.ARRIVED:
             self._has_arrived = True
-        elif request == programs.BEAT:
+        elif request == waypoints.BEAT:
             self._say(b"(1)\r\n")
         elif request == 0:
             if not self._rests(state):
@@ -127,8 +127,8 @@ class WaypointFollower(Following):
                 self._say(self._point(request, self._trajectory.q[request].tolist()))
             else:
                 self._is_served = True
-                zeros = [0.0] * (programs.numbers_of_point(self._trajectory.is_quintic) - 1)
-                self._say(_answer(programs.NO_MORE, zeros))
+                zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
+                self._say(_answer(waypoints.NO_MORE, zeros))
         return True
 
     def _point(self, index: int, q: list[float]) -> bytes:

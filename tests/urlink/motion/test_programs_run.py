@@ -9,7 +9,7 @@ from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.motion.follower import STOP_WORD, WAIT_WORD, setpoint
-from urlink.script import programs
+from urlink.script import programs, waypoints
 from urlink.script.text import number
 from urlink.trajectory import Trajectory
 
@@ -98,7 +98,7 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
 def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
     for body in (
         programs.streaming(firmware, "10.0.0.1", 50001),
-        programs.waypoints(firmware, "10.0.0.1", 50001, is_quintic=True),
+        waypoints.interpolating(firmware, "10.0.0.1", 50001, is_quintic=True),
     ):
         bench = Bench(body, firmware)
         bench.sockets.is_refused = True
@@ -124,13 +124,13 @@ class Server:
             self.bench.sockets.waiting.extend(self._due.pop(0)[1])
 
     def answer(self, request: int) -> bytes:
-        if request == programs.BEAT:
+        if request == waypoints.BEAT:
             self.beats += 1
             return b"(1)\r\n"
-        if request == programs.ARRIVED or request >= self.until:
+        if request == waypoints.ARRIVED or request >= self.until:
             return b""
         if request >= len(self.path):
-            numbers = [0.0] * (programs.numbers_of_point(self.path.is_quintic) - 1)
+            numbers = [0.0] * (waypoints.numbers_of_point(self.path.is_quintic) - 1)
             return f"(-1, {', '.join(map(str, numbers))})\r\n".encode()
         path = self.path
         numbers = [*path.q[request], *path.qd[request]]
@@ -140,8 +140,8 @@ class Server:
         return f"({request}, {', '.join(map(number, numbers))})\r\n".encode()
 
 
-def waypoints(firmware: Firmware, path: Trajectory = WAVE, **options: int) -> tuple[Bench, Server]:
-    body = programs.waypoints(firmware, "10.0.0.1", 50001, is_quintic=path.is_quintic, lookahead_time=0.03)
+def handing_over(firmware: Firmware, path: Trajectory = WAVE, **options: int) -> tuple[Bench, Server]:
+    body = waypoints.interpolating(firmware, "10.0.0.1", 50001, is_quintic=path.is_quintic, lookahead_time=0.03)
     bench = Bench(body, firmware)
     return bench, Server(bench, path, **options)
 
@@ -150,12 +150,12 @@ def waypoints(firmware: Firmware, path: Trajectory = WAVE, **options: int) -> tu
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_follows_what_it_is_handed(firmware: Firmware, is_quintic: bool) -> None:
     path = WAVE if is_quintic else Trajectory.from_arrays(WAVE.time, WAVE.q, WAVE.qd)
-    bench, server = waypoints(firmware, path)
+    bench, server = handing_over(firmware, path)
     bench.run(round(4.0 / bench.period), server)
     server()
     assert bench.has_finished
     assert bench.said == []
-    assert [each for each in server.requests if each != programs.BEAT] == [0, 1, 2, 3, 4, programs.ARRIVED]
+    assert [each for each in server.requests if each != waypoints.BEAT] == [0, 1, 2, 3, 4, waypoints.ARRIVED]
     assert server.beats > 1
     assert bench.path[-1] == pytest.approx(WAVE.q[-1], abs=1e-6)
     moves = np.flatnonzero(np.abs(np.diff([q[5] for q in bench.path])) > 1e-9)
@@ -167,7 +167,7 @@ def test_follows_what_it_is_handed(firmware: Firmware, is_quintic: bool) -> None
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_an_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
-    bench, server = waypoints(firmware, late=round(0.4 * firmware.rate))
+    bench, server = handing_over(firmware, late=round(0.4 * firmware.rate))
     bench.run(round(5.0 / bench.period), server)
     assert bench.said == []
     assert bench.path[-1] == pytest.approx(WAVE.q[-1], abs=1e-6)
@@ -175,7 +175,7 @@ def test_an_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> N
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
-    bench, server = waypoints(firmware, until=2)
+    bench, server = handing_over(firmware, until=2)
     bench.run(round(4.0 / bench.period), server)
     assert bench.said[0] in (programs.STARVED, programs.LINK_ENDED)
     assert bench.has_finished
@@ -186,7 +186,7 @@ def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None:
     slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])
-    bench, server = waypoints(firmware, slow)
+    bench, server = handing_over(firmware, slow)
     bench.run(round(5.0 / bench.period), server)
     bench.sockets.is_open = False
     bench.run(round(1.0 / bench.period), server)
@@ -199,7 +199,7 @@ def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_a_first_waypoint_that_is_too_far_away(firmware: Firmware) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(0.02), turned(0.02)])
-    bench, server = waypoints(firmware, far)
+    bench, server = handing_over(firmware, far)
     bench.run(50, server)
     assert bench.said == [programs.TOO_FAR]
     assert bench.has_finished

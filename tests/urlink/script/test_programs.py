@@ -9,7 +9,7 @@ import pytest
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
-from urlink.script import programs
+from urlink.script import programs, waypoints
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -22,8 +22,8 @@ PROGRAMS: dict[str, Callable[[Firmware], list[str]]] = {
     "streaming": lambda firmware: programs.streaming(firmware, "192.168.56.1", 50001),
 }
 WAYPOINTS: dict[str, Callable[[Firmware], list[str]]] = {
-    "waypoints_cubic": lambda firmware: programs.waypoints(firmware, "192.168.56.1", 50001, is_quintic=False),
-    "waypoints_quintic": lambda firmware: programs.waypoints(firmware, "192.168.56.1", 50001, is_quintic=True),
+    "waypoints_cubic": lambda firmware: waypoints.interpolating(firmware, "192.168.56.1", 50001, is_quintic=False),
+    "waypoints_quintic": lambda firmware: waypoints.interpolating(firmware, "192.168.56.1", 50001, is_quintic=True),
 }
 #: Of each firmware that has texts of its own.
 CASES = [(version, name) for version in ("1.8", "3.1", "3.4", "5.11") for name in PROGRAMS] + [
@@ -80,7 +80,7 @@ def test_the_watchdog_counts_cycles() -> None:
         lambda: programs.streaming(Firmware(5, 11), 'h"', 1),
         lambda: programs.streaming(Firmware(5, 11), "h", 0),
         lambda: programs.streaming(Firmware(5, 11), "h", 1, gain=5000),
-        lambda: programs.waypoints(Firmware(5, 11), "h", 1, is_quintic=True, lookahead_time=0.001),
+        lambda: waypoints.interpolating(Firmware(5, 11), "h", 1, is_quintic=True, lookahead_time=0.001),
     ],
 )
 def test_what_cannot_be_written(call: Callable[[], object]) -> None:
