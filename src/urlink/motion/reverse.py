@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.listener import TcpListener, local_address
 from linkcore.transport import TcpTransport
@@ -34,6 +36,8 @@ class ReverseLink:
         self._listener = TcpListener(here if host is None else "", port)
         self.address = (here, self._listener.address[1])
         self._connection: TcpTransport | None = None
+        self._closing = threading.Lock()
+        self._is_closed = False
 
     @property
     def is_up(self) -> bool:
@@ -44,9 +48,14 @@ class ReverseLink:
         """Take the connection, if it has been made; True once it has. Never waits."""
         if self._connection is None:
             try:
-                self._connection = self._listener.accept(0)
+                connection = self._listener.accept(0)
             except (LinkTimeout, ConnectionLost):
                 return False
+            with self._closing:
+                if self._is_closed:  # by another thread, in the meantime
+                    connection.close()
+                    return False
+                self._connection = connection
             self._listener.close()
         return True
 
@@ -89,6 +98,8 @@ class ReverseLink:
 
     def close(self) -> None:
         """Close the port and the connection. Idempotent."""
+        with self._closing:
+            self._is_closed = True
         self._listener.close()
         if self._connection is not None:
             self._connection.close()

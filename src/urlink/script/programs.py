@@ -52,10 +52,6 @@ LINK_ENDED = "urlink: the link ended"
 STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 
-#: Part of its last step that an arm goes on by in each cycle without a set-point: a late one makes no dent, and without
-#: any it comes to rest within nine steps.
-_FADING = 0.9
-
 
 # -- one command ---------------------------------------------------------------------------------------
 
@@ -115,6 +111,9 @@ def streaming(
 ) -> list[str]:
     """Follow set-points that come over a socket, one per cycle, and brake where they stay away.
 
+    A late one makes hardly a dent: meanwhile the arm goes on by its last step, less and less of it until the watchdog's
+    time is up, when it has come to rest.
+
     Args:
         host: address at which the robot reaches this computer.
         watchdog: seconds without a set-point after which it brakes.
@@ -158,8 +157,8 @@ def streaming(
               {servo}
             elif missed < {missable}:
               missed = missed + 1
-              step = [{each("step[{i}] * " + number(_FADING))}]
-              q = [{each("q[{i}] + step[{i}]")}]
+              share = 1.0 - missed / {number(missable)}
+              q = [{each("q[{i}] + step[{i}] * share")}]
               {servo}
             else:
               starved = True

@@ -40,6 +40,9 @@ class Rehearsal(StandIn):
         self.clear()
         self.show()
 
+    def __enter__(self) -> Rehearsal:
+        return self
+
     def close(self) -> None:
         if self.link is not None:
             self.link.close()

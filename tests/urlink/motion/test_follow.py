@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from linkcore.errors import BadAddress, BadValue, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from tests.urlink.motion.rehearsal import FOLLOW, PATIENCE, STOP, WAIT, Rehearsal, turned
@@ -376,3 +379,19 @@ def test_too_far_from_the_first_waypoint(robot: Rehearsal) -> None:
     robot.text("urlink: the first point is too far away")
     with pytest.raises(ToleranceExceeded):
         motion.wait(PATIENCE)
+
+
+@pytest.mark.property
+@settings(max_examples=25)
+@given(st.binary(max_size=60))
+def test_whatever_the_program_says_is_answered_or_ends_it(said: bytes) -> None:
+    """Nothing that comes over the link makes it hang, or fail with anything but the library's own errors."""
+    with Rehearsal() as robot:
+        motion = robot.motion.follow(PATH, low_bandwidth=True)
+        robot.connect()
+        assert robot.link is not None
+        robot.link.sendall(said)
+        robot.link.shutdown(socket.SHUT_WR)
+        robot.text("urlink: the link ended")
+        robot.until(lambda: motion.done)
+        assert isinstance(motion.error, (ConnectionLost, ProgramStopped))
