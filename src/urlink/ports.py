@@ -1,4 +1,4 @@
-"""The six ports of the client interfaces."""
+"""The ports of the client interfaces and of the dashboard."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "primary_readonly": 30011,
         "secondary_readonly": 30012,
         "realtime_readonly": 30013,
+        "dashboard": 29999,
     }
 )
 
 
 def interface(port: str) -> str:
-    """Which of primary, secondary and realtime a port speaks: its own, or that of which it is the read-only twin."""
+    """What a port speaks: primary, secondary, realtime or dashboard; a read-only twin what its twin does."""
     return port.removesuffix("_readonly")

@@ -163,6 +163,12 @@ class Arm:
         self._motion = motion
         self._stop()
 
+    def hand_over(self, motion: Motion) -> None:
+        """Follow another motion at once; it begins with the targets of this cycle, speeds included."""
+        self._motion = motion
+        self._follows = True
+        self._brake = None
+
     @property
     def tcp(self) -> list[float]:
         """The tool centre point in the flange frame: m and rotation vector in rad."""
@@ -201,6 +207,8 @@ class Arm:
             self._motion.start(self._setpoint.q)
             self._follows = True
             self._setpoint = self._motion.advance(seconds)
+        # A program may have looked at the arm before its targets changed.
+        self._sample = None
 
     def _stop(self) -> None:
         if self._follows:

@@ -1,11 +1,11 @@
-"""The controller: clock, arm, modes, signals, and what it sends."""
+"""The controller: clock, arm, modes, signals, programs, and what it sends."""
 
 from __future__ import annotations
 
 import logging
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
@@ -16,12 +16,19 @@ from urlink.address import RobotAddress
 from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
 
 from ..ports import PORTS, interface
+from ..schemas.dashboard import GREETING
+from ..schemas.enums import ProgramState
 from .arm import Arm
+from .assembly import Assembler
+from .dashboard import Responder
 from .faults import FAULTS, Faults, ScheduledFault, parse_fault
-from .modes import Modes
-from .motion import Demonstration, Motion
-from .packets import Packets, greeting, safety_messages
+from .messages import greeting, safety_messages
+from .modes import Modes, Stop
+from .motion import Demonstration, Motion, Still
+from .packets import Packets
+from .programs import Programs
 from .signals import Signals
+from .urscript import ScriptError, compile_script
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -36,6 +43,8 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 #: States a second on the primary and secondary interface.
 STATE_RATE = 10
+#: Robot messages in one cycle; a program could make thousands.
+MOST_MESSAGES = 200
 #: Lines from clients that are kept.
 RECEIVED = 1000
 
@@ -51,6 +60,7 @@ class Counters:
         refused_bytes: input thrown away: text to read-only ports, lines too long.
         late: cycles in which packets went out more than one cycle after they were due.
         skipped: cycles in which no packets went out because they were far too late.
+        lost_messages: robot messages beyond what one cycle sends.
     """
 
     connections: int = 0
@@ -59,10 +69,12 @@ class Counters:
     refused_bytes: int = 0
     late: int = 0
     skipped: int = 0
+    lost_messages: int = 0
 
 
 class Controller:
-    """A robot controller in software that serves the primary, secondary and real-time interfaces.
+    """A robot controller in software: it serves the primary, secondary and real-time interfaces and the dashboard, and
+    runs the URScript that is sent to it.
 
     As a context manager it serves its ports from one thread of its own::
 
@@ -82,6 +94,9 @@ class Controller:
         serial: serial number of the arm.
         motion: what the arm follows; None for the gentle demonstration.
         output_limit: bytes that may wait for one client before it is dropped, beside what the network holds.
+        files: path -> URScript of the programs that the dashboard can load; a real one loads what the pendant saved.
+        reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
+            clients always are.
 
     Attributes:
         model: the `urlink.models.Model`.
@@ -90,7 +105,16 @@ class Controller:
         modes: of robot, safety and program.
         signals: its inputs and outputs.
         faults: what can go wrong, on demand.
-        received: (name of the port, line of text) of the latest lines that clients sent, to be run as URScript.
+        programs: that run on it.
+        dashboard: answers the lines of dashboard clients.
+        remote_control: on an e-Series, whether it takes commands from others than the pendant.
+        speed_fraction: of the speed slider, 0 to 1.
+        flags: 64, of `set_flag`.
+        popup: text on the pendant, or None.
+        log: lines that were added by the dashboard.
+        loaded: path of the program that `play` runs, or None.
+        stopped_since: `time` at which the present stop began; None without one.
+        received: (name of the port, line of text) of the latest lines that clients sent.
         counters: what has happened on the ports.
         cycle: number of the cycle since the controller was made, reboots included.
 
@@ -114,6 +138,8 @@ class Controller:
         serial: str = "20230000001",
         motion: Motion | None = None,
         output_limit: int = 1 << 20,
+        files: Mapping[str, str] | None = None,
+        reachable: Iterable[str] = (),
     ) -> None:
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
@@ -126,6 +152,10 @@ class Controller:
         self.output_limit = output_limit
         self.cycle = 0
         self.signals = Signals()
+        self.files = dict(files or {})
+        self.reachable = frozenset(reachable)
+        self.remote_control = True
+        self.log: list[str] = []
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
         self.counters = Counters()
         self._wanted_ports = _wanted(ports)
@@ -136,6 +166,7 @@ class Controller:
         self._cycles_down = 0
         self._next_firmware = self.firmware
         self._boot()
+        self.dashboard = Responder(self)
         self.faults = Faults(self, seed)
 
     def suited(self, firmware: str | Firmware) -> Firmware:
@@ -177,6 +208,13 @@ class Controller:
             self.arm.payload_inertia = before.payload_inertia
         else:
             self.arm = Arm(self.model, motion, self.seed)
+        self.programs = Programs(self)
+        self.speed_fraction = 1.0
+        self.flags = [False] * 64
+        self.popup: str | None = None
+        self.loaded: str | None = None
+        self.stopped_since: float | None = None
+        self._stop_reason = ""
         self._packets = Packets(self)
         self._announced = self.modes.safety_mode
         self.modes.advance(0.0, self.arm.is_standing, self.arm.motion.is_program)
@@ -216,13 +254,16 @@ class Controller:
                 self._boot()
             return
         self._uptime += 1
-        arm, modes = self.arm, self.modes
-        arm.advance(self._period, modes.may_move)
-        modes.advance(self._period, arm.is_standing, arm.motion.is_program)
+        arm, modes, programs = self.arm, self.modes, self.programs
+        programs.advance()
+        arm.advance(self._period, modes.may_move and not programs.is_paused)
+        modes.advance(self._period, arm.is_standing, arm.motion.is_program, programs.is_paused)
         arm.is_powered = modes.is_powered
         if modes.safety_mode is not self._announced:
             self._announced = modes.safety_mode
-            self._outbox += safety_messages(self)
+            self.stopped_since = None if modes.stop is Stop.NONE else self.time
+            self._outbox += safety_messages(self, self._stop_reason)
+            self._stop_reason = ""
 
     def take_messages(self) -> list[bytes]:
         """Packages that the primary interface is to send beside its states, once each."""
@@ -231,9 +272,89 @@ class Controller:
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot; see `Faults.reboot`. Only for the thread that owns the controller."""
+        self.programs.close()
         self._next_firmware = firmware or self.firmware
         self._cycles_down = max(1, math.ceil(seconds * self.firmware.rate))
         self._outbox.clear()
+
+    # -- programs ------------------------------------------------------------------------------------
+
+    def take(self, text: str) -> None:
+        """Text that a client has sent: the lines of one or more programs, or of commands.
+
+        From any thread. What has no `end` is thrown away, as that of a client that disconnects.
+        """
+        assembler = Assembler()
+        programs = [program for program in map(assembler.feed, text.splitlines()) if program is not None]
+
+        def take() -> None:
+            for program in programs:
+                self.programs.take(program)
+
+        self.call(take)
+
+    def say(self, message: bytes) -> None:
+        """Send a robot message to the clients of the primary interface, in this cycle."""
+        if len(self._outbox) < MOST_MESSAGES:
+            self._outbox.append(message)
+        else:
+            self.counters.lost_messages += 1
+
+    def stop_for(self, reason: str) -> None:
+        """A protective stop, and why. Only for the thread that owns the controller."""
+        self._stop_reason = reason
+        self.modes.protective_stop()
+
+    def allows(self, host: str) -> bool:
+        """Whether programs may open sockets to this numeric address; those of this computer they always may."""
+        return host in self.reachable or (self._server is not None and host in self._server.peers)
+
+    @property
+    def program_name(self) -> str | None:
+        """Name of the program that runs or is paused, or None."""
+        main = self.programs.main
+        return main.name if main is not None and main.is_program else None
+
+    def load(self, path: str) -> bool:
+        """Load one of the `files`; False if there is none of that name."""
+        if path not in self.files:
+            return False
+        self.stop_program()
+        self.loaded = path
+        return True
+
+    def play(self) -> bool:
+        """Go on with the program that was paused, or run the loaded one; False if neither can be."""
+        if not self.modes.may_move:
+            return False
+        if self.programs.is_paused:
+            self.programs.is_paused = False
+            return True
+        if self.loaded is None or self.program_name is not None:
+            return False
+        try:
+            self.programs.run(compile_script(self.files[self.loaded], self.firmware))
+        except ScriptError as error:
+            _log.info("%s does not compile: %s", self.loaded, error)
+            return False
+        return True
+
+    def pause(self) -> bool:
+        """Let the arm stand and its program wait; False if none plays."""
+        if self.modes.program_state is not ProgramState.PLAYING:
+            return False
+        self.programs.is_paused = True
+        return True
+
+    def stop_program(self) -> bool:
+        """End what the arm follows, the demonstration too; False if that is nothing."""
+        if self.programs.stop():
+            return True
+        if not self.arm.motion.is_program:
+            return False
+        self.programs.is_paused = False
+        self.arm.follow(Still())
+        return True
 
     # -- faults by the clock -------------------------------------------------------------------------
 
@@ -286,6 +407,8 @@ class Controller:
         """What a connection to this port begins with, package by package: nothing on the real-time ports."""
         if interface(port) == "realtime":
             return []
+        if port == "dashboard":
+            return [f"{GREETING}\n".encode()]
         return [*greeting(self, interface(port)), self._packets.state(first=True)]
 
     # -- serving -------------------------------------------------------------------------------------
@@ -342,6 +465,7 @@ class Controller:
         server, self._server = self._server, None
         if server is not None:
             server.close()
+            self.programs.close()
 
     def __enter__(self) -> Self:
         return self.start()

@@ -102,6 +102,7 @@ class Modes:
         self.power = Power.RUNNING
         self.stop = Stop.NONE
         self._has_program = False
+        self._is_paused = False
         self._is_standing = True
         self._is_switching_off = False
         self._releases_brakes = False
@@ -141,8 +142,9 @@ class Modes:
         elif self.power is Power.IDLE:
             self._wait = self.BRAKE_RELEASE_TIME
 
-    def advance(self, seconds: float, is_standing: bool, has_program: bool) -> None:
-        """One cycle later. `is_standing` says whether the arm has come to rest."""
+    def advance(self, seconds: float, is_standing: bool, has_program: bool, is_paused: bool = False) -> None:
+        """One cycle later. `is_standing`: the arm has come to rest; `is_paused`: its program waits."""
+        self._is_paused = is_paused
         self._is_standing = is_standing
         self._has_program = has_program
         if self._is_switching_off:
@@ -217,12 +219,14 @@ class Modes:
 
     @property
     def program_state(self) -> ProgramState:
-        """What the program does: plays while the arm may move, pauses in a protective stop, is stopped otherwise."""
+        """What the program does: plays while the arm may move, pauses in a protective stop and on demand, is stopped
+        otherwise."""
         if not self._has_program:
             return ProgramState.STOPPED
-        if self.may_move:
+        if self.may_move and not self._is_paused:
             return ProgramState.PLAYING
-        if self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off:
+        is_held = self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off
+        if self.may_move or is_held:
             return ProgramState.PAUSED if self._is_standing else ProgramState.PAUSING
         return ProgramState.STOPPED if self._is_standing else ProgramState.STOPPING
 

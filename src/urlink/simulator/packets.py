@@ -1,4 +1,4 @@
-"""What the controller sends: real-time packets, robot states, and what a connection begins with.
+"""What the controller sends in every cycle or ten times a second: real-time packets and robot states.
 
 The layouts are the schemas'; a `Form` is one of them laid out to be filled in again and again, since a controller
 packs hundreds of packets a second.
@@ -13,25 +13,16 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from linkcore.layout import Layout
-from linkcore.version import Since
 from urlink.firmware import release_of
-from urlink.schemas.enums import MessageSource, ReportDataType, ReportLevel, SafetyMode
+from urlink.schemas.enums import SafetyMode
 from urlink.schemas.headers import PACKAGE
 from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_message import (
-    NO_TIMESTAMP,
-    RobotCommMessage,
-    SafetyComplianceTolerances,
-    SafetyModeMessage,
-    UnnamedMessage12,
-    VersionMessage,
-)
 from urlink.schemas.robot_state import SUB_PACKAGES
 
 if TYPE_CHECKING:
     from .controller import Controller
 
-__all__ = ["Form", "Packets", "greeting", "safety_messages"]
+__all__ = ["Form", "Packets", "package"]
 
 Fields = Mapping[str, Any]
 
@@ -143,7 +134,7 @@ def _realtime(controller: Controller) -> Fields:
         "joint_modes": [modes.joint_mode] * 6,
         "safety_mode": modes.safety_mode,
         "tool_accelerometer": s.accelerometer,
-        "speed_scaling": modes.speed_scaling,
+        "speed_scaling": modes.speed_scaling * controller.speed_fraction,
         "linear_momentum_norm": s.momentum,
         "V_main": 48.0,
         "V_robot": 48.0 if powered else 0.0,
@@ -185,8 +176,8 @@ def _robot_mode(controller: Controller) -> Fields:
         "is_program_running": playing == "PLAYING",
         "is_program_paused": playing in ("PAUSING", "PAUSED"),
         "robot_mode": modes.robot_mode,
-        "target_speed_fraction": 1.0,
-        "speed_scaling": modes.speed_scaling,
+        "target_speed_fraction": controller.speed_fraction,
+        "speed_scaling": modes.speed_scaling * controller.speed_fraction,
         "target_speed_fraction_limit": 1.0,
     }
 
@@ -368,77 +359,4 @@ _UNCHANGING: dict[int, Callable[[Controller], Fields]] = {
     9: _nothing,
     11: _tool_communication,
     12: _tool_mode,
-}
-
-
-# -- what a connection begins with, and messages -------------------------------------------------
-
-_HAS_MESSAGE_12 = Since("3.3")
-_HAS_TOLERANCES = Since("3.10/5.4")
-
-
-def greeting(controller: Controller, kind: str) -> list[bytes]:
-    """What a connection begins with, package by package: on the primary and secondary interface.
-
-    Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
-    3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
-    interface has no package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
-    """
-    firmware = controller.firmware
-    on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
-    version = {
-        "project_name": "URControl",
-        "major": firmware.major,
-        "minor": firmware.minor,
-        "svn_revision": firmware.bugfix,
-        "bugfix": firmware.bugfix,
-        "build": firmware.build,
-        # The two forms of date that captures show.
-        "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
-    }
-    packages = [VersionMessage.LAYOUTS.of(firmware).encode({**on_connect, **version})]
-    if firmware in _HAS_MESSAGE_12:
-        # 0, 0, 1 on simulated controllers.
-        message_12 = {**on_connect, "first": 0, "second": 0, "third": 1}
-        packages.append(UnnamedMessage12.LAYOUTS.of(firmware).encode(message_12))
-    if kind == "primary" and firmware in _HAS_TOLERANCES:
-        # The fourth is 3 on 3.10 and 2 on 5.4.
-        fourth = 2.0 if firmware.is_e_series else 3.0
-        tolerances = [0.15, 25.0, 0.0, fourth, *[0.2] * 6, *[0.05235987755982989] * 6]
-        tolerances += [0.0, 0.0, 0.0, 0.017453292519943295, 0.001, 0.01]
-        packages.append(SafetyComplianceTolerances.LAYOUTS.of(firmware).encode({"tolerances": tolerances}))
-    return packages
-
-
-def safety_messages(controller: Controller) -> list[bytes]:
-    """What the primary interface says when the safety mode has changed.
-
-    A report with a code, then from 3.0 on the safety mode message. The code of a protective stop, C153A0 "position
-    deviates from path", is a documented one; the others, the order, the sources and the levels are guesses.
-    """
-    firmware, mode = controller.firmware, controller.modes.safety_mode
-    stamp = round(controller.time * 1e6)
-    messages = []
-    report = _REPORTS.get(mode)
-    if report is not None:
-        code, level, text = report
-        fields = {
-            "timestamp": stamp,
-            "source": MessageSource.CONTROLLER,
-            "code": code,
-            "argument": 0,
-            "report_level": level,
-            "data_type": ReportDataType.NONE,
-            "text": text,
-        }
-        messages.append(RobotCommMessage.LAYOUTS.of(firmware).encode(fields))
-    if not firmware.is_cb2:
-        fields = {"timestamp": stamp, "source": MessageSource.REALTIME_MACHINE, "safety_mode": mode}
-        messages.append(SafetyModeMessage.LAYOUTS.of(firmware).encode(fields))
-    return messages
-
-
-_REPORTS = {
-    SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
-    SafetyMode.ROBOT_EMERGENCY_STOP: (0, ReportLevel.WARNING, "Emergency stop"),
 }

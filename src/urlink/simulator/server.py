@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 from linkcore.errors import BadAddress, LinkTimeout
 
 from ..ports import interface
+from .assembly import Assembler
 from .controller import STATE_RATE
 
 if TYPE_CHECKING:
@@ -100,6 +101,8 @@ class _Client:
         self.pending = bytearray()
         self.line = bytearray()
         self.is_too_long = False
+        self.assembler = Assembler()
+        self.peer: str = link.getpeername()[0]
         self.segmenter: Segmenter | None = None
 
 
@@ -146,7 +149,8 @@ class Server:
         self._woken.setblocking(False)
         self._selector.register(self._woken, selectors.EVENT_READ, None)
         self._of_kind = {
-            kind: [port for port in self._ports if port.kind == kind] for kind in ("primary", "secondary", "realtime")
+            kind: [port for port in self._ports if port.kind == kind]
+            for kind in ("primary", "secondary", "realtime", "dashboard")
         }
         self._thread = threading.Thread(target=self._run, name=f"urlink sim {controller.model.name}", daemon=True)
 
@@ -154,6 +158,11 @@ class Server:
     def ports(self) -> dict[str, int]:
         """Name of each port -> its number."""
         return {port.name: port.number for port in self._ports}
+
+    @property
+    def peers(self) -> set[str]:
+        """Numeric addresses of the clients."""
+        return {client.peer for port in self._ports for client in port.clients}
 
     # -- from other threads ------------------------------------------------------------------------
 
@@ -240,7 +249,7 @@ class Server:
 
     def _next(self, done: int) -> int:
         """The next cycle in which something is to be done on time; the ones between are caught up then."""
-        if not self._controller.is_up or self._is_watched("realtime"):
+        if not self._controller.is_up or self._is_watched("realtime") or self._controller.programs.is_running:
             return done + 1
         rate = self._controller.firmware.rate
         state = -(-(done * STATE_RATE // rate + 1) * rate // STATE_RATE)
@@ -414,12 +423,32 @@ class Server:
             *lines, rest = data.split(b"\n")
             for line in lines:
                 self._extend(client, line)
-                if not client.is_too_long:
-                    text = client.line.decode("utf-8", "backslashreplace").removesuffix("\r")
-                    self._controller.received.append((client.port.name, text))
+                text = None if client.is_too_long else client.line.decode("utf-8", "backslashreplace")
                 client.line.clear()
                 client.is_too_long = False
+                if text is not None:
+                    self._take(client, text.removesuffix("\r"))
+                if not client.is_open:
+                    return
             self._extend(client, rest)
+
+    def _take(self, client: _Client, text: str) -> None:
+        """A line that a client has sent."""
+        controller = self._controller
+        if client.port.kind == "dashboard":
+            reply = controller.dashboard.reply(text)
+            self._send(client, b"Disconnected\n" if reply is None else f"{reply}\n".encode())
+            if reply is None and client.is_open:
+                self._drop(client)
+            return
+        controller.received.append((client.port.name, text))
+        refused = client.assembler.refused
+        program = client.assembler.feed(text)
+        self._counters.refused_bytes += client.assembler.refused - refused
+        if program is not None:
+            # The program's first cycle is the next one, and not the one at which the clock was looked at last.
+            self._catch_up()
+            controller.programs.take(program)
 
     def _extend(self, client: _Client, part: bytes) -> None:
         if client.is_too_long or len(client.line) + len(part) > LONGEST_LINE:

@@ -179,7 +179,7 @@ def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
     controller = Controller("UR5e", "5.11").start()
     links = [connect(controller, port) for port in PORTS]
     for link in links:
-        link.packet()
+        link.segment()
     assert threading.active_count() == before + 1
     host, ports = controller.host, controller.ports
     begin = time.monotonic()

@@ -1,0 +1,160 @@
+"""What the controller says when something happens: as a connection begins, and robot messages.
+
+That a runtime exception carries no time stamp where a program does not compile, and that keys, texts and exceptions
+come from source -3, is on real bytes of 5.4. The source of the others, their levels and all of it on older firmware
+are guesses.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from linkcore.version import Since
+from urlink.schemas.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
+from urlink.schemas.robot_message import (
+    NO_TIMESTAMP,
+    KeyMessage,
+    PopupMessage,
+    RobotCommMessage,
+    RobotMessage,
+    RuntimeExceptionMessage,
+    SafetyComplianceTolerances,
+    SafetyModeMessage,
+    TextMessage,
+    UnnamedMessage12,
+    VersionMessage,
+)
+
+if TYPE_CHECKING:
+    from .controller import Controller
+
+__all__ = [
+    "greeting",
+    "popup_message",
+    "program_started",
+    "program_stopped",
+    "runtime_exception",
+    "safety_messages",
+    "text_message",
+]
+
+#: Bytes of a text that go into one message; the vendor gives no limit.
+_LONGEST_TEXT = 4096
+
+_HAS_MESSAGE_12 = Since("3.3")
+_HAS_TOLERANCES = Since("3.10/5.4")
+
+
+def greeting(controller: Controller, kind: str) -> list[bytes]:
+    """What a connection begins with, package by package: on the primary and secondary interface.
+
+    Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
+    3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
+    interface has no package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
+    """
+    firmware = controller.firmware
+    on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
+    version = {
+        "project_name": "URControl",
+        "major": firmware.major,
+        "minor": firmware.minor,
+        "svn_revision": firmware.bugfix,
+        "bugfix": firmware.bugfix,
+        "build": firmware.build,
+        # The two forms of date that captures show.
+        "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
+    }
+    packages = [VersionMessage.LAYOUTS.of(firmware).encode({**on_connect, **version})]
+    if firmware in _HAS_MESSAGE_12:
+        # 0, 0, 1 on simulated controllers.
+        message_12 = {**on_connect, "first": 0, "second": 0, "third": 1}
+        packages.append(UnnamedMessage12.LAYOUTS.of(firmware).encode(message_12))
+    if kind == "primary" and firmware in _HAS_TOLERANCES:
+        # The fourth is 3 on 3.10 and 2 on 5.4.
+        fourth = 2.0 if firmware.is_e_series else 3.0
+        tolerances = [0.15, 25.0, 0.0, fourth, *[0.2] * 6, *[0.05235987755982989] * 6]
+        tolerances += [0.0, 0.0, 0.0, 0.017453292519943295, 0.001, 0.01]
+        packages.append(SafetyComplianceTolerances.LAYOUTS.of(firmware).encode({"tolerances": tolerances}))
+    return packages
+
+
+def safety_messages(controller: Controller, reason: str = "") -> list[bytes]:
+    """What the primary interface says when the safety mode has changed.
+
+    A report with a code, and the reason where there is one, then from 3.0 on the safety mode message. The code of a
+    protective stop, C153A0 "position deviates from path", is a documented one; the others, the order, the sources and
+    the levels are guesses.
+    """
+    firmware, mode = controller.firmware, controller.modes.safety_mode
+    stamp = round(controller.time * 1e6)
+    messages = []
+    report = _REPORTS.get(mode)
+    if report is not None:
+        code, level, text = report
+        if reason:
+            text = f"{text.partition(':')[0]}: {reason}"
+        fields = {
+            "timestamp": stamp,
+            "source": MessageSource.CONTROLLER,
+            "code": code,
+            "argument": 0,
+            "report_level": level,
+            "data_type": ReportDataType.NONE,
+            "text": text,
+        }
+        messages.append(RobotCommMessage.LAYOUTS.of(firmware).encode(fields))
+    if not firmware.is_cb2:
+        fields = {"timestamp": stamp, "source": MessageSource.REALTIME_MACHINE, "safety_mode": mode}
+        messages.append(SafetyModeMessage.LAYOUTS.of(firmware).encode(fields))
+    return messages
+
+
+_REPORTS = {
+    SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
+    SafetyMode.ROBOT_EMERGENCY_STOP: (0, ReportLevel.WARNING, "Emergency stop"),
+}
+
+# -- of programs ---------------------------------------------------------------------------------
+
+
+def program_started(controller: Controller, name: str) -> bytes:
+    """A program begins."""
+    return _message(controller, KeyMessage, title="PROGRAM_XXX_STARTED", text=name)
+
+
+def program_stopped(controller: Controller, name: str) -> bytes:
+    """A program is over, whyever."""
+    return _message(controller, KeyMessage, title="PROGRAM_XXX_STOPPED", text=name)
+
+
+def text_message(controller: Controller, text: str) -> bytes:
+    """What a program says by `textmsg`."""
+    return _message(controller, TextMessage, text=text)
+
+
+def runtime_exception(controller: Controller, line: int, column: int, text: str, is_running: bool) -> bytes:
+    """A program does not compile, or has failed while it was running."""
+    stamp = {} if is_running else {"timestamp": NO_TIMESTAMP}
+    return _message(controller, RuntimeExceptionMessage, **stamp, line=line, column=column, text=text)
+
+
+def popup_message(
+    controller: Controller, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool
+) -> bytes:
+    """A program shows a popup."""
+    return _message(
+        controller,
+        PopupMessage,
+        requested_type=RequestedType.NONE,
+        is_warning=is_warning,
+        is_error=is_error,
+        is_blocking=is_blocking,
+        title=title[:255],
+        text=text,
+    )
+
+
+def _message(controller: Controller, kind: type[RobotMessage], **fields: Any) -> bytes:
+    common = {"timestamp": round(controller.time * 1e6), "source": MessageSource.REALTIME_MACHINE}
+    fields["text"] = fields["text"][:_LONGEST_TEXT]
+    return kind.LAYOUTS.of(controller.firmware).encode({**common, **fields})

@@ -1,0 +1,139 @@
+"""The programs of a controller: the one that commands the arm, and the secondary ones that run beside it.
+
+Guesses: that a text is ignored while the arm may not move, and on an e-Series that is not in remote control; that a
+protective stop pauses a program, which `play` then continues, and that an emergency stop or switching off ends it.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+from . import messages
+from .drive import Drive
+from .lines import obey
+from .modes import Stop
+from .program import Program, ProgramWorld
+from .urscript import Execution, Script, ScriptError, compile_script
+
+if TYPE_CHECKING:
+    from .controller import Controller
+
+__all__ = ["Programs"]
+
+_log = logging.getLogger("urlink.simulator")
+
+#: Secondary programs that may run at once.
+MOST_SECONDARY = 32
+
+
+class Programs:
+    """What runs on one controller.
+
+    Attributes:
+        main: the program that was started last, also when it is over; None before the first.
+        is_paused: what the arm follows does not go on.
+        refused: texts that were ignored because of the state that the controller was in.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self.main: Program | None = None
+        self.is_paused = False
+        self.refused = 0
+        self._controller = controller
+        self._secondary: list[tuple[Execution, ProgramWorld]] = []
+
+    @property
+    def is_running(self) -> bool:
+        """A program that was sent runs, so that every cycle counts."""
+        return bool(self._secondary) or (self.main is not None and self.main.is_program)
+
+    def take(self, text: str) -> None:
+        """A whole program, or a line, as a client has sent it."""
+        controller = self._controller
+        if controller.firmware.is_e_series and not controller.remote_control:
+            self._refuse("in local control", text)
+            return
+        if obey(controller, text):
+            return
+        try:
+            script = compile_script(text, controller.firmware)
+        except ScriptError as error:
+            controller.say(messages.runtime_exception(controller, error.line, error.column, error.text, False))
+            return
+        if script.kind == "sec":
+            self._begin_secondary(script)
+        elif not controller.modes.may_move:
+            self._refuse("the arm may not move", text)
+        else:
+            self.run(script)
+
+    def run(self, script: Script) -> None:
+        """Stop the running program and run this one."""
+        controller = self._controller
+        self.stop()
+        self.is_paused = False
+        self.main = Program(controller, script, self._ended)
+        controller.say(messages.program_started(controller, script.name))
+        controller.arm.hand_over(self.main)
+
+    def stop(self) -> bool:
+        """End the running program. False without one."""
+        if self.main is None or not self.main.is_program:
+            return False
+        self.main.end()
+        return True
+
+    def advance(self) -> None:
+        """One controller cycle, before that of the arm."""
+        controller = self._controller
+        modes = controller.modes
+        if not modes.may_move and self.main is not None and self.main.is_program:
+            if modes.stop is Stop.PROTECTIVE:
+                self.is_paused = True
+            else:
+                self.stop()
+        if self._secondary:
+            self._advance_secondary()
+
+    def close(self) -> None:
+        """End everything, as the controller goes down."""
+        if self.main is not None:
+            self.main.end()
+        for execution, world in self._secondary:
+            execution.stop()
+            world.sockets.close_all()
+        self._secondary.clear()
+
+    def _begin_secondary(self, script: Script) -> None:
+        if len(self._secondary) >= MOST_SECONDARY:
+            self._refuse("too many secondary programs", script.name)
+            return
+        controller = self._controller
+        # It may not move the arm, but it may ask whether it moves.
+        drive = Drive(controller.model, controller.arm.setpoint) if self.main is None else self.main.drive
+        world = ProgramWorld(controller, drive)
+        self._secondary.append((Execution(script, world), world))
+
+    def _advance_secondary(self) -> None:
+        for execution, world in self._secondary:
+            execution.advance()
+            if execution.is_over:
+                world.sockets.close_all()
+                if execution.error is not None:
+                    self._report(execution.error)
+        self._secondary = [pair for pair in self._secondary if not pair[0].is_over]
+
+    def _ended(self, program: Program) -> None:
+        self.is_paused = False
+        if program.execution.error is not None:
+            self._report(program.execution.error)
+        self._controller.say(messages.program_stopped(self._controller, program.name))
+
+    def _report(self, error: ScriptError) -> None:
+        controller = self._controller
+        controller.say(messages.runtime_exception(controller, error.line, error.column, error.text, True))
+
+    def _refuse(self, why: str, text: str) -> None:
+        self.refused += 1
+        _log.info("ignored, %s: %.60r", why, text)
