@@ -9,7 +9,16 @@ from pathlib import Path
 SRC = Path(__file__).resolve().parents[1] / "src"
 
 #: The only modules that may import `socket`.
-SOCKETS = {"linkcore.transport", "urlink.simulator.server", "rhdlink.server"}
+SOCKETS = {
+    "linkcore.transport",
+    "linkcore.listener",
+    "urlink.simulator.server",
+    "urlink.simulator.sockets",
+    "rhdlink.server",
+}
+
+#: The only modules that may import `asyncio`.
+AWAITED = {"urlink.motion.handle"}
 
 #: The only modules that may start threads.
 THREADS = {
@@ -27,6 +36,10 @@ BELOW: dict[str, set[str]] = {
     "schemas": {"schemas"},
     "firmware": {"firmware", "schemas"},
     "models": {"models", "schemas"},
+    "errors": {"errors"},
+    "gate": {"gate", "errors", "schemas"},
+    "script": {"script", "firmware", "schemas"},
+    "trajectory": {"trajectory", "trajectory_csv", "models", "schemas", "vectors"},
     "protocols": {"protocols", "schemas", "firmware"},
 }
 
@@ -103,8 +116,12 @@ def test_only_the_command_line_imports_the_command_line() -> None:
 
 
 def test_sockets_are_where_it_is_declared() -> None:
-    networks = {"socket", "socketserver", "asyncio"}
+    networks = {"socket", "socketserver"}
     assert offenders(lambda module, name: name in networks and module not in SOCKETS) == []
+
+
+def test_asyncio_is_where_something_can_be_awaited() -> None:
+    assert {module for module in MODULES if "asyncio" in imports(module)} == AWAITED
 
 
 def starts_threads(module: str) -> bool:

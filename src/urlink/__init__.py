@@ -3,8 +3,8 @@
     import urlink
 
     with urlink.connect("192.168.56.101") as robot:     # or "sim://", or "replay:///run.urlog"
-        for state in robot.realtime:
-            print(state.q_actual)
+        print(robot.realtime.wait().q_actual)
+        robot.motion.move_joints([0, -1.57, 1.57, -1.57, -1.57, 0]).wait()
 
 Importing it starts nothing and touches no network.
 """
@@ -36,10 +36,27 @@ from linkcore.stamp import Stamp
 from linkcore.stream import Stream
 from linkcore.subscription import Subscription
 
+from .dashboard import Dashboard, DashboardRefused
 from .decode import decode
+from .errors import (
+    CompileError,
+    MotionCancelled,
+    NotEnabled,
+    NotRunning,
+    ProgramStopped,
+    SafetyStop,
+    ScriptError,
+    ScriptFailed,
+    ToleranceExceeded,
+)
 from .firmware import Firmware
+from .io import IO, Analog
 from .models import UnknownModel
+from .motion import Motion, MotionPhase, Motions, Servo, ServoStatistics, TrajectoryFeedback
+from .program import Program, ProgramPhase
+from .protocols.dashboard import ProgramStatus, SavedProgram
 from .robot import Robot, connect
+from .safety import Safety
 from .schemas.enums import (
     AnalogDomain,
     ControlMode,
@@ -94,9 +111,13 @@ from .schemas.robot_state import (
     ToolModeInfo,
     UnknownSubPackage,
 )
+from .scripts import Scripts
+from .trajectory import Trajectory, TrajectoryPoint
 
 __all__ = [
+    "IO",
     "AdditionalInfo",
+    "Analog",
     "AnalogDomain",
     "Backoff",
     "BadAddress",
@@ -107,12 +128,15 @@ __all__ = [
     "CartesianInfo",
     "Chunk",
     "Closed",
+    "CompileError",
     "ConfigurationData",
     "ConnectFailed",
     "ConnectionEvent",
     "ConnectionLost",
     "ConnectionState",
     "ControlMode",
+    "Dashboard",
+    "DashboardRefused",
     "DigitalBits",
     "Feed",
     "Firmware",
@@ -128,14 +152,24 @@ __all__ = [
     "MasterboardData",
     "MessageSource",
     "MessageType",
+    "Motion",
+    "MotionCancelled",
+    "MotionPhase",
+    "Motions",
+    "NotEnabled",
+    "NotRunning",
     "OtherPackage",
     "PackageType",
     "PacketError",
     "Policy",
     "PopupMessage",
+    "Program",
     "ProgramLabelMessage",
+    "ProgramPhase",
     "ProgramState",
     "ProgramStateMessage",
+    "ProgramStatus",
+    "ProgramStopped",
     "RealtimeState",
     "Recorder",
     "RemoteError",
@@ -150,10 +184,18 @@ __all__ = [
     "RobotState",
     "RobotType",
     "RuntimeExceptionMessage",
+    "Safety",
     "SafetyComplianceTolerances",
     "SafetyData",
     "SafetyMode",
     "SafetyModeMessage",
+    "SafetyStop",
+    "SavedProgram",
+    "ScriptError",
+    "ScriptFailed",
+    "Scripts",
+    "Servo",
+    "ServoStatistics",
     "SingularityInfo",
     "Stamp",
     "State",
@@ -161,11 +203,15 @@ __all__ = [
     "SubPackage",
     "Subscription",
     "TextMessage",
+    "ToleranceExceeded",
     "ToolCommunicationInfo",
     "ToolData",
     "ToolMode",
     "ToolModeInfo",
     "Traffic",
+    "Trajectory",
+    "TrajectoryFeedback",
+    "TrajectoryPoint",
     "UnknownMessage",
     "UnknownModel",
     "UnknownSubPackage",
