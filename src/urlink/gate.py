@@ -143,6 +143,10 @@ class Gate:
         heard = self._sources.get(source)
         return heard is not None and (heard.status is not None or heard.lost is not None)
 
+    def has_heard_since(self, since: float) -> bool:
+        """Every source has said something after that time."""
+        return all(heard.heard > since for heard in self._sources.values())
+
     def status(self, source: str) -> Status | None:
         """What a source said last on its present connection."""
         heard = self._sources.get(source)

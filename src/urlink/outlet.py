@@ -42,6 +42,7 @@ class Outlet:
             RemoteError: it could not be sent.
         """
         self._safety.attend(closely=True)
+        self._safety.reconsider(moves=True)
         with self._safety.lock:
             self._safety.admit()
             self._send(text)
@@ -54,6 +55,7 @@ class Outlet:
             RemoteError: it could not be sent.
         """
         self._safety.attend()
+        self._safety.reconsider(moves=False)
         with self._safety.lock:
             self._safety.admit_command()
             self._send(text)

@@ -27,6 +27,8 @@ _log = logging.getLogger(__name__)
 
 #: Seconds that a source has for its first word.
 _FIRST_WORD = 2.0
+#: Seconds within which every source that speaks at all speaks again: the primary interface does ten times a second.
+_NEXT_WORD = 0.25
 
 
 class Safety:
@@ -115,6 +117,7 @@ class Safety:
             RemoteError: the robot cannot be reached.
         """
         self.attend()
+        self.reconsider(moves=True)
         with self._changed:
             self._gate.enable(time.monotonic())
             self._changed.notify_all()
@@ -193,6 +196,19 @@ class Safety:
                 self._changed.wait_for(lambda name=name: self._gate.has_word(name), _FIRST_WORD)  # type: ignore[misc]
                 # Only now: a source that has just been asked must not close a gate that was open.
                 self._gate.expect(name)
+
+    def reconsider(self, moves: bool) -> None:
+        """Where something hinders, wait for the next word of every source: the last one may be overtaken.
+
+        Who has just switched the arm on, and was told so by the dashboard, need not wait himself.
+        """
+        hindrance = self._gate.hindrance if moves else self._gate.absence
+        with self._changed:
+            began = time.monotonic()
+            if hindrance(began) is not None:
+                self._changed.wait_for(
+                    lambda: hindrance(time.monotonic()) is None or self._gate.has_heard_since(began), _NEXT_WORD
+                )
 
     def wait_for_stop(self, timeout: float) -> LinkError | None:
         """The stop that holds, or the first to be heard of within `timeout` seconds; else None."""

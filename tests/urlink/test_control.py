@@ -86,6 +86,16 @@ def test_a_stop_of_the_controller(controller: Controller, robot: urlink.Robot) -
     robot.safety.wait_enabled(5)
 
 
+def test_moved_as_soon_as_it_is_switched_on() -> None:
+    """What the primary interface said last may be a tenth of a second old."""
+    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+        robot.io.set_digital_out(0, True)
+        for _ in range(3):
+            robot.dashboard.power_off()
+            robot.dashboard.start()
+            robot.motion.stop().wait(10)
+
+
 def test_enabling_is_asked_for(controller: Controller) -> None:
     with urlink.connect(controller.address, require_enable="always") as robot:
         with pytest.raises(NotEnabled):

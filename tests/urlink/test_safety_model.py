@@ -69,6 +69,7 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
         self.patches: list[Any] = [
             mock.patch("urlink.safety.time", SimpleNamespace(monotonic=self.clock)),
             mock.patch("urlink.safety._FIRST_WORD", 0.0),
+            mock.patch("urlink.safety._NEXT_WORD", 0.0),
         ]
         for patch in self.patches:
             patch.start()
