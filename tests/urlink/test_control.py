@@ -12,6 +12,7 @@ import urlink
 from linkcore.errors import BadValue, LocalError
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
+from urlink.schemas.enums import RobotMode
 from urlink.simulator import Controller
 
 
@@ -92,6 +93,7 @@ def test_moved_as_soon_as_it_is_switched_on() -> None:
         robot.io.set_digital_out(0, True)
         for _ in range(3):
             robot.dashboard.power_off()
+            until(lambda: robot.dashboard.robot_mode() == RobotMode.POWER_OFF)
             robot.dashboard.start()
             robot.motion.stop().wait(10)
 
