@@ -248,6 +248,11 @@ class Arm:
         return self._sample
 
     @property
+    def q_actual(self) -> list[float]:
+        """The joint positions of `sample`, rad, without working out the rest of it: programs ask in every cycle."""
+        return self._positions() if self._sample is None else self._sample.q_actual
+
+    @property
     def dexterity(self) -> float:
         """The square of the determinant of the flange's Jacobian: 0 in a singular posture.
 
@@ -259,21 +264,23 @@ class Arm:
         at = (self._cycle * 6 + channel * 1171) % _NOISE_LENGTH
         return [scale * x for x in self._noise_table[at : at + 6]]
 
+    def _positions(self) -> list[float]:
+        q, qd, _ = self._setpoint
+        if any(qd):
+            # q(t - lag), to the first order: its derivative is known exactly.
+            return [p - _LAG * v + n for p, v, n in zip(q, qd, self._noise(0, _NOISE_Q), strict=True)]
+        return [p + n for p, n in zip(q, self._noise(0, _NOISE_Q), strict=True)] if self.is_powered else q
+
     def _look(self) -> Sample:
         model, tcp = self.model, self._tcp
         q, qd, qdd = self._setpoint
         s = Sample()
         s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
+        s.q_actual = self._positions()
+        s.qd_actual = _ZERO
         moving = any(qd)
         if moving:
-            # q(t - lag), to the first order: its derivative is known exactly.
-            s.q_actual = [p - _LAG * v + n for p, v, n in zip(q, qd, self._noise(0, _NOISE_Q), strict=True)]
             s.qd_actual = [v - _LAG * a + n for v, a, n in zip(qd, qdd, self._noise(1, _NOISE_QD), strict=True)]
-        elif self.is_powered:
-            s.q_actual = [p + n for p, n in zip(q, self._noise(0, _NOISE_Q), strict=True)]
-            s.qd_actual = _ZERO
-        else:
-            s.q_actual, s.qd_actual = q, _ZERO
 
         s.pose_target = kinematics.pose(model, q, tcp).tolist()
         s.pose_actual = kinematics.pose(model, s.q_actual, tcp).tolist()

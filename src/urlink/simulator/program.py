@@ -56,7 +56,7 @@ class ProgramWorld:
 
     @property
     def q_actual(self) -> Sequence[float]:
-        return self._controller.arm.sample.q_actual
+        return self._controller.arm.q_actual
 
     @property
     def qd_actual(self) -> Sequence[float]:

@@ -267,6 +267,17 @@ def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
     assert last(7, 0)[0] != last(8, 0)[0]
 
 
+def test_the_joints_alone_are_those_of_the_sample() -> None:
+    controller = Controller("UR5e")
+    arm = controller.arm
+    for stop in (controller.faults.clear, controller.faults.protective_stop, controller.faults.power_off):
+        stop()
+        for _ in range(300):
+            controller.step()
+            alone = arm.q_actual
+            assert alone == arm.sample.q_actual == arm.q_actual
+
+
 def test_a_tcp_is_six_finite_numbers() -> None:
     arm = Arm(MODELS["UR5e"], Still())
     for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
