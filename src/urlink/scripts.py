@@ -96,13 +96,16 @@ class Scripts:
 
     # -- what users call ---------------------------------------------------------------------------
 
-    def run(self, source: str, *, wait: bool | float = False) -> Program:
+    def run(
+        self, source: str, *, wait: bool | float = False, on_text: Callable[[str], object] | None = None
+    ) -> Program:
         """Send a program; it stops the one that runs, unless it is a `sec`, which runs beside it.
 
         Args:
             source: URScript: a whole ``def``, a ``sec``, or bare statements. Where the last thing at the top is a
                 ``def``, which may take no arguments, it is called after what stands above it.
             wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
+            on_text: called with each line of its `textmsg`, from the thread that reads.
 
         Returns:
             the handle. Lines in its errors are those of `source`.
@@ -113,7 +116,7 @@ class Scripts:
             LinkError: it could not be sent; with `wait`, also what ended it.
         """
         token = f"{self._token}_{next(self._numbers)}"
-        return self._send(sources.wrap(source, token), None, wait)
+        return self._send(sources.wrap(source, token), on_text, wait)
 
     def start(
         self, body: Sequence[str], *, prefix: str = "urlink", on_text: Callable[[str], object] | None = None

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import dissect, echo, hz, info, monitor, record, replay, sim
+from . import dashboard, dissect, echo, hz, info, monitor, record, replay, script, sim
 
 __all__ = ["main"]
 
-_COMMANDS = (monitor, echo, hz, info, record, replay, dissect, sim)
+_COMMANDS = (monitor, echo, hz, info, script, dashboard, record, replay, dissect, sim)
 
 _DESCRIPTION = """\
-Read Universal Robots arms of every generation, from a real controller, a simulated one or a recording."""
+Read and command Universal Robots arms of every generation: real, simulated, or from a recording."""
 
 _EPILOG = """\
 addresses:

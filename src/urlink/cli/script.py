@@ -1,0 +1,94 @@
+"""`urlink run`: send a program, show what it says, and tell how it ends."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from linkcore.cli.interruption import Interruption
+from linkcore.cli.terminal import safe
+from linkcore.errors import BadValue, LinkTimeout
+
+from ..errors import ScriptError
+from ..program import Program
+from ..robot import connect
+from .options import Subparsers, add_address, add_command, seconds
+from .tap import tell
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Send a URScript program, print the lines of its textmsg, and end when it does. THE ARM MOVES if the program says so.
+
+The program is a whole def, a sec, or bare statements, from a file or, with -, from stdin. Errors of the controller
+name the line and the column in that file. Ctrl-C stops the program."""
+
+_EXAMPLES = (
+    "urlink run 192.168.56.101 pick.script",
+    "echo 'textmsg(get_actual_joint_positions())' | urlink run sim:// -",
+    "urlink run sim:// pick.script --timeout 30",
+)
+
+#: Seconds for which a program that was told to stop is waited for.
+_STOPPING = 5.0
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "run", "send a URScript program", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    parser.add_argument("file", metavar="FILE", help="the program; - for stdin")
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="stop it after S seconds (never)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send it, and wait.
+
+    Raises:
+        LinkError: whatever kept it from its own end.
+    """
+    source = _read(args.file)
+    with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
+        program = robot.script.run(source, on_text=_show)
+        waited = 0.0
+        while not program.done:
+            if interruption.wait(0.05):
+                _stop(program)
+                break
+            waited += 0.05
+            if args.timeout is not None and waited >= args.timeout and not program.done:
+                _stop(program)
+                raise LinkTimeout(f"the program was not over within {args.timeout:g} s, and was stopped")
+        if interruption.number is None:
+            try:
+                program.wait(0.0)
+            except ScriptError as error:
+                tell(f"{args.file}:{error.line}:{error.column}: {error.text}")
+                return 1
+    interruption.raise_if_any()
+    return 0
+
+
+def _read(name: str) -> str:
+    try:
+        return sys.stdin.read() if name == "-" else Path(name).read_text(encoding="utf-8")
+    except OSError as error:
+        raise BadValue(f"cannot read {name}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise BadValue(f"{name} is no text: {error}") from error
+
+
+def _show(text: str) -> None:
+    print(safe(text), flush=True)
+
+
+def _stop(program: Program) -> None:
+    program.stop()
+    try:
+        program.wait(_STOPPING)
+    except LinkTimeout:
+        tell("the controller does not say that the program has stopped")
+    except Exception as error:
+        tell(str(error))

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+from urlink.simulator import Controller
+
+from .conftest import Run
+
+
+def test_a_question(run: Run, address: str) -> None:
+    assert run("dashboard", address, "robotmode") == (0, "Robotmode: RUNNING\n", "")
+
+
+def test_a_text_in_several_words(run: Run, controller: Controller, address: str) -> None:
+    assert run("dashboard", address, "popup", "mind", "the", "gap") == (0, "showing popup\n", "")
+    assert controller.popup == "mind the gap"
+    assert run("dashboard", address, "close", "popup") == (0, "closing popup\n", "")
+
+
+def test_start(run: Run) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        controller.faults.power_off()
+        assert run("dashboard", controller.address, "start") == (0, "the arm runs\n", "")
+        assert controller.modes.may_move
+
+
+def test_cb2_cannot_be_started(run: Run, old_address: str) -> None:
+    status, _, err = run("dashboard", old_address, "start")
+    assert status == 1
+    assert "CB2" in err
+
+
+def test_a_recording_has_none(run: Run, silent_address: str) -> None:
+    status, _, err = run("dashboard", silent_address, "robotmode")
+    assert status == 1
+    assert "recording" in err
+
+
+def test_one_line_only(run: Run, address: str) -> None:
+    status, _, err = run("dashboard", address, "popup a\npower off")
+    assert status == 1
+    assert err.count("\n") == 1
