@@ -14,6 +14,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "compatibility",
+    "dashboard",
     "drives",
     "figures",
     "layouts",
