@@ -1,0 +1,26 @@
+"""A simulated controller in a process of its own, as the benchmarks connect to it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+__all__ = ["simulated"]
+
+
+@contextmanager
+def simulated(model: str, firmware: str) -> Iterator[str]:
+    """The address of a controller that ``urlink sim`` runs until the block is left."""
+    command = [sys.executable, "-m", "urlink.cli", "sim", "--model", model, "--firmware", firmware]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        if not address:
+            raise SystemExit(f"{' '.join(command)} ended with {process.wait(10)}")
+        yield address
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)

@@ -1,0 +1,205 @@
+"""How many times faster than a real controller does the simulated one run programs?
+
+Controllers that are stepped cycle by cycle run the programs that `robot.motion.follow` uploads, both ways, and a
+movement of ten seconds. Everything happens in one thread: the programs' sockets are real ones over loopback, and their
+peer, in this process, says what it has to say before each cycle, so that the streaming program never waits for a
+set-point. What the peer does is part of the time, which is processor time. Nobody asks for packets: a controller that
+serves its ports has those to make as well.
+
+    python benchmarks/urscript.py                  # 10 s of controller time each, seven times
+    python benchmarks/urscript.py --quick          # three times
+    python benchmarks/urscript.py --json           # prints one JSON object
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import socket
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+
+from urlink.firmware import Firmware
+from urlink.motion.follower import STOP_WORD, setpoint
+from urlink.schemas.enums import ProgramState
+from urlink.script import programs, source, waypoints
+from urlink.simulator import Controller
+from urlink.simulator.kinematics import pose
+from urlink.simulator.motion import Still
+
+ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
+READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
+#: s of controller time.
+SECONDS = 10.0
+#: s between two waypoints of the low-bandwidth program.
+APART = 0.5
+#: Times real time, of the streaming program.
+GOAL = 20.0
+
+
+def standing(model: str, firmware: str) -> Controller:
+    """A controller whose arm stands at `READY`."""
+    motion = Still()
+    motion.start(READY)
+    return Controller(model, firmware, motion=motion)
+
+
+def joint_path(t: float) -> list[float]:
+    """The tool joint to and fro, the others still."""
+    return [*READY[:5], 0.5 - 0.5 * math.cos(t)]
+
+
+def run(controller: Controller, body: Sequence[str]) -> None:
+    controller.take(source.program("measured", body).text)
+
+
+def is_running(controller: Controller) -> bool:
+    return controller.modes.program_state is ProgramState.PLAYING
+
+
+def connected(controller: Controller, listener: socket.socket) -> socket.socket:
+    """Step until the program has connected."""
+    listener.settimeout(0.0)
+    for _ in range(1000):
+        controller.step()
+        try:
+            link, _ = listener.accept()
+        except BlockingIOError:
+            continue
+        link.setblocking(False)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return link
+    raise SystemExit("the program did not connect")
+
+
+def listen() -> socket.socket:
+    return socket.create_server(("127.0.0.1", 0))
+
+
+def streaming(model: str, firmware: str) -> float:
+    """Seconds of processor time that `SECONDS` of the streaming program take."""
+    controller = standing(model, firmware)
+    rate = controller.firmware.rate
+    with listen() as listener:
+        run(controller, programs.streaming(controller.firmware, "127.0.0.1", listener.getsockname()[1]))
+        with closing(connected(controller, listener)) as link:
+            cycles = round(SECONDS * rate)
+            words = [setpoint(joint_path(n / rate)) for n in range(cycles)]
+            began = time.process_time()
+            for word in words:
+                link.send(word)
+                controller.step()
+            taken = time.process_time() - began
+            check(controller.arm.setpoint.q, joint_path(SECONDS), within=0.05)
+            link.send(STOP_WORD)
+            controller.step(rate)
+    if is_running(controller):
+        raise SystemExit("the streaming program did not end")
+    return taken
+
+
+def low_bandwidth(model: str, firmware: str) -> float:
+    """The same for the program that interpolates by itself."""
+    controller = standing(model, firmware)
+    with listen() as listener:
+        run(
+            controller,
+            waypoints.interpolating(controller.firmware, "127.0.0.1", listener.getsockname()[1], is_quintic=False),
+        )
+        with closing(connected(controller, listener)) as link:
+            last = round(SECONDS / APART)
+            cycles = 0
+            began = time.process_time()
+            while is_running(controller):
+                serve(link, last)
+                controller.step()
+                cycles += 1
+            taken = time.process_time() - began
+    check(controller.arm.setpoint.q, joint_path(SECONDS), within=1e-4)
+    return taken * SECONDS * controller.firmware.rate / cycles
+
+
+def serve(link: socket.socket, last: int) -> None:
+    """Answer what the low-bandwidth program has asked for."""
+    try:
+        lines = link.recv(4096).split()
+    except BlockingIOError:
+        return
+    for line in lines:
+        request = int(line)
+        if request == waypoints.BEAT:
+            link.send(b"(1)\n")
+        elif 0 <= request <= last:
+            t = request * APART
+            speed = 0.5 * math.sin(t) if request < last else 0.0
+            since = APART if request else 0.0
+            link.send(f"({request},{','.join(map(str, joint_path(t)))},0,0,0,0,0,{speed},{since})\n".encode())
+        elif request > last:
+            link.send(f"({waypoints.NO_MORE},{','.join('0' * 13)})\n".encode())
+
+
+def moving(model: str, firmware: str) -> float:
+    """The same for a joint movement of five seconds and a linear one of five."""
+    controller = standing(model, firmware)
+    turned = [*READY[:5], 1.0]
+    below = pose(controller.model, turned).tolist()
+    below[2] -= 0.1
+    half = 0.5 * SECONDS
+    run(controller, programs.move_joints(turned, 1.0, 1.0, half) + programs.move_linear(below, 1.0, 1.0, half))
+    cycles = 0
+    began = time.process_time()
+    while cycles == 0 or is_running(controller):
+        controller.step()
+        cycles += 1
+    taken = time.process_time() - began
+    check(pose(controller.model, controller.arm.setpoint.q).tolist(), below, within=1e-6)
+    return taken * SECONDS * controller.firmware.rate / cycles
+
+
+def check(actual: Sequence[float], goal: Sequence[float], within: float) -> None:
+    """The arm must have done what is measured."""
+    away = max(abs(a - g) for a, g in zip(actual, goal, strict=True))
+    if away > within:
+        raise SystemExit(f"the arm is {away:.4f} rad or m from where the program should have led it")
+
+
+PROGRAMS: dict[str, Callable[[str, str], float]] = {
+    "streaming": streaming,
+    "low bandwidth": low_bandwidth,
+    "movej, movel": moving,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="three times instead of seven")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    rounds = 3 if options.quick else 7
+    figures: dict[str, dict[str, float]] = {}
+    for model, firmware in ARMS:
+        for name, measure in PROGRAMS.items():
+            seconds = statistics.median(measure(model, firmware) for _ in range(rounds))
+            rate = Firmware.parse(firmware).rate
+            figures[f"{name}, {rate} Hz"] = {
+                "seconds": seconds,
+                "cycles_per_second": SECONDS * rate / seconds,
+                "times_real_time": SECONDS / seconds,
+            }
+    if options.json:
+        print(json.dumps(figures))
+        return
+    print(f"{SECONDS:g} s of controller time, stepped (median)")
+    for name, row in figures.items():
+        goal = f"   (goal: at least {GOAL:g} x)" if name.startswith("streaming") else ""
+        print(
+            f"  {name:24} {row['seconds'] * 1e3:7.0f} ms {row['cycles_per_second']:9.0f} cycles/s"
+            f" {row['times_real_time']:6.0f} x real time{goal}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""Draw docs/images/tracking.svg from what `python benchmarks/tracking.py --output` wrote.
+
+The same results give the same bytes.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+
+import numpy as np
+from matplotlib import pyplot
+
+RESULTS = Path(__file__).parents[1] / "benchmarks" / "results" / "tracking.json"
+PICTURE = Path(__file__).parent / "images" / "tracking.svg"
+
+_STYLE = {
+    "svg.hashsalt": "urlink",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+def main() -> None:
+    """One column for each controller: positions, error, and what the runs differ by."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--output", type=Path, default=PICTURE)
+    args = parser.parse_args()
+    arms = json.loads(args.results.read_text())["arms"]
+    with matplotlib.rc_context(_STYLE):
+        figure, rows = pyplot.subplots(
+            3, len(arms), figsize=(8.0, 5.6), sharex=True, sharey="row", height_ratios=(3, 2, 1.4), layout="constrained"
+        )
+        for arm, (position, error, spread) in zip(arms, rows.T, strict=True):
+            curves = arm["curves"]
+            time, desired = np.array(curves["time"]), np.array(curves["desired"])
+            position.set_title(f"{arm['rate']} Hz ({arm['model']}, firmware {arm['firmware']})", fontsize=10)
+            for number, actual in enumerate(np.array(curves["actual"])):
+                label = f"actual, {arm['runs']} runs" if number == 0 else None
+                position.plot(time, actual, color="#2b6cb0", linewidth=1.0, label=label)
+                error.plot(time, (actual - desired) * 1e3, color="#2b6cb0", linewidth=0.8)
+            position.plot(time, desired, color="black", linewidth=1.0, linestyle=(0, (4, 3)), label="desired")
+            spread.plot(time, np.array(curves["spread"]) * 1e3, color="#c05621", linewidth=0.8)
+            spread.set_xlabel("controller time, s")
+        for axes, label in zip(rows[:, 0], ("tool joint, rad", "actual − desired, mrad", "spread, mrad"), strict=True):
+            axes.set_ylabel(label)
+        rows[2, 0].set_ylim(bottom=0.0)
+        rows[0, 0].legend(frameon=False, loc="upper left")
+        args.output.parent.mkdir(exist_ok=True)
+        figure.savefig(args.output, metadata={"Date": None})
+        pyplot.close(figure)
+
+
+if __name__ == "__main__":
+    main()
