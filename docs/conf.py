@@ -17,6 +17,7 @@ extensions = [
     "dashboard",
     "drives",
     "figures",
+    "functions",
     "layouts",
     "packages",
 ]
