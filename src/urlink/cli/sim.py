@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
 
@@ -15,9 +16,10 @@ __all__ = ["add_parser"]
 _DESCRIPTION = """\
 Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
-It serves the primary, secondary and real-time interface and their read-only twins to any number of clients,
-in the wire format of the firmware, while the arm follows a gentle motion. With --ports standard the ports
-are those of a real controller, so that any other program finds them.
+It serves the primary, secondary and real-time interface, their read-only twins and the dashboard to any
+number of clients, in the wire format of the firmware. The arm follows a gentle motion until a program is sent
+to it, which it then runs. With --ports standard the ports are those of a real controller, so that any other
+program finds them.
 
 Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
 """
@@ -27,6 +29,7 @@ _EXAMPLES = (
     "urlink sim --model UR10 --firmware 3.4 --ports standard",
     "urlink sim --fault protective_stop@5 --fault clear@8 --fault reboot=5.12@15",
     "urlink sim --duration 60 --fault garbage=100@2 --fault stall=3@10",
+    "urlink sim --program pick.urp=pick.script",
 )
 
 
@@ -41,6 +44,17 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument(
         "--fault", action="append", default=[], metavar="FAULT", help="let something go wrong; can be given again"
+    )
+    parser.add_argument(
+        "--program",
+        action="append",
+        default=[],
+        type=_program,
+        metavar="NAME=FILE",
+        help="a URScript file that the dashboard can load as NAME; can be given again",
+    )
+    parser.add_argument(
+        "--local-control", action="store_true", help="as an e-Series that takes commands from its pendant only"
     )
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=run)
@@ -59,6 +73,16 @@ def _faults() -> str:
     return "\n".join(lines)
 
 
+def _program(text: str) -> tuple[str, str]:
+    name, equals, file = text.partition("=")
+    if not name or not equals:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=FILE")
+    try:
+        return name, Path(file).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise argparse.ArgumentTypeError(f"cannot read {file!r}: {error}") from error
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve until told to stop.
 
@@ -68,7 +92,8 @@ def run(args: argparse.Namespace) -> int:
     from ..simulator import Controller, parse_fault
 
     faults = [parse_fault(text) for text in args.fault]
-    controller = Controller(args.model, args.firmware, host=args.host, ports=args.ports)
+    controller = Controller(args.model, args.firmware, host=args.host, ports=args.ports, files=dict(args.program))
+    controller.remote_control = not args.local_control
     controller.schedule(*faults)
     with Interruption() as interruption, controller:
         until = None if args.duration is None else time.monotonic() + args.duration

@@ -3,10 +3,12 @@ from __future__ import annotations
 import signal
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 import urlink
+from tests.waiting import until
 from urlink import SafetyMode
 
 from .conftest import Run
@@ -88,3 +90,33 @@ def test_standard_ports(run: Run) -> None:
         assert "30001" in err  # something else on this machine has them
     else:
         assert (status, out) == (0, "127.0.0.1\n")
+
+
+def test_programs_that_the_dashboard_loads(spawn: Spawn, tmp_path: Path) -> None:
+    (tmp_path / "pick.script").write_text('def pick():\n  textmsg("picked")\n  sleep(60)\nend\n', encoding="utf-8")
+    process = spawn("sim", "--program", f"pick.urp={tmp_path / 'pick.script'}")
+    assert process.stdout is not None
+    with urlink.connect(process.stdout.readline().strip()) as robot:
+        texts: list[urlink.TextMessage] = []
+        robot.primary.subscribe(texts.append, urlink.TextMessage)
+        robot.dashboard.load("pick.urp")
+        with pytest.raises(urlink.DashboardRefused):
+            robot.dashboard.load("place.urp")
+        robot.dashboard.play()
+        until(lambda: [message.text for message in texts] == ["picked"])
+
+
+def test_local_control(spawn: Spawn) -> None:
+    process = spawn("sim", "--local-control")
+    assert process.stdout is not None
+    with urlink.connect(process.stdout.readline().strip()) as robot:
+        assert robot.dashboard.is_in_remote_control() is False
+        with pytest.raises(urlink.DashboardRefused, match="Remote Control"):
+            robot.dashboard.power_off()
+
+
+@pytest.mark.parametrize("option", ["pick.urp", "=x", "pick.urp=/nowhere/pick.script"])
+def test_programs_that_are_none(run: Run, option: str) -> None:
+    status, _, err = run("sim", "--program", option)
+    assert status == 2
+    assert "--program" in err
