@@ -67,6 +67,9 @@ __all__ = ["compile_script"]
 
 # Statements that are written without brackets too.
 _BARE = ("enter_critical", "exit_critical")
+# What the assignment of an element does where there is no such variable. Not in the manuals as far as they are
+# remembered, but a public client sets outputs so, and its users say that they switch.
+_SETTERS = {"digital_out": "set_digital_out"}
 # An expression of more parts counts as work.
 _SHORT = 32
 
@@ -211,6 +214,12 @@ class _Compiler:
         _Compiler(self._program, code, s.body, (s,), self._functions).compile()
 
     def _assign(self, s: Assign) -> None:
+        is_known = s.name in self._slots or s.name in self._program.globals
+        if not is_known and s.name in _SETTERS and len(s.indices) == 1:
+            setting = Call(s.line, s.column, 1, _SETTERS[s.name], [s.indices[0], s.value], [], False)
+            value = self._call_builtin(setting)
+            self._emit(s, lambda after: evaluate(value, after))
+            return
         if s.scope == "global" or s.name not in self._slots:
             if s.name not in self._program.globals:
                 raise name_not_found(s.line, s.column, s.name)

@@ -59,8 +59,8 @@ def declared_local(block: Block) -> set[str]:
 
 
 def assigned(block: Block) -> set[str]:
-    """The names that a function assigns without a word."""
-    return {s.name for s in _flat(block) if isinstance(s, Assign) and s.scope == "free"}
+    """The names that a function assigns without a word; assigning an element makes no variable."""
+    return {s.name for s in _flat(block) if isinstance(s, Assign) and s.scope == "free" and not s.indices}
 
 
 def global_names(body: Block) -> list[str]:
