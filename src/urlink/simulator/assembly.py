@@ -1,7 +1,7 @@
 """From the lines that a client sends to whole programs.
 
 A program begins with `def` or `sec` in the first column and ends with `end` in the first column, as the vendor's script
-manual has it; every other line is a program by itself.
+manual has it; every other line is a program by itself, unless there is nothing in it but a comment.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ LONGEST_PROGRAM = 1 << 20
 
 _BEGIN = re.compile(r"(?:def|sec)\b")
 _END = re.compile(r"end\b\s*(?:#.*)?$")
+_NOTHING = re.compile(r"\s*(?:#.*)?$")
 
 
 class Assembler:
@@ -32,7 +33,7 @@ class Assembler:
     def feed(self, line: str) -> str | None:
         """The program that this line completes, if it does."""
         if not self._length and not _BEGIN.match(line):
-            return line if line.strip() else None
+            return None if _NOTHING.match(line) else line
         self._length += len(line) + 1
         if self._length <= LONGEST_PROGRAM:
             self._lines.append(line)

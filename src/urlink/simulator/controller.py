@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import logging
 import math
 from collections import deque
@@ -43,8 +44,8 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 #: States a second on the primary and secondary interface.
 STATE_RATE = 10
-#: Robot messages in one cycle; a program could make thousands.
-MOST_MESSAGES = 200
+#: Bytes of messages in one cycle beyond which texts and popups are lost; a program could make thousands of them.
+MOST_MESSAGES = 1 << 16
 #: Lines from clients that are kept.
 RECEIVED = 1000
 
@@ -60,7 +61,7 @@ class Counters:
         refused_bytes: input thrown away: text to read-only ports, lines too long.
         late: cycles in which packets went out more than one cycle after they were due.
         skipped: cycles in which no packets went out because they were far too late.
-        lost_messages: robot messages beyond what one cycle sends.
+        lost_messages: texts and popups of programs, beyond what one cycle sends.
     """
 
     connections: int = 0
@@ -121,7 +122,8 @@ class Controller:
     Raises:
         UnknownModel: no such arm.
         BadVersion: no such firmware.
-        BadValue: the firmware does not go with the model, or `ports` is none of the above.
+        BadValue: the firmware does not go with the model, `ports` is none of the above, or an address in `reachable`
+            is not numeric.
     """
 
     arm: Arm
@@ -153,7 +155,7 @@ class Controller:
         self.cycle = 0
         self.signals = Signals()
         self.files = dict(files or {})
-        self.reachable = frozenset(reachable)
+        self.reachable = frozenset(map(_numeric, reachable))
         self.remote_control = True
         self.log: list[str] = []
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
@@ -163,6 +165,7 @@ class Controller:
         self._server: Server | None = None
         self._schedule: list[ScheduledFault] = []
         self._outbox: list[bytes] = []
+        self._outbox_size = 0
         self._cycles_down = 0
         self._next_firmware = self.firmware
         self._boot()
@@ -217,7 +220,7 @@ class Controller:
         self._stop_reason = ""
         self._packets = Packets(self)
         self._announced = self.modes.safety_mode
-        self.modes.advance(0.0, self.arm.is_standing, self.arm.motion.is_program)
+        self.show_modes()
 
     # -- clock -------------------------------------------------------------------------------------
 
@@ -241,7 +244,7 @@ class Controller:
             raise LocalError("a controller that serves its ports cannot be stepped as well")
         for _ in range(cycles):
             self.advance()
-            self._outbox.clear()
+            self.take_messages()
 
     def advance(self) -> None:
         """One cycle later. Only for the thread that owns the controller; others use `step`."""
@@ -257,17 +260,23 @@ class Controller:
         arm, modes, programs = self.arm, self.modes, self.programs
         programs.advance()
         arm.advance(self._period, modes.may_move and not programs.is_paused)
-        modes.advance(self._period, arm.is_standing, arm.motion.is_program, programs.is_paused)
+        self.show_modes(self._period)
         arm.is_powered = modes.is_powered
         if modes.safety_mode is not self._announced:
             self._announced = modes.safety_mode
             self.stopped_since = None if modes.stop is Stop.NONE else self.time
-            self._outbox += safety_messages(self, self._stop_reason)
-            self._stop_reason = ""
+            reason = self._stop_reason if modes.stop is Stop.PROTECTIVE else ""
+            for message in safety_messages(self, reason):
+                self.say(message)
+        self._stop_reason = ""
+
+    def show_modes(self, seconds: float = 0.0) -> None:
+        """Let the modes show what the arm and its program do, so many seconds after they last did."""
+        self.modes.advance(seconds, self.arm.is_standing, self.arm.motion.is_program, self.programs.is_paused)
 
     def take_messages(self) -> list[bytes]:
         """Packages that the primary interface is to send beside its states, once each."""
-        messages, self._outbox = self._outbox, []
+        messages, self._outbox, self._outbox_size = self._outbox, [], 0
         return messages
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
@@ -275,9 +284,9 @@ class Controller:
         self.programs.close()
         self._next_firmware = firmware or self.firmware
         self._cycles_down = max(1, math.ceil(seconds * self.firmware.rate))
-        self._outbox.clear()
+        self.take_messages()
 
-    # -- programs ------------------------------------------------------------------------------------
+    # -- programs: but for `take`, only for the thread that owns the controller -----------------------
 
     def take(self, text: str) -> None:
         """Text that a client has sent: the lines of one or more programs, or of commands.
@@ -285,7 +294,7 @@ class Controller:
         From any thread. What has no `end` is thrown away, as that of a client that disconnects.
         """
         assembler = Assembler()
-        programs = [program for program in map(assembler.feed, text.splitlines()) if program is not None]
+        programs = [program for program in map(assembler.feed, _lines(text)) if program is not None]
 
         def take() -> None:
             for program in programs:
@@ -293,12 +302,16 @@ class Controller:
 
         self.call(take)
 
-    def say(self, message: bytes) -> None:
-        """Send a robot message to the clients of the primary interface, in this cycle."""
-        if len(self._outbox) < MOST_MESSAGES:
-            self._outbox.append(message)
-        else:
+    def say(self, message: bytes, can_be_lost: bool = False) -> None:
+        """Send a robot message to the clients of the primary interface, in this cycle.
+
+        Only for the thread that owns the controller. `can_be_lost`: where this cycle has too many of them.
+        """
+        if can_be_lost and self._outbox_size + len(message) > MOST_MESSAGES:
             self.counters.lost_messages += 1
+            return
+        self._outbox.append(message)
+        self._outbox_size += len(message)
 
     def stop_for(self, reason: str) -> None:
         """A protective stop, and why. Only for the thread that owns the controller."""
@@ -329,6 +342,7 @@ class Controller:
             return False
         if self.programs.is_paused:
             self.programs.is_paused = False
+            self.show_modes()
             return True
         if self.loaded is None or self.program_name is not None:
             return False
@@ -344,16 +358,17 @@ class Controller:
         if self.modes.program_state is not ProgramState.PLAYING:
             return False
         self.programs.is_paused = True
+        self.show_modes()
         return True
 
     def stop_program(self) -> bool:
         """End what the arm follows, the demonstration too; False if that is nothing."""
-        if self.programs.stop():
-            return True
-        if not self.arm.motion.is_program:
-            return False
-        self.programs.is_paused = False
-        self.arm.follow(Still())
+        if not self.programs.stop():
+            if not self.arm.motion.is_program:
+                return False
+            self.programs.is_paused = False
+            self.arm.follow(Still())
+        self.show_modes()
         return True
 
     # -- faults by the clock -------------------------------------------------------------------------
@@ -466,6 +481,7 @@ class Controller:
         if server is not None:
             server.close()
             self.programs.close()
+            self.take_messages()
 
     def __enter__(self) -> Self:
         return self.start()
@@ -477,6 +493,17 @@ class Controller:
 
     def __repr__(self) -> str:
         return f"<Controller {self.model.name}, firmware {self.firmware}>"
+
+
+def _lines(text: str) -> list[str]:
+    return [line.removesuffix("\r") for line in text.split("\n")]
+
+
+def _numeric(address: str) -> str:
+    try:
+        return str(ipaddress.ip_address(address))
+    except ValueError:
+        raise BadValue(f"a reachable address is numeric, such as 192.168.1.2, not {address!r}") from None
 
 
 def _wanted(ports: str | Mapping[str, int]) -> dict[str, int]:

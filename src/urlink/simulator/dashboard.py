@@ -213,7 +213,8 @@ class Responder:
         controller = self._controller
         if controller.modes.stop is Stop.PROTECTIVE:
             since = controller.stopped_since
-            if since is not None and controller.time - since < UNLOCK_AFTER:
+            # One that no cycle has seen yet has just begun.
+            if since is None or controller.time - since < UNLOCK_AFTER:
                 return _TOO_EARLY
             controller.modes.clear()
         controller.popup = None

@@ -171,6 +171,11 @@ class Modes:
         return self.power is Power.RUNNING and self.stop is Stop.NONE and not self._is_switching_off
 
     @property
+    def holds_program(self) -> bool:
+        """The arm may not move, but its program waits for that and is not over: in a protective stop."""
+        return self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off
+
+    @property
     def is_powered(self) -> bool:
         """The joints have power."""
         return self.power is not Power.OFF
@@ -225,8 +230,7 @@ class Modes:
             return ProgramState.STOPPED
         if self.may_move and not self._is_paused:
             return ProgramState.PLAYING
-        is_held = self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off
-        if self.may_move or is_held:
+        if self.may_move or self.holds_program:
             return ProgramState.PAUSED if self._is_standing else ProgramState.PAUSING
         return ProgramState.STOPPED if self._is_standing else ProgramState.STOPPING
 

@@ -26,13 +26,23 @@ __all__ = ["Program", "ProgramWorld"]
 
 
 class ProgramWorld:
-    """The controller as one of its programs sees it: the `World` of `urlink.simulator.urscript`."""
+    """The controller as one of its programs sees it: the `World` of `urlink.simulator.urscript`.
 
-    def __init__(self, controller: Controller, drive: Drive) -> None:
+    Args:
+        drive: what the program moves the arm with; None for a secondary program, which may only ask whether it moves.
+    """
+
+    def __init__(self, controller: Controller, drive: Drive | None = None) -> None:
         self._controller = controller
-        self.drive = drive
+        self._drive = drive
         self.sockets = ProgramSockets(controller.allows)
         self.period = 1.0 / controller.firmware.rate
+
+    @property
+    def drive(self) -> Drive:
+        if self._drive is None:
+            return Drive(self._controller.model, self._controller.arm.setpoint)
+        return self._drive
 
     @property
     def firmware(self) -> Firmware:
@@ -96,6 +106,9 @@ class ProgramWorld:
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         self._controller.arm.tcp = list(pose)
+        if self._drive is not None:
+            # A movement may follow in the same cycle.
+            self._drive.tcp = pose
 
     @property
     def payload(self) -> float:
@@ -117,11 +130,12 @@ class ProgramWorld:
         """Without effect: the simulated arm stands upright."""
 
     def text_message(self, text: str) -> None:
-        self._controller.say(text_message(self._controller, text))
+        self._controller.say(text_message(self._controller, text), can_be_lost=True)
 
     def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
         self._controller.popup = text
-        self._controller.say(popup_message(self._controller, text, title, is_warning, is_error, is_blocking))
+        message = popup_message(self._controller, text, title, is_warning, is_error, is_blocking)
+        self._controller.say(message, can_be_lost=True)
 
     @property
     def has_popup(self) -> bool:
@@ -147,7 +161,8 @@ class Program:
         self._on_end = on_end
         # It takes over from what moved the arm before, at its speed.
         self.drive = Drive(controller.model, controller.arm.setpoint)
-        self.execution = Execution(script, ProgramWorld(controller, self.drive))
+        self._world = ProgramWorld(controller, self.drive)
+        self.execution = Execution(script, self._world)
 
     def start(self, q: Sequence[float]) -> None:
         """Go on from rest at six joint positions in rad, to which the arm has braked meanwhile."""
@@ -173,4 +188,5 @@ class Program:
         if self.is_program:
             self.is_program = False
             self.execution.stop()
+            self._world.sockets.close_all()
             self._on_end(self)

@@ -1,18 +1,18 @@
 """The programs of a controller: the one that commands the arm, and the secondary ones that run beside it.
 
 Guesses: that a text is ignored while the arm may not move, and on an e-Series that is not in remote control; that a
-protective stop pauses a program, which `play` then continues, and that an emergency stop or switching off ends it.
+protective stop pauses a program, which `play` then continues, and that an emergency stop or switching off ends it; that
+secondary programs run on through all of these.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from typing import TYPE_CHECKING
 
 from . import messages
-from .drive import Drive
 from .lines import obey
-from .modes import Stop
 from .program import Program, ProgramWorld
 from .urscript import Execution, Script, ScriptError, compile_script
 
@@ -23,8 +23,10 @@ __all__ = ["Programs"]
 
 _log = logging.getLogger("urlink.simulator")
 
-#: Secondary programs that may run at once.
+#: Secondary programs that run at once; more than that wait until one of them is over. Nearly all are within a cycle.
 MOST_SECONDARY = 32
+#: Characters of the secondary programs that wait.
+MOST_WAITING = 1 << 20
 
 
 class Programs:
@@ -42,11 +44,12 @@ class Programs:
         self.refused = 0
         self._controller = controller
         self._secondary: list[tuple[Execution, ProgramWorld]] = []
+        self._waiting: deque[tuple[Script, int]] = deque()
 
     @property
     def is_running(self) -> bool:
         """A program that was sent runs, so that every cycle counts."""
-        return bool(self._secondary) or (self.main is not None and self.main.is_program)
+        return bool(self._secondary or self._waiting) or (self.main is not None and self.main.is_program)
 
     def take(self, text: str) -> None:
         """A whole program, or a line, as a client has sent it."""
@@ -62,7 +65,7 @@ class Programs:
             controller.say(messages.runtime_exception(controller, error.line, error.column, error.text, False))
             return
         if script.kind == "sec":
-            self._begin_secondary(script)
+            self._await_turn(script, text)
         elif not controller.modes.may_move:
             self._refuse("the arm may not move", text)
         else:
@@ -76,6 +79,7 @@ class Programs:
         self.main = Program(controller, script, self._ended)
         controller.say(messages.program_started(controller, script.name))
         controller.arm.hand_over(self.main)
+        controller.show_modes()
 
     def stop(self) -> bool:
         """End the running program. False without one."""
@@ -88,12 +92,14 @@ class Programs:
         """One controller cycle, before that of the arm."""
         controller = self._controller
         modes = controller.modes
-        if not modes.may_move and self.main is not None and self.main.is_program:
-            if modes.stop is Stop.PROTECTIVE:
+        if modes.holds_program:
+            if self.main is not None and self.main.is_program:
                 self.is_paused = True
-            else:
-                self.stop()
-        if self._secondary:
+        elif not modes.may_move:
+            # The demonstration may have been paused.
+            self.stop()
+            self.is_paused = False
+        if self._secondary or self._waiting:
             self._advance_secondary()
 
     def close(self) -> None:
@@ -104,18 +110,18 @@ class Programs:
             execution.stop()
             world.sockets.close_all()
         self._secondary.clear()
+        self._waiting.clear()
 
-    def _begin_secondary(self, script: Script) -> None:
-        if len(self._secondary) >= MOST_SECONDARY:
-            self._refuse("too many secondary programs", script.name)
-            return
-        controller = self._controller
-        # It may not move the arm, but it may ask whether it moves.
-        drive = Drive(controller.model, controller.arm.setpoint) if self.main is None else self.main.drive
-        world = ProgramWorld(controller, drive)
-        self._secondary.append((Execution(script, world), world))
+    def _await_turn(self, script: Script, text: str) -> None:
+        if sum(length for _, length in self._waiting) + len(text) > MOST_WAITING:
+            self._refuse("too many secondary programs wait", text)
+        else:
+            self._waiting.append((script, len(text)))
 
     def _advance_secondary(self) -> None:
+        while self._waiting and len(self._secondary) < MOST_SECONDARY:
+            world = ProgramWorld(self._controller)
+            self._secondary.append((Execution(self._waiting.popleft()[0], world), world))
         for execution, world in self._secondary:
             execution.advance()
             if execution.is_over:

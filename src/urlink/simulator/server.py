@@ -38,6 +38,11 @@ LATEST = 0.25
 ASLEEP = 5.0
 #: Bytes of a line from a client; longer ones are thrown away.
 LONGEST_LINE = 1 << 16
+#: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
+#: cycles that cost more than they last.
+LONGEST_CATCH_UP = 0.05
+#: Bytes taken from a client at once: each line of them may be a program.
+RECEIVED_AT_ONCE = 1 << 12
 #: Seconds that other threads wait for the server's.
 PATIENCE = 5.0
 
@@ -236,11 +241,14 @@ class Server:
             self._epoch += (behind - 1) / rate
             self._counters.skipped += behind - 1
             behind = 1
-        while behind > 0:
+        until = time.monotonic() + LONGEST_CATCH_UP
+        has_time = True
+        while behind > 0 and has_time and not self._is_closing:
             self._done += 1
             behind -= 1
             self._controller.advance()
-            if behind > LATEST * rate:
+            has_time = time.monotonic() < until
+            if behind > LATEST * rate and has_time:
                 self._counters.skipped += 1
                 continue
             if behind and self._next(self._done - 1) == self._done:
@@ -370,13 +378,15 @@ class Server:
         return True
 
     def _accept(self, port: _Port) -> None:
+        # The clock may be waiting for its next appointment: who comes now is to see nothing of the past.
+        self._catch_up()
+        if not port.is_listening or port.is_paused:
+            return
         if self._faults.is_stalled(port.name):
             # Connected but silent: the kernel has made the connection, and there it waits.
             self._selector.unregister(port.socket)
             port.is_paused = True
             return
-        # The clock may be waiting for its next appointment: who comes now is to see nothing of the past.
-        self._catch_up()
         try:
             link, _ = port.socket.accept()
         except OSError:
@@ -409,7 +419,7 @@ class Server:
 
     def _receive(self, client: _Client) -> None:
         try:
-            data = client.link.recv(65536)
+            data = client.link.recv(RECEIVED_AT_ONCE)
         except BlockingIOError:
             return
         except OSError:
@@ -435,6 +445,10 @@ class Server:
     def _take(self, client: _Client, text: str) -> None:
         """A line that a client has sent."""
         controller = self._controller
+        # What it does begins in the next cycle, and not in one after that at which the clock was looked at last.
+        self._catch_up()
+        if not client.is_open:
+            return
         if client.port.kind == "dashboard":
             reply = controller.dashboard.reply(text)
             self._send(client, b"Disconnected\n" if reply is None else f"{reply}\n".encode())
@@ -446,8 +460,6 @@ class Server:
         program = client.assembler.feed(text)
         self._counters.refused_bytes += client.assembler.refused - refused
         if program is not None:
-            # The program's first cycle is the next one, and not the one at which the clock was looked at last.
-            self._catch_up()
             controller.programs.take(program)
 
     def _extend(self, client: _Client, part: bytes) -> None:
