@@ -1,15 +1,19 @@
-"""urx, a client that other people wrote, reads from the simulator what urlink reads.
+"""urx, a client that other people wrote, reads from the simulator what urlink reads, and moves its arm.
 
 urx 0.11 takes its state from the secondary interface and, if asked, from the real-time one, on the standard ports and
 no others; in the states it insists on mode data of 46 bytes, which firmware 3.2 to 3.4 sends.
 
-The arm moves all the while. Both clients are sent the same packets, so what urx shows is what stands in one of those
-that urlink got, to the last bit, and in no other.
+At first the arm moves all the while. Both clients are sent the same packets, so what urx shows is what stands in one of
+those that urlink got, to the last bit, and in no other.
+
+Then urx moves it. It sends single lines, each of which is a program, and waits by its own rule: until no program runs
+and the distance to the goal is below a threshold. Its own threshold is most of the way, so the tests give a small one.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, TypeVar
@@ -27,6 +31,10 @@ urx = pytest.importorskip("urx", reason="urx is not installed; `nox -s interop` 
 
 #: Three of the control box, a configurable one, and one of the tool.
 INPUTS = (0, 2, 7, 9, 17)
+#: rad; elbow up, tool down.
+READY = [0.0, -1.6, 1.6, -1.6, -1.6, 0.0]
+#: rad, and m, within which urx is to consider a movement ended.
+NEAR = 1e-3
 
 S = TypeVar("S")
 
@@ -157,3 +165,99 @@ def test_the_realtime_interface_is_equal(ours: urlink.Robot, theirs: Any) -> Non
 
     values = agrees(ours.realtime, read, agree, times=20)
     assert differ([value["q"].tolist() for value in values])
+
+
+# -- it moves the arm ------------------------------------------------------------------------------------
+
+
+def stands(ours: urlink.Robot) -> bool:
+    return not ours.realtime.wait(5).qd_target.any()
+
+
+def goes(ours: urlink.Robot, to: list[float], theirs: Any) -> None:
+    """Let urx move the joints, quickly, and wait as it waits."""
+    read = theirs.movej(to, acc=8.0, vel=2.0, threshold=NEAR)
+    assert read == pytest.approx(to, abs=NEAR)
+    assert ours.realtime.wait(5).q_target == pytest.approx(to, abs=1e-6)
+    assert not theirs.is_program_running()
+
+
+def test_it_moves_the_joints(ours: urlink.Robot, theirs: Any) -> None:
+    goes(ours, READY, theirs)
+    goes(ours, [*READY[:5], 0.4], theirs)
+    goes(ours, READY, theirs)
+
+
+def test_it_moves_the_joints_by_a_difference(ours: urlink.Robot, theirs: Any) -> None:
+    goes(ours, READY, theirs)
+    read = theirs.movej([0.1, 0, 0, 0, 0, -0.1], acc=8.0, vel=2.0, relative=True, threshold=NEAR)
+    assert read == pytest.approx([0.1, *READY[1:5], -0.1], abs=NEAR)
+
+
+def test_it_moves_the_tool_in_a_line(ours: urlink.Robot, theirs: Any) -> None:
+    goes(ours, READY, theirs)
+    begin = theirs.getl(wait=True)
+    goal = [begin[0] + 0.02, begin[1], begin[2] - 0.05, *begin[3:]]
+    states: list[RealtimeState] = []
+    with ours.realtime.subscribe(states.append, policy=urlink.block):
+        theirs.movel(goal, acc=2.0, vel=0.3, threshold=NEAR)
+    assert theirs.getl(wait=True) == pytest.approx(goal, abs=NEAR)
+    way = math.dist(begin[:3], goal[:3])
+    for state in states:
+        x, y, z = state.tool_vector_target.tolist()[:3]
+        to, fro = math.dist(begin[:3], (x, y, z)), math.dist(goal[:3], (x, y, z))
+        assert to + fro == pytest.approx(way, abs=1e-4), "on the line"
+
+
+def test_it_moves_along_several_lines(ours: urlink.Robot, theirs: Any) -> None:
+    goes(ours, READY, theirs)
+    begin = theirs.getl(wait=True)
+    goal = [begin[0], begin[1] + 0.05, begin[2] + 0.05, *begin[3:]]
+    over = [begin[0], begin[1], begin[2] + 0.05, *begin[3:]]
+    theirs.movels([over, goal], acc=2.0, vel=0.3, radius=0.01, threshold=NEAR)
+    assert theirs.getl(wait=True) == pytest.approx(goal, abs=NEAR)
+
+
+def test_it_stops_a_long_movement(ours: urlink.Robot, theirs: Any) -> None:
+    goes(ours, READY, theirs)
+    far = [*READY[:5], 3.0]
+    theirs.movej(far, acc=2.0, vel=0.5, wait=False)
+    until(lambda: theirs.getj(wait=True)[5] > 0.3)
+    assert theirs.is_program_running()
+    theirs.stopj(acc=4.0)
+    until(lambda: stands(ours))
+    until(lambda: not theirs.is_program_running())
+    state = ours.realtime.wait(5)
+    assert 0.3 < state.q_actual[5] < 1.5, "somewhere on the way"
+    assert theirs.getj(wait=True) == pytest.approx(state.q_actual, abs=1e-3)
+    goes(ours, READY, theirs)
+
+
+@pytest.mark.parametrize("output", [0, 5, 8])
+def test_it_switches_outputs(controller: Controller, ours: urlink.Robot, theirs: Any, output: int) -> None:
+    """As `digital_out[n]=True` on a line of its own. Number 8 is the first one of the tool, which is bit 16."""
+    goes(ours, READY, theirs)
+    bit = 1 << (output if output < 8 else output + 8)
+    for value in (True, False, True):
+        theirs.set_digital_out(output, value)
+        bits = bit if value else 0
+        until(partial(is_shown, theirs.get_digital_out_bits, bits))
+        until(partial(is_shown, lambda: ours.secondary.of(MasterboardData).wait().digital_output_bits, bits))
+    theirs.set_digital_out(output, False)
+    until(partial(is_shown, theirs.get_digital_out_bits, 0))
+    assert controller.signals.digital_outputs == 0
+
+
+def test_a_line_is_a_program_and_ends_the_one_that_runs(ours: urlink.Robot, theirs: Any) -> None:
+    """So a movement stops where urx switches an output in the middle of it. That a real controller does that too is
+    what the documentation of urx says of every line; urlink itself switches outputs in a `sec`, beside the movement.
+    """
+    goes(ours, READY, theirs)
+    theirs.movej([*READY[:5], 3.0], acc=2.0, vel=0.5, wait=False)
+    until(lambda: theirs.getj(wait=True)[5] > 0.3)
+    theirs.set_digital_out(1, True)
+    until(partial(is_shown, theirs.get_digital_out_bits, 0b10))
+    until(lambda: stands(ours))
+    assert 0.3 < ours.realtime.wait(5).q_actual[5] < 1.5
+    theirs.set_digital_out(1, False)
+    until(partial(is_shown, theirs.get_digital_out_bits, 0))
