@@ -1,6 +1,9 @@
+import contextlib
 import sys
+import typing
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
@@ -33,3 +36,14 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
+
+
+def resolve(app: Any, function: Any, is_bound: bool) -> None:
+    """Look up the names in annotations where they are written: there are two classes called Motion."""
+    with contextlib.suppress(AttributeError, NameError, TypeError):
+        function.__annotations__ = typing.get_type_hints(function)
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-before-process-signature", resolve)
