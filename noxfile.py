@@ -79,7 +79,7 @@ def bench(session: nox.Session) -> None:
 
 @nox.session
 def interop(session: nox.Session) -> None:
-    """Try the simulator with a client that other people wrote."""
+    """Try the simulator with clients that other people wrote."""
     session.install("-e", f".{EXTRAS}", *group("tests", "interop"))
     # urx calls Condition.notifyAll in its receiving threads, which as an error would end them.
     session.run(

@@ -204,9 +204,9 @@ def test_it_moves_the_tool_in_a_line(ours: urlink.Robot, theirs: Any) -> None:
     assert theirs.getl(wait=True) == pytest.approx(goal, abs=NEAR)
     way = math.dist(begin[:3], goal[:3])
     for state in states:
-        x, y, z = state.tool_vector_target.tolist()[:3]
-        to, fro = math.dist(begin[:3], (x, y, z)), math.dist(goal[:3], (x, y, z))
-        assert to + fro == pytest.approx(way, abs=1e-4), "on the line"
+        assert state.tool_vector_target is not None
+        here = state.tool_vector_target[:3]
+        assert math.dist(begin[:3], here) + math.dist(here, goal[:3]) == pytest.approx(way, abs=1e-4), "on the line"
 
 
 def test_it_moves_along_several_lines(ours: urlink.Robot, theirs: Any) -> None:

@@ -1,0 +1,134 @@
+"""The dashboard client of ur_rtde, which other people wrote, against the simulator's dashboard server.
+
+It asks for the version first, leaves out what that version does not have, and raises where a reply is not the one that
+it expects; so a call that returns has been answered as it expects of a real controller. RTDE itself is not served, and
+not tried here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import pytest
+
+from tests.waiting import until
+from urlink.simulator import Controller
+
+dashboard_client = pytest.importorskip(
+    "dashboard_client", reason="ur_rtde is not installed; `nox -s interop` installs it where there is a wheel of it"
+)
+
+PATH = "/programs/wait.urp"
+FILES = {PATH: "def wait():\n  sleep(30.0)\nend\n"}
+
+
+@pytest.fixture(params=[("UR5", "3.15"), ("UR5e", "5.11")], ids=["3.15", "5.11"])
+def controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
+    model, firmware = request.param
+    with Controller(model, firmware, files=FILES) as controller:
+        yield controller
+
+
+@pytest.fixture
+def client(controller: Controller) -> Iterator[Any]:
+    client = dashboard_client.DashboardClient(controller.host, controller.ports["dashboard"])
+    client.connect()
+    try:
+        yield client
+    finally:
+        client.disconnect()
+
+
+def says(read: Callable[[], str], text: str) -> bool:
+    return read() == text
+
+
+def test_it_connects(client: Any) -> None:
+    assert client.isConnected()
+    client.disconnect()
+    assert not client.isConnected()
+
+
+def test_what_it_reads(controller: Controller, client: Any) -> None:
+    assert client.robotmode() == "Robotmode: RUNNING"
+    assert client.safetymode() == "Safetymode: NORMAL"
+    assert client.polyscopeVersion().startswith(f"{controller.firmware.major}.{controller.firmware.minor}.")
+    assert client.running()
+    assert client.getLoadedProgram() == "No program loaded"
+    assert client.getRobotModel() == "UR5"
+    assert not client.isProgramSaved()
+    if controller.firmware.is_e_series:
+        assert client.safetystatus() == "Safetystatus: NORMAL"
+        assert client.getSerialNumber() == controller.serial
+        assert client.isInRemoteControl()
+
+
+def test_power_and_brakes(controller: Controller, client: Any) -> None:
+    client.powerOff()
+    until(partial(says, client.robotmode, "Robotmode: POWER_OFF"))
+    assert not client.running()
+    client.powerOn()
+    until(partial(says, client.robotmode, "Robotmode: IDLE"), 10)
+    client.brakeRelease()
+    until(partial(says, client.robotmode, "Robotmode: RUNNING"), 10)
+
+
+def test_programs(client: Any) -> None:
+    with pytest.raises(RuntimeError, match="File not found"):
+        client.loadURP("/programs/other.urp")
+    client.loadURP(PATH)
+    assert client.getLoadedProgram() == f"Loaded program: {PATH}"
+    until(partial(says, client.programState, "STOPPED wait.urp"))
+    for command, state in (
+        (client.play, "PLAYING wait.urp"),
+        (client.pause, "PAUSED wait.urp"),
+        (client.play, "PLAYING wait.urp"),
+        (client.stop, "STOPPED wait.urp"),
+    ):
+        command()
+        until(partial(says, client.programState, state))
+
+
+def test_popups_and_the_log(controller: Controller, client: Any) -> None:
+    shown = []
+    for command in (lambda: client.popup("Is anybody there?"), client.closePopup, client.closeSafetyPopup):
+        command()
+        shown.append(controller.popup)
+    assert shown == ["Is anybody there?", None, None]
+    client.addToLog("somebody was there")
+    assert controller.log[-1] == "somebody was there"
+
+
+@pytest.mark.slow
+def test_a_protective_stop_is_unlocked_after_five_seconds(controller: Controller, client: Any) -> None:
+    controller.faults.protective_stop()
+    until(partial(says, client.safetymode, "Safetymode: PROTECTIVE_STOP"))
+    with pytest.raises(RuntimeError, match="Cannot unlock protective stop until 5s after occurrence"):
+        client.unlockProtectiveStop()
+
+    def unlocked() -> bool:
+        try:
+            client.unlockProtectiveStop()
+        except RuntimeError:
+            return False
+        return True
+
+    until(unlocked, 10)
+    until(partial(says, client.safetymode, "Safetymode: NORMAL"))
+
+
+def test_local_control_refuses(controller: Controller, client: Any) -> None:
+    if not controller.firmware.is_e_series:
+        pytest.skip("remote control came with the e-Series")
+    controller.remote_control = False
+    assert not client.isInRemoteControl()
+    with pytest.raises(RuntimeError, match="Remote Control"):
+        client.play()
+
+
+def test_it_says_goodbye(client: Any) -> None:
+    client.quit()
+    with pytest.raises(RuntimeError):
+        client.robotmode()
