@@ -338,7 +338,7 @@ class Controller:
 
     def play(self) -> bool:
         """Go on with the program that was paused, or run the loaded one; False if neither can be."""
-        if not self.modes.may_move:
+        if not self.is_up or not self.modes.may_move:
             return False
         if self.programs.is_paused:
             self.programs.is_paused = False

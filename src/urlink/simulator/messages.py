@@ -149,7 +149,8 @@ def popup_message(
         is_warning=is_warning,
         is_error=is_error,
         is_blocking=is_blocking,
-        title=title[:255],
+        # Its length is one byte.
+        title=title.encode("utf-8", "backslashreplace")[:255].decode("utf-8", "ignore"),
         text=text,
     )
 

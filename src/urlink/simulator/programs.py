@@ -54,6 +54,9 @@ class Programs:
     def take(self, text: str) -> None:
         """A whole program, or a line, as a client has sent it."""
         controller = self._controller
+        if not controller.is_up:
+            self._refuse("down", text)
+            return
         if controller.firmware.is_e_series and not controller.remote_control:
             self._refuse("in local control", text)
             return

@@ -203,7 +203,7 @@ def test_high_descriptors_do_as_well(sockets: ProgramSockets, listener: socket.s
     if hard < 2000:
         pytest.skip("this computer does not give that many")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2000), hard))
-    taken = []
+    taken: list[int] = []
     try:
         while not taken or taken[-1] < 1100:
             taken.append(os.dup(listener.fileno()))

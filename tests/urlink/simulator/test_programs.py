@@ -1,0 +1,723 @@
+"""What runs on a controller, cycle by cycle: no thread, no socket, no clock but the controller's."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import urlink
+from urlink.schemas.enums import ProgramState, SafetyMode
+from urlink.simulator import Controller
+from urlink.simulator.dashboard import UNLOCK_AFTER
+from urlink.simulator.modes import Power
+from urlink.simulator.motion import HOME, Still
+from urlink.simulator.programs import MOST_SECONDARY
+
+TURN = "def turn():\n  movej([0.5, -1.2, 1.2, -1.2, -1.2, 0.3], a=1, v=0.5)\nend\n"
+SPIN = "def spin():\n  speedj([0.5, 0, 0, 0, 0, 0], 1, 60)\nend\n"
+WAIT = "def wait():\n  sleep(60)\nend\n"
+CB3 = "3.14"
+
+
+class Watched:
+    """A controller that is stepped, and what it has said."""
+
+    def __init__(self, firmware: str = "5.11", **more: Any) -> None:
+        more.setdefault("motion", Still())
+        self.controller = Controller(None, firmware, **more)
+        self.said: list[Any] = []
+        self.speeds: list[float] = []
+
+    def take(self, *texts: str) -> Watched:
+        for text in texts:
+            self.controller.take(text)
+        return self
+
+    def step(self, seconds: float) -> Watched:
+        for _ in range(round(seconds * self.controller.firmware.rate)):
+            self.cycle()
+        return self
+
+    def cycle(self) -> None:
+        controller = self.controller
+        controller.advance()
+        data = b"".join(controller.take_messages())
+        self.said += urlink.decode(data, "primary", controller.firmware)
+        self.speeds.append(controller.arm.setpoint.qd[0])
+
+    def dashboard(self, line: str) -> str | None:
+        return self.controller.dashboard.reply(line)
+
+    @property
+    def story(self) -> list[str]:
+        """What was said, in short."""
+        return [text for text in map(self._short, self.said) if text]
+
+    def _short(self, message: Any) -> str:
+        name = type(message).__name__
+        if name == "KeyMessage":
+            return f"{message.title.rpartition('_')[2].lower()} {message.text}"
+        if name == "RuntimeExceptionMessage":
+            return f"{message.line}:{message.column} {message.text}"
+        if name == "TextMessage":
+            return f"'{message.text}'"
+        if name == "RobotCommMessage":
+            return f"C{message.code} {message.text}"
+        return name if name == "PopupMessage" else ""
+
+    @property
+    def steadiest(self) -> float:
+        """rad/s²: how much the speed of the base has changed at most."""
+        rate = self.controller.firmware.rate
+        return max((abs(b - a) * rate for a, b in itertools.pairwise(self.speeds)), default=0.0)
+
+    def moves(self) -> bool:
+        return any(self.controller.arm.setpoint.qd)
+
+    def power(self) -> Power:
+        return self.controller.modes.power
+
+
+@pytest.fixture
+def watched() -> Watched:
+    return Watched()
+
+
+# -- begin and end -------------------------------------------------------------------------------------
+
+
+def test_a_program_starts_moves_and_stops(watched: Watched) -> None:
+    watched.take(TURN).step(0.5)
+    assert watched.moves()
+    assert watched.controller.modes.program_state is ProgramState.PLAYING
+    assert watched.dashboard("programState") == "PLAYING <unnamed>"
+    watched.step(5)
+    assert watched.story == ["started turn", "stopped turn"]
+    assert watched.controller.arm.setpoint.q == pytest.approx([0.5, -1.2, 1.2, -1.2, -1.2, 0.3], abs=1e-9)
+    assert watched.controller.program_name is None
+    assert watched.dashboard("programState") == "STOPPED <unnamed>"
+
+
+@pytest.mark.parametrize("firmware", ["1.6", "1.8", "3.0", "3.4", "3.14", "5.0", "5.4", "5.11", "5.12"])
+def test_what_it_says_can_be_read_on_every_firmware(firmware: str) -> None:
+    watched = Watched(firmware)
+    watched.take(
+        'def f():\n  textmsg("hello ", 3)\n  popup("look", "here", True, False)\n  x = 1/0\nend\n',
+        "def g():\n  nn()\nend\n",
+    ).step(0.1)
+    assert watched.story[:2] == ["started f", "2:3 compile_error_name_not_found:nn:"]
+    assert watched.story[2:4] == ["'hello 3'", "PopupMessage"]
+    assert watched.story[4].startswith("4:")
+    assert watched.story[5:] == ["stopped f"]
+    popup = next(message for message in watched.said if isinstance(message, urlink.PopupMessage))
+    assert (popup.title, popup.text, popup.is_warning, popup.is_error) == ("here", "look", True, False)
+
+
+def test_compile_errors_are_those_of_a_real_controller(watched: Watched) -> None:
+    # Real bytes of 5.4 have these two.
+    watched.take('def f():\n  txtmsg("x")\nend\n').step(0.01)
+    assert watched.story == ["2:3 compile_error_name_not_found:txtmsg:"]
+    assert watched.said[0].timestamp == 0xFFFFFFFFFFFFFFFF
+    assert watched.controller.program_name is None
+
+
+def test_a_program_that_does_not_compile_leaves_the_other_alone(watched: Watched) -> None:
+    watched.take(SPIN).step(0.5)
+    watched.take("def f():\n  nonsense()\nend\n").step(0.5)
+    assert watched.controller.program_name == "spin"
+    assert watched.controller.arm.setpoint.qd[0] == pytest.approx(0.5)
+
+
+def test_a_run_time_error_stops_it_and_brakes(watched: Watched) -> None:
+    program = (
+        "def f():\n  thread t():\n    sleep(1)\n    x = 1/0\n  end\n  run t()\n  speedj([0.5,0,0,0,0,0], 1, 60)\nend\n"
+    )
+    watched.take(program).step(0.9)
+    assert watched.moves()
+    watched.step(2)
+    assert watched.story[0] == "started f"
+    assert watched.story[1].startswith("4:")
+    assert watched.story[2:] == ["stopped f"]
+    assert watched.said[1].timestamp == pytest.approx(1e6, abs=2e4)
+    assert not watched.moves()
+    assert watched.steadiest < 20
+
+
+def test_an_unreachable_pose_is_a_run_time_error(watched: Watched) -> None:
+    watched.take("def f():\n  movel(p[5, 0, 0, 0, 0, 0])\nend\n").step(0.1)
+    assert [line[:2] for line in watched.story] == ["st", "2:", "st"]
+    assert watched.controller.modes.safety_mode is SafetyMode.NORMAL
+
+
+def test_the_end_while_moving_brakes(watched: Watched) -> None:
+    watched.take("def f():\n  speedj([0.8,0,0,0,0,0], 2, 0.6)\nend\n").step(0.62)
+    assert watched.story == ["started f", "stopped f"]
+    assert watched.moves()
+    watched.step(1)
+    assert not watched.moves()
+    assert watched.steadiest < 12
+
+
+def test_a_new_program_takes_over_at_speed(watched: Watched) -> None:
+    watched.take(SPIN).step(1)
+    watched.take(TURN).step(0.01)
+    assert watched.story == ["started spin", "stopped spin", "started turn"]
+    assert watched.controller.arm.setpoint.qd[0] > 0.4
+    watched.step(6)
+    assert watched.story[3:] == ["stopped turn"]
+    assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.5, abs=1e-9)
+    assert watched.steadiest < 12
+
+
+def test_a_new_program_takes_over_from_the_demonstration() -> None:
+    watched = Watched(motion=None)
+    watched.step(3)
+    assert watched.moves()
+    watched.take(TURN).step(6)
+    assert watched.story == ["started turn", "stopped turn"]
+    assert watched.steadiest < 12
+    assert watched.controller.modes.program_state is ProgramState.STOPPED
+
+
+def test_a_new_program_takes_over_from_a_braking_arm(watched: Watched) -> None:
+    watched.take(SPIN).step(1)
+    watched.controller.pause()
+    watched.step(0.05)
+    assert 0 < watched.controller.arm.setpoint.qd[0] < 0.5
+    watched.take(TURN).step(6)
+    assert watched.story == ["started spin", "stopped spin", "started turn", "stopped turn"]
+    assert watched.steadiest < 25
+    assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.5, abs=1e-9)
+
+
+def test_a_line_is_a_program_too(watched: Watched) -> None:
+    watched.take("movej([0.1, -1.57, 1.57, -1.57, -1.57, 0])").step(3)
+    assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.1, abs=1e-9)
+    assert watched.story == ["started unnamed", "stopped unnamed"]
+
+
+def test_a_comment_stops_nothing(watched: Watched) -> None:
+    watched.take(WAIT, "# hello\n\n  # again\n").step(0.1)
+    assert watched.controller.program_name == "wait"
+
+
+def test_several_programs_in_one_text(watched: Watched) -> None:
+    watched.take("def a():\n  sleep(1)\nend\r\nsec s():\r\n  set_digital_out(1, True)\r\nend\r\n" + WAIT).step(0.1)
+    assert watched.story == ["started a", "stopped a", "started wait"]
+    assert watched.controller.signals.digital_outputs == 2
+
+
+def test_a_tool_that_is_set_counts_for_the_movement_after_it(watched: Watched) -> None:
+    watched.take(
+        "def f():\n  set_tcp(p[0, 0, 0.2, 0, 0, 0])\n"
+        "  movel(pose_trans(get_target_tcp_pose(), p[0, 0, 0.1, 0, 0, 0]), a=1, v=0.2)\nend\n"
+    )
+    watched.cycle()
+    before = watched.controller.arm.sample.pose_target
+    watched.step(3)
+    after = watched.controller.arm.sample.pose_target
+    assert math.dist(before[:3], after[:3]) == pytest.approx(0.1, abs=1e-5)
+    assert watched.story == ["started f", "stopped f"]
+
+
+# -- secondary programs --------------------------------------------------------------------------------
+
+
+def test_a_secondary_program_runs_beside_a_movement(watched: Watched) -> None:
+    watched.take(SPIN).step(1)
+    watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.1)
+    assert watched.controller.signals.digital_outputs == 8
+    assert watched.controller.arm.setpoint.qd[0] == pytest.approx(0.5)
+    assert watched.story == ["started spin"]
+
+
+def test_a_secondary_program_runs_while_the_other_waits(watched: Watched) -> None:
+    watched.take(WAIT).step(0.1)
+    watched.controller.pause()
+    watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.01)
+    assert watched.controller.signals.digital_outputs == 8
+    assert watched.controller.programs.is_paused
+
+
+def test_a_secondary_program_knows_whether_the_arm_moves(watched: Watched) -> None:
+    ask = "sec s():\n  textmsg(is_steady())\nend\n"
+    watched.take(ask).step(0.01)
+    watched.take(SPIN).step(1)
+    watched.take(ask).step(0.01)
+    watched.controller.stop_program()
+    watched.step(2).take(ask).step(0.01)
+    assert watched.story == ["'True'", "started spin", "'False'", "stopped spin", "'True'"]
+
+
+def test_a_secondary_program_can_fail(watched: Watched) -> None:
+    watched.take("sec s():\n  x = 1/0\nend\n").step(0.01)
+    assert [line[:2] for line in watched.story] == ["2:"]
+
+
+def test_a_secondary_program_may_not_move(watched: Watched) -> None:
+    watched.take("sec s():\n  movej([0,0,0,0,0,0])\nend\n").step(0.01)
+    assert [line[:2] for line in watched.story] == ["2:"]
+    assert not watched.moves()
+
+
+def test_many_secondary_programs_take_their_turn(watched: Watched) -> None:
+    count = 3 * MOST_SECONDARY
+    for n in range(count):
+        watched.take(f"sec s{n}():\n  textmsg({n})\nend\n")
+    watched.step(0.1)
+    assert watched.story == [f"'{n}'" for n in range(count)]
+    assert watched.controller.programs.refused == 0
+    assert not watched.controller.programs.is_running
+
+
+def test_secondary_programs_that_never_end_do_not_pile_up(watched: Watched) -> None:
+    blocked = 'sec s():\n  popup("x", blocking=True)\n  # ' + "x" * 100_000 + "\nend\n"
+    for _ in range(60):
+        watched.take(blocked).step(0.002)
+    assert watched.controller.programs.refused > 0
+    assert watched.dashboard("close popup") == "closing popup"
+    watched.step(0.2)
+    # Those that had their turn later have shown it again.
+    watched.dashboard("close popup")
+    watched.step(0.2)
+    assert not watched.controller.programs.is_running
+
+
+# -- stops ---------------------------------------------------------------------------------------------
+
+
+def test_a_protective_stop_pauses_and_play_goes_on(watched: Watched) -> None:
+    watched.take(TURN).step(0.5)
+    watched.controller.faults.protective_stop()
+    watched.step(2)
+    assert not watched.moves()
+    assert watched.controller.program_name == "turn"
+    assert watched.dashboard("programState") == "PAUSED <unnamed>"
+    assert watched.dashboard("play") == "Failed to execute: play"
+    watched.controller.faults.clear()
+    # Nothing goes on by itself.
+    watched.step(3)
+    assert not watched.moves()
+    assert watched.controller.program_name == "turn"
+    assert watched.dashboard("play") == "Starting program"
+    watched.step(6)
+    assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.5, abs=1e-9)
+    assert watched.story == ["started turn", "C153 Protective stop: position deviates from path", "stopped turn"]
+
+
+def test_a_new_program_may_begin_after_a_protective_stop(watched: Watched) -> None:
+    watched.take(SPIN).step(1)
+    watched.controller.faults.protective_stop()
+    watched.step(1)
+    watched.take(TURN).step(0.1)
+    assert watched.controller.programs.refused == 1
+    watched.controller.faults.clear()
+    watched.take(TURN).step(6)
+    assert watched.story[-3:] == ["stopped spin", "started turn", "stopped turn"]
+
+
+def test_a_protective_stop_cannot_be_unlocked_at_once(watched: Watched) -> None:
+    watched.controller.faults.protective_stop()
+    for _ in range(2):
+        assert str(watched.dashboard("unlock protective stop")).startswith("Cannot unlock")
+        watched.step(UNLOCK_AFTER / 2)
+    watched.step(0.01)
+    assert watched.dashboard("unlock protective stop") == "Protective stop releasing"
+    watched.step(0.01)
+    assert watched.controller.modes.may_move
+    assert watched.controller.stopped_since is None
+
+
+@pytest.mark.parametrize("end", ["emergency_stop", "power_off"])
+def test_what_ends_a_program(watched: Watched, end: str) -> None:
+    watched.take(SPIN).step(1)
+    getattr(watched.controller.faults, end)()
+    watched.step(2)
+    assert [line for line in watched.story if line[:1] != "C"] == ["started spin", "stopped spin"]
+    assert not watched.moves()
+    assert watched.power() is Power.OFF
+    assert watched.steadiest < 25
+    watched.controller.faults.clear()
+    watched.controller.faults.power_on()
+    watched.step(3)
+    assert not watched.moves()
+    assert watched.controller.program_name is None
+    watched.take(TURN).step(6)
+    assert watched.story[-2:] == ["started turn", "stopped turn"]
+
+
+@pytest.mark.parametrize("end", ["emergency_stop", "power_off"])
+@pytest.mark.parametrize("hold", ["pause", "protective_stop"])
+def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -> None:
+    watched.take(SPIN).step(1)
+    if hold == "pause":
+        assert watched.controller.pause()
+    else:
+        watched.controller.faults.protective_stop()
+    watched.step(1)
+    getattr(watched.controller.faults, end)()
+    watched.step(1)
+    assert [line for line in watched.story if line[:1] != "C"] == ["started spin", "stopped spin"]
+    assert not watched.controller.programs.is_paused
+    assert watched.controller.modes.program_state is ProgramState.STOPPED
+
+
+def test_a_demonstration_that_was_paused_begins_anew_after_an_emergency_stop() -> None:
+    watched = Watched(motion=None)
+    watched.step(2)
+    assert watched.dashboard("pause") == "Pausing program"
+    watched.step(1)
+    assert not watched.moves()
+    watched.controller.faults.emergency_stop()
+    watched.step(1)
+    watched.controller.faults.clear()
+    watched.controller.faults.power_on()
+    watched.step(4)
+    assert watched.moves()
+    assert watched.controller.modes.program_state is ProgramState.PLAYING
+
+
+def test_a_reboot_ends_everything() -> None:
+    watched = Watched(files={"a.urp": WAIT})
+    controller = watched.controller
+    controller.load("a.urp")
+    watched.take(
+        'def f():\n  set_flag(3, True)\n  set_tcp(p[0,0,0.1,0,0,0])\n  popup("x")\n'
+        "  speedj([0.5,0,0,0,0,0],1,60)\nend\n",
+        "set speed 0.5",
+        'sec s():\n  popup("y", blocking=True)\nend\n',
+    ).step(1)
+    assert controller.popup is not None
+    controller.faults.reboot(downtime=0.5)
+    watched.step(0.4)
+    watched.take(WAIT)
+    watched.step(1)
+    # The connections are gone that could be told of its end.
+    assert watched.story == ["started f", "PopupMessage", "PopupMessage"]
+    assert controller.program_name is None
+    assert not controller.programs.is_running
+    after: list[Any] = [controller.popup, controller.loaded, controller.speed_fraction, any(controller.flags)]
+    assert after == [None, None, 1.0, False]
+    # It is in the installation.
+    assert controller.arm.tcp[2] == 0.1
+    watched.take(TURN).step(6)
+    assert watched.story[-2:] == ["started turn", "stopped turn"]
+
+
+def test_closing_a_controller_ends_its_program() -> None:
+    with Controller("UR5e", "5.11", motion=Still()) as controller:
+        controller.take(SPIN)
+        assert controller.programs.is_running
+        programs = controller.programs
+    assert not programs.is_running
+    # What was said then is nobody's who connects later.
+    assert controller.take_messages() == []
+
+
+# -- limits --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("servoj([0.8, -1.57, 1.57, -1.57, -1.57, 0], t=0.002, lookahead_time=0.03, gain=2000)", ""),
+        ("servoj([7, -1.57, 1.57, -1.57, -1.57, 0])", ""),
+        ("movej([7, -1.57, 1.57, -1.57, -1.57, 0])", ""),
+        ("speedj([9, 0, 0, 0, 0, 0], 40, 5)", ""),
+        ("protective_stop()", "protective_stop() was called by the program"),
+    ],
+)
+def test_sending_limits_are_protective_stops_with_a_reason(watched: Watched, line: str, reason: str) -> None:
+    watched.take(f"def f():\n  {line}\n  sleep(1)\nend\n").step(3)
+    assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
+    report = next(line for line in watched.story if line.startswith("C153"))
+    assert report.startswith("C153 Protective stop: ")
+    assert reason in report
+    assert "deviates" not in report
+    assert watched.controller.program_name == "f"
+    assert not watched.moves()
+    watched.controller.faults.clear()
+    watched.step(0.1)
+    # The reason was that of one stop.
+    watched.controller.faults.protective_stop()
+    watched.step(0.1)
+    assert watched.story[-1] == "C153 Protective stop: position deviates from path"
+
+
+def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -> None:
+    watched.controller.faults.emergency_stop()
+    watched.controller.stop_for("a joint jumped")
+    watched.step(0.1)
+    watched.controller.faults.clear()
+    watched.controller.faults.power_on()
+    watched.step(1)
+    watched.controller.faults.protective_stop()
+    watched.step(0.1)
+    assert not any("jumped" in line for line in watched.story)
+
+
+def test_a_loop_without_time_is_stopped(watched: Watched) -> None:
+    watched.take("def f():\n  while True:\n    x = 1\n  end\nend\n").step(0.01)
+    assert "too much time" in watched.story[1]
+    assert watched.story[2] == "stopped f"
+
+
+def test_floods_of_text_are_bounded_and_the_end_is_never_lost(watched: Watched) -> None:
+    program = 'def f():\n  i = 0\n  while i < 1500:\n    textmsg("%s")\n    i = i + 1\n  end\nend\n' % ("x" * 500)
+    watched.take(program)
+    watched.controller.advance()
+    messages = watched.controller.take_messages()
+    assert sum(map(len, messages)) < 70_000
+    decoded = urlink.decode(b"".join(messages), "primary", "5.11")
+    titles = [message.title for message in decoded if isinstance(message, urlink.KeyMessage)]
+    assert titles == ["PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"]
+    assert watched.controller.counters.lost_messages > 0
+
+
+@pytest.mark.parametrize("text", ["ü" * 300, "\u20ac" * 200, "x" * 9000, "\\x00"])
+@pytest.mark.parametrize("firmware", ["1.8", "5.11"])
+def test_any_text_can_be_said(text: str, firmware: str) -> None:
+    watched = Watched(firmware)
+    watched.take(f'def f():\n  textmsg("{text}")\n  popup("{text}", "{text}")\nend\n').step(0.1)
+    assert watched.story[0] == "started f"
+    assert watched.story[2:] == ["PopupMessage", "stopped f"]
+
+
+# -- lines and the dashboard ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("line", "speed"), [("0.42", 0.42), (".5", 0.5), ("1", 1.0), ("0", 0.0), ("7", 1.0)])
+def test_set_speed(watched: Watched, line: str, speed: float) -> None:
+    watched.take(f"set speed {line}\n")
+    assert watched.controller.speed_fraction == speed
+
+
+def test_a_slower_slider_makes_slower_movements() -> None:
+    def seconds(*texts: str) -> float:
+        watched = Watched()
+        watched.take(*texts, TURN)
+        while watched.controller.program_name:
+            watched.cycle()
+        return watched.controller.time
+
+    assert seconds("set speed 0.5") == pytest.approx(2 * seconds(), rel=0.1)
+
+
+@pytest.mark.parametrize(("firmware", "alone"), [("5.11", 0.0), ("3.3", 0.5)])
+def test_the_slider_shows(firmware: str, alone: float) -> None:
+    watched = Watched(firmware)
+    watched.take("set speed 0.5").step(0.1)
+
+    def scaling() -> float:
+        packet = watched.controller.realtime_packet()
+        speed_scaling = urlink.decode(packet, "realtime", watched.controller.firmware)[0].speed_scaling
+        assert speed_scaling is not None
+        return speed_scaling
+
+    assert scaling() == alone
+    watched.take(WAIT).step(0.1)
+    assert scaling() == 0.5
+
+
+def test_lines_switch_the_arm_off_and_on(watched: Watched) -> None:
+    watched.take("power off").step(0.1)
+    assert watched.power() is Power.OFF
+    watched.take("power on").step(2)
+    assert watched.power() is Power.IDLE
+    watched.take("set robotmode run").step(2)
+    assert watched.power() is Power.RUNNING
+    watched.controller.faults.protective_stop()
+    watched.take("set unlock protective stop", "set robotmode freedrive").step(0.1)
+    assert watched.controller.modes.may_move
+    assert watched.story == []
+
+
+def test_local_control_refuses_text_and_commands() -> None:
+    watched = Watched(files={"a.urp": WAIT})
+    watched.controller.remote_control = False
+    watched.take(TURN, "set speed 0.5", "sec s():\n  set_digital_out(0, True)\nend\n", "def f(:\nend\n").step(0.1)
+    assert watched.story == []
+    assert watched.controller.programs.refused == 4
+    assert watched.controller.speed_fraction == 1.0
+    assert watched.controller.signals.digital_outputs == 0
+    for command in ("load a.urp", "play", "power off", "stop"):
+        assert "remote control" in str(watched.dashboard(command)).lower()
+    assert watched.controller.loaded is None
+
+
+def test_a_cb3_has_no_local_control() -> None:
+    watched = Watched(CB3)
+    watched.controller.remote_control = False
+    watched.take(WAIT).step(0.1)
+    assert watched.story == ["started wait"]
+
+
+def test_a_blocking_popup_holds_its_program(watched: Watched) -> None:
+    watched.take('def f():\n  popup("go on?", blocking=True)\n  textmsg("on")\nend\n').step(5)
+    assert watched.story == ["started f", "PopupMessage"]
+    assert watched.controller.popup == "go on?"
+    watched.dashboard("close popup")
+    watched.step(0.1)
+    assert watched.story[2:] == ["'on'", "stopped f"]
+
+
+def test_load_play_pause_play_stop() -> None:
+    watched = Watched(files={"/programs/turn.urp": TURN, "bad.urp": "def f(:\nend\n"})
+    assert watched.dashboard("play") == "Failed to execute: play"
+    assert watched.dashboard("load nothing.urp") == "File not found: nothing.urp"
+    assert watched.dashboard("load bad.urp") == "Loading program: bad.urp"
+    assert watched.dashboard("play") == "Failed to execute: play"
+    assert watched.dashboard("load /programs/turn.urp") == "Loading program: /programs/turn.urp"
+    assert watched.dashboard("pause") == "Failed to execute: pause"
+    assert watched.dashboard("play") == "Starting program"
+    # No cycle has to pass before this is so.
+    assert watched.dashboard("programState") == "PLAYING turn.urp"
+    assert watched.dashboard("play") == "Failed to execute: play"
+    assert watched.dashboard("pause") == "Pausing program"
+    assert watched.dashboard("programState") == "PAUSED turn.urp"
+    watched.step(1)
+    assert watched.dashboard("play") == "Starting program"
+    assert watched.dashboard("running") == "Program running: true"
+    watched.step(0.5)
+    assert watched.moves()
+    assert watched.dashboard("pause") == "Pausing program"
+    watched.step(1)
+    assert not watched.moves()
+    assert watched.dashboard("stop") == "Stopped"
+    assert watched.dashboard("programState") == "STOPPED turn.urp"
+    assert watched.dashboard("stop") == "Failed to execute: stop"
+    assert watched.dashboard("play") == "Starting program"
+    watched.step(6)
+    assert watched.story == ["started turn", "stopped turn", "started turn", "stopped turn"]
+    assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.5, abs=1e-9)
+
+
+def test_loading_ends_what_runs() -> None:
+    watched = Watched(files={"a.urp": WAIT})
+    watched.take(SPIN).step(1)
+    assert watched.dashboard("load a.urp") == "Loading program: a.urp"
+    watched.step(1)
+    assert watched.story == ["started spin", "stopped spin"]
+    assert not watched.moves()
+
+
+def test_stop_ends_the_demonstration() -> None:
+    watched = Watched(motion=None)
+    watched.step(2)
+    assert watched.dashboard("running") == "Program running: true"
+    assert watched.dashboard("stop") == "Stopped"
+    assert watched.dashboard("running") == "Program running: false"
+    watched.step(1)
+    assert not watched.moves()
+    assert watched.story == []
+    watched.step(3)
+    assert not watched.moves()
+
+
+# -- the same again ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("firmware", ["1.8", "5.11"])
+def test_the_same_program_gives_the_same_bytes(firmware: str) -> None:
+    program = (
+        "def f():\n  thread blink():\n    while True:\n      set_digital_out(0, not get_digital_out(0))\n"
+        "      sleep(0.1)\n    end\n  end\n  h = run blink()\n"
+        "  movej([0.5, -1.2, 1.2, -1.2, -1.2, 0.3], a=1, v=0.5, r=0.05)\n"
+        "  movej([0, -1.57, 1.57, -1.57, -1.57, random()], a=1, v=0.5)\n  kill h\n"
+        "  movel(pose_trans(get_actual_tcp_pose(), p[0, 0, -0.05, 0, 0, 0]), a=1, v=0.2)\nend\n"
+    )
+
+    def record() -> bytes:
+        controller = Controller(None, firmware, seed=7)
+        controller.step(100)
+        controller.take(program)
+        packets = []
+        for cycle in range(10 * controller.firmware.rate):
+            if cycle % 97 == 0:
+                controller.state_package()
+            controller.step()
+            packets.append(controller.realtime_packet())
+        assert controller.arm.setpoint.q[0] != HOME[0]
+        return b"".join(packets)
+
+    assert record() == record()
+
+
+_TEXTS = st.sampled_from(
+    [
+        TURN,
+        SPIN,
+        WAIT,
+        "stopj(2)",
+        "sec s():\n  set_digital_out(0, True)\nend\n",
+        'sec p():\n  popup("x", blocking=True)\nend\n',
+        "def bad():\n  nonsense()\nend\n",
+        "def fails():\n  sleep(0.05)\n  x = 1/0\nend\n",
+        "def jumps():\n  servoj([3, 0, 0, 0, 0, 0], t=0.002, lookahead_time=0.03, gain=2000)\nend\n",
+        "def far():\n  movel(p[5, 0, 0, 0, 0, 0])\nend\n",
+        "def brakes():\n  speedl([0.2, 0, 0, 0, 0, 0], 1, 0.1)\n  stopl(1)\nend\n",
+        'def asks():\n  popup("x", blocking=True)\nend\n',
+        'def dials():\n  socket_open("192.0.2.1", 9)\n  sleep(1)\nend\n',
+        "def protects():\n  sleep(0.02)\n  protective_stop()\n  sleep(0.1)\nend\n",
+        "set speed 0",
+        "set speed 1",
+        "power off",
+        "power on",
+        "set robotmode run",
+        "set unlock protective stop",
+        "end",
+        "",
+    ]
+)
+_LINES = st.sampled_from(
+    ["play", "pause", "stop", "load a.urp", "power off", "power on", "brake release", "unlock protective stop",
+     "close popup", "popup x", "restart safety", "shutdown", "programState", "running"]
+)  # fmt: skip
+_FAULTS = st.sampled_from(["protective_stop", "emergency_stop", "clear", "power_off", "power_on"])
+_EVENTS = st.one_of(
+    st.tuples(st.just("text"), _TEXTS),
+    st.tuples(st.just("line"), _LINES),
+    st.tuples(st.just("fault"), _FAULTS),
+    st.tuples(st.just("wait"), st.sampled_from([1, 3, 40, 300])),
+)
+
+
+@pytest.mark.property
+@settings(max_examples=60, deadline=None)
+@given(st.lists(_EVENTS, max_size=25), st.sampled_from(["1.8", "3.14", "5.11"]), st.booleans())
+def test_whatever_happens_what_is_started_is_stopped(
+    events: list[tuple[str, Any]], firmware: str, has_demonstration: bool
+) -> None:
+    motion = None if has_demonstration else Still()
+    watched = Watched(firmware, motion=motion, files={"a.urp": TURN})
+    controller = watched.controller
+    model = controller.model
+    fastest = float(max(model.max_acceleration)) * 1.5
+    for kind, what in events:
+        if kind == "text":
+            watched.take(what)
+        elif kind == "line":
+            watched.dashboard(what)
+        elif kind == "fault":
+            getattr(controller.faults, what)()
+        else:
+            for _ in range(what):
+                watched.cycle()
+        running = [line for line in watched.story if line.startswith(("started ", "stopped "))]
+        pending = urlink.decode(b"".join(controller._outbox), "primary", controller.firmware)
+        running += [line for line in map(watched._short, pending) if line.startswith(("started ", "stopped "))]
+        for before, after in zip(running[::2], running[1::2], strict=False):
+            assert before.startswith("started ")
+            assert after == before.replace("started", "stopped")
+        assert (len(running) % 2 == 1) == (controller.program_name is not None)
+        if controller.program_name is not None:
+            assert running[-1] == f"started {controller.program_name}"
+    assert watched.steadiest < fastest
+    controller.close()
+    controller.programs.close()
+    assert controller.program_name is None
