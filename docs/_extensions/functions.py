@@ -9,11 +9,10 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from linkcore.version import Since
 from urlink.simulator.urscript.builtins import FAMILIES
 from urlink.simulator.urscript.builtins.declaration import Family
 
-_ALWAYS = Since("1.0")
+_ALWAYS = "1.0"
 
 
 class FunctionsDirective(SphinxDirective):
@@ -32,9 +31,8 @@ def _name(family: Family) -> str:
 def _functions(family: Family) -> str:
     texts = []
     for name, found in sorted(family.functions.items()):
-        since = sorted({builtin.since.text for builtin in found} - {_ALWAYS.text})
-        is_always = any(builtin.since == _ALWAYS for builtin in found)
-        texts.append(name if is_always or not since else f"{name} ({since[0].replace('/', ' / ')})")
+        since = sorted(builtin.since.text for builtin in found)
+        texts.append(name if _ALWAYS in since else f"{name} ({since[0].replace('/', ' / ')})")
     return ", ".join(texts)
 
 

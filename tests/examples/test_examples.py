@@ -82,7 +82,58 @@ def test_test_your_own_program() -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_your_own_program.py"]
     done = subprocess.run(command, cwd=EXAMPLES, capture_output=True, text=True, timeout=50, check=False)
     assert done.returncode == 0, done.stdout
-    assert "4 passed" in done.stdout
+    assert "7 passed" in done.stdout
+
+
+def test_move_and_wait() -> None:
+    home, higher, again = output("move_and_wait.py", "--speed", "1").splitlines()
+    assert home == "at home"
+    assert higher.startswith("5 cm higher")
+    assert again.startswith("at home again")
+
+
+@pytest.mark.parametrize("options", [(), ("--low-bandwidth",)])
+def test_follow_csv(tmp_path: Path, options: tuple[str, ...]) -> None:
+    rows = ["time,q0,q1,q2,q3,q4,q5", "0,0,-1.57,1.57,-1.57,-1.57,0", "0.5,0,-1.57,1.57,-1.57,-1.57,0.2"]
+    file = tmp_path / "turn.csv"
+    file.write_text("\n".join(rows) + "\n")
+    followed, furthest = output("follow_csv.py", "--file", str(file), *options).splitlines()
+    assert followed == "followed 2 points in 0.5 s"
+    assert len(furthest.partition(":")[2].split()) == 6
+
+
+def test_follow_csv_of_a_file_that_is_none(tmp_path: Path) -> None:
+    done = run("follow_csv.py", "--file", str(tmp_path / "nothing.csv"))
+    assert done.returncode == 1
+    assert done.stderr.startswith("BadValue: ")
+
+
+def test_servo_loop() -> None:
+    first, second = output("servo_loop.py", "--duration", "0.5").splitlines()
+    assert re.fullmatch(r"\d+ set-points, every \d+\.\d{3} ms, \d+ late", first)
+    assert second.startswith("off by less than")
+
+
+def test_watch_and_recover() -> None:
+    lines = output("watch_and_recover.py", "--demonstrate", "--rounds", "1").splitlines()
+    assert lines == [
+        "not moving: the robot is stopped: protective stop",
+        "find out why, and lift the stop at the pendant",
+        "going on",
+        "done",
+    ]
+
+
+def test_run_script() -> None:
+    assert output("run_script.py").splitlines() == ["waves: 1", "waves: 2", "finished"]
+
+
+def test_run_script_shows_the_line_that_is_wrong(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.script"
+    file.write_text("a = 1\ntxtmsg(a)\n")
+    done = run("run_script.py", "--file", str(file))
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["line 2: txtmsg(a)", "compile_error_name_not_found:txtmsg:"]
 
 
 def test_rhd_spiral(tmp_path: Path) -> None:
