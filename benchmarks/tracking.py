@@ -31,7 +31,7 @@ COURSE = ((0.0, START[JOINT]), (1.0, 0.0), (4.0, 1.0), (8.0, 0.0))
 #: rad: the largest difference between two runs; the original's was 0.03.
 GOAL = 0.005
 #: Points a second in the file.
-DRAWN = 25
+DRAWN = 10
 
 FloatArray = NDArray[np.float64]
 
