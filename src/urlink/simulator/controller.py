@@ -58,7 +58,7 @@ class Counters:
         connections: accepted.
         sent: packets and packages handed to the network, once per connection.
         dropped: connections ended because the client did not read.
-        refused_bytes: input thrown away: text to read-only ports, lines too long.
+        refused_bytes: input thrown away: text to read-only ports, lines and programs too long, or too many that wait.
         late: cycles in which packets went out more than one cycle after they were due.
         skipped: cycles in which no packets went out because they were far too late.
         lost_messages: texts and popups of programs, beyond what one cycle sends.

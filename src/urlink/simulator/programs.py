@@ -51,8 +51,8 @@ class Programs:
         """A program that was sent runs, so that every cycle counts."""
         return bool(self._secondary or self._waiting) or (self.main is not None and self.main.is_program)
 
-    def take(self, text: str) -> None:
-        """A whole program, or a line, as a client has sent it."""
+    def take(self, text: str, compiled: Script | ScriptError | None = None) -> None:
+        """A whole program, or a line, as a client has sent it, and what came of compiling it where that is done."""
         controller = self._controller
         if not controller.is_up:
             self._refuse("down", text)
@@ -62,17 +62,19 @@ class Programs:
             return
         if obey(controller, text):
             return
-        try:
-            script = compile_script(text, controller.firmware)
-        except ScriptError as error:
-            controller.say(messages.runtime_exception(controller, error.line, error.column, error.text, False))
-            return
-        if script.kind == "sec":
-            self._await_turn(script, text)
+        if compiled is None:
+            try:
+                compiled = compile_script(text, controller.firmware)
+            except ScriptError as error:
+                compiled = error
+        if isinstance(compiled, ScriptError):
+            controller.say(messages.runtime_exception(controller, compiled.line, compiled.column, compiled.text, False))
+        elif compiled.kind == "sec":
+            self._await_turn(compiled, text)
         elif not controller.modes.may_move:
             self._refuse("the arm may not move", text)
         else:
-            self.run(script)
+            self.run(compiled)
 
     def run(self, script: Script) -> None:
         """Stop the running program and run this one."""

@@ -25,6 +25,7 @@ from linkcore.errors import BadAddress, LinkTimeout
 from ..ports import interface
 from .assembly import Assembler
 from .controller import STATE_RATE
+from .intake import Intake
 
 if TYPE_CHECKING:
     from .controller import Controller
@@ -127,6 +128,7 @@ class Server:
         self._controller = controller
         self._counters = controller.counters
         self._faults = controller.faults
+        self._intake = Intake(controller, self._wake)
         self._ports: list[_Port] = []
         self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
         self._is_closing = False
@@ -221,6 +223,7 @@ class Server:
             self._serve()
         finally:
             self._is_closing = True
+            self._intake.close()
             self._release()
             self._do_calls()
 
@@ -228,6 +231,7 @@ class Server:
         self._epoch = time.monotonic()
         while not self._is_closing:
             self._catch_up()
+            self._intake.advance()
             # What a call has changed shows in the very next cycle.
             wake = self._done + 1 if self._do_calls() else self._next(self._done)
             self._wait(self._epoch + wake / self._rate)
@@ -459,8 +463,8 @@ class Server:
         refused = client.assembler.refused
         program = client.assembler.feed(text)
         self._counters.refused_bytes += client.assembler.refused - refused
-        if program is not None:
-            controller.programs.take(program)
+        if program is not None and not self._intake.put(program):
+            self._counters.refused_bytes += len(program)
 
     def _extend(self, client: _Client, part: bytes) -> None:
         if client.is_too_long or len(client.line) + len(part) > LONGEST_LINE:
@@ -474,6 +478,8 @@ class Server:
 
     def _open_or_refuse(self) -> None:
         is_up = self._controller.is_up
+        if not is_up:
+            self._intake.clear()
         for port in self._ports:
             if port.is_listening != is_up:
                 if is_up:

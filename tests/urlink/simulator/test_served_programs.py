@@ -1,0 +1,329 @@
+"""Programs and the dashboard over real ports."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+import urlink
+from tests.waiting import until
+from urlink.schemas.enums import ProgramState, RobotMode
+from urlink.simulator import Controller
+from urlink.simulator.intake import LONG, MOST_WAITING, Intake
+from urlink.simulator.motion import Still
+
+Connect = Callable[[Controller, str], Any]
+
+TURN = "def turn():\n  movej([0.2, -1.57, 1.57, -1.57, -1.57, 0], a=4, v=2)\nend\n"
+WAIT = "def wait():\n  sleep(60)\nend\n"
+#: Long enough to be compiled beside the clock.
+PADDING = "".join(f"  x{n} = (1 + 2) * 3 - 4\n" for n in range(2000))
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11", motion=Still(), files={"turn.urp": TURN, "wait.urp": WAIT}) as controller:
+        yield controller
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(10)
+        yield listener
+
+
+def messages(link: Any, kind: type, count: int) -> list[Any]:
+    """The next so many messages of a kind on a primary interface."""
+    found: list[Any] = []
+    deadline = time.monotonic() + 10
+    while len(found) < count:
+        assert time.monotonic() < deadline, found
+        found += [m for m in urlink.decode(link.packet(), "primary", "5.11") if isinstance(m, kind)]
+    return found
+
+
+def keys(link: Any, count: int) -> list[str]:
+    return [
+        f"{message.title.rpartition('_')[2].lower()} {message.text}"
+        for message in messages(link, urlink.KeyMessage, count)
+    ]
+
+
+def reply(link: Any, line: str) -> str:
+    link.send(line.encode() + b"\n")
+    data = b""
+    while not data.endswith(b"\n"):
+        data += link.segment()
+    return data.decode().removesuffix("\n")
+
+
+# -- text ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("port", ["primary", "secondary", "realtime"])
+def test_a_program_comes_in_pieces_on_any_port(port: str, controller: Controller, connect: Connect) -> None:
+    primary = connect(controller, "primary")
+    link = connect(controller, port)
+    for part in ("de", "f turn():\r", "\n  movej([0.2, -1.57, 1.57,", " -1.57, -1.57, 0], a=4, v=2)\r\nen", "d\r\n"):
+        link.send(part.encode())
+    assert keys(primary, 2) == ["started turn", "stopped turn"]
+    assert controller.arm.setpoint.q[0] == pytest.approx(0.2, abs=1e-9)
+
+
+def test_two_programs_in_one_segment(controller: Controller, connect: Connect) -> None:
+    primary = connect(controller, "primary")
+    primary.send((WAIT + TURN + "sec s():\n  set_digital_out(2, True)\nend\n").encode())
+    assert keys(primary, 4) == ["started wait", "stopped wait", "started turn", "stopped turn"]
+    until(lambda: controller.signals.digital_outputs == 4)
+
+
+def test_a_client_that_leaves_in_the_middle_has_sent_nothing(controller: Controller, connect: Connect) -> None:
+    primary = connect(controller, "primary")
+    leaving = connect(controller, "secondary")
+    leaving.send(b"def half():\n  sleep(60)\n")
+    until(lambda: len(controller.received) == 2)
+    leaving.close()
+    primary.send(b"end\n" + TURN.encode())
+    # The `end` is a line by itself, and no program.
+    assert len(messages(primary, urlink.RuntimeExceptionMessage, 1)) == 1
+    assert keys(primary, 2) == ["started turn", "stopped turn"]
+
+
+def test_local_control_over_the_port(controller: Controller, connect: Connect) -> None:
+    controller.remote_control = False
+    primary = connect(controller, "primary")
+    primary.send(TURN.encode())
+    until(lambda: controller.programs.refused == 1)
+    controller.remote_control = True
+    primary.send(TURN.encode())
+    assert keys(primary, 2) == ["started turn", "stopped turn"]
+
+
+# -- long programs -------------------------------------------------------------------------------------
+
+
+def test_a_long_program_does_not_hold_up_the_clock(controller: Controller, connect: Connect) -> None:
+    assert len(PADDING) > LONG
+    realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
+    stamps: list[float] = []
+
+    def watch() -> None:
+        while not stamps or not program_ended.is_set():
+            stamps.append(urlink.decode(realtime.packet(), "realtime", "5.11")[0].time)
+
+    program_ended = threading.Event()
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        # What comes after it waits for it.
+        primary.send(f"def long():\n{PADDING}end\n{TURN}".encode())
+        assert keys(primary, 4) == ["started long", "stopped long", "started turn", "stopped turn"]
+    finally:
+        program_ended.set()
+        watcher.join(10)
+    # Packets may be late, but none is missing.
+    gaps = [after - before for before, after in itertools.pairwise(stamps)]
+    assert max(gaps) == pytest.approx(0.002, abs=1e-9)
+    assert controller.counters.skipped == 0
+
+
+def test_a_long_program_that_does_not_compile(controller: Controller, connect: Connect) -> None:
+    primary = connect(controller, "primary")
+    primary.send(f"def long():\n{PADDING}  nonsense()\nend\n".encode())
+    (error,) = messages(primary, urlink.RuntimeExceptionMessage, 1)
+    assert error.line == 2002
+    primary.send(b"def long():\n" + b"  # " + b"x" * 60_000 + b"\n" * 250_000 + b"end\n")
+    (error,) = messages(primary, urlink.RuntimeExceptionMessage, 1)
+    primary.send(TURN.encode())
+    assert keys(primary, 2) == ["started turn", "stopped turn"]
+
+
+def test_a_reboot_forgets_what_is_being_compiled(controller: Controller, connect: Connect) -> None:
+    primary = connect(controller, "primary")
+    primary.send(f"def long():\n{PADDING * 4}  sleep(60)\nend\n".encode())
+    until(lambda: any(thread.name == "urlink sim compiling" for thread in threading.enumerate()))
+    controller.faults.reboot(downtime=0.01)
+    until(lambda: controller.is_up)
+    until(lambda: not any(thread.name == "urlink sim compiling" for thread in threading.enumerate()))
+    primary = connect(controller, "primary")
+    primary.send(TURN.encode())
+    assert keys(primary, 2) == ["started turn", "stopped turn"]
+
+
+def test_closing_waits_for_what_is_being_compiled(connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        connect(controller, "primary").send(f"def long():\n{PADDING * 4}  sleep(60)\nend\n".encode())
+        until(lambda: any(thread.name == "urlink sim compiling" for thread in threading.enumerate()))
+    assert not any(thread.name.startswith("urlink sim") for thread in threading.enumerate())
+    assert not controller.programs.is_running
+
+
+def test_what_waits_is_bounded() -> None:
+    controller = Controller("UR5e", "5.11", motion=Still())
+    woken = threading.Event()
+    intake = Intake(controller, woken.set)
+    assert intake.put(f"def long():\n{PADDING}end\n")
+    assert intake.put("x" * (MOST_WAITING - 100))
+    assert not intake.put("y" * 101)
+    assert intake.put(TURN)
+    assert woken.wait(10)
+    intake.advance()
+    assert controller.program_name == "long"
+    intake.close()
+
+
+# -- sockets of programs -------------------------------------------------------------------------------
+
+
+def test_a_program_reads_integers_from_whoever_sent_it(
+    controller: Controller, connect: Connect, listener: socket.socket
+) -> None:
+    port = listener.getsockname()[1]
+    link = connect(controller, "secondary")
+    program = (
+        f'def f():\n  socket_open("127.0.0.1", {port}, "back")\n'
+        '  socket_send_line("ready", "back")\n'
+        '  got = socket_read_binary_integer(3, "back", 10)\n'
+        '  socket_send_int(got[0], "back")\n  socket_send_int(got[1] + got[3], "back")\n'
+        '  socket_send_int(get_list_length(got), "back")\nend\n'
+    )
+    link.send(program.encode())
+    peer, _ = listener.accept()
+    with peer:
+        peer.settimeout(10)
+        # Nobody watches the arm, and still every cycle of a program counts.
+        assert peer.recv(6) == b"ready\n"
+        for part in ((-70_000).to_bytes(4, "big", signed=True), b"\0\0", b"\0\1", (70_007).to_bytes(4, "big")):
+            peer.sendall(part)
+        answer = b""
+        while data := peer.recv(100):
+            answer += data
+    assert [int.from_bytes(answer[at : at + 4], "big", signed=True) for at in (0, 4, 8)] == [3, 7, 4]
+    # The program is over, and its socket closed with it.
+    until(lambda: controller.program_name is None)
+
+
+def test_questions_and_answers_cycle_by_cycle(
+    controller: Controller, connect: Connect, listener: socket.socket
+) -> None:
+    port = listener.getsockname()[1]
+    program = (
+        f'def f():\n  socket_open("127.0.0.1", {port})\n  n = 0\n  while n < 50:\n'
+        "    got = socket_read_binary_integer(1)\n    socket_send_int(got[1] + 1)\n    n = n + 1\n  end\nend\n"
+    )
+    connect(controller, "primary").send(program.encode())
+    peer, _ = listener.accept()
+    with peer:
+        peer.settimeout(10)
+        for number in range(50):
+            peer.sendall(number.to_bytes(4, "big"))
+            assert int.from_bytes(peer.recv(4), "big") == number + 1
+        assert peer.recv(4) == b""
+
+
+@pytest.mark.parametrize("end", ["stop", "reboot", "close", "new"])
+def test_the_end_of_a_program_closes_its_sockets(
+    end: str, controller: Controller, connect: Connect, listener: socket.socket
+) -> None:
+    port = listener.getsockname()[1]
+    primary = connect(controller, "primary")
+    primary.send(f'def f():\n  socket_open("127.0.0.1", {port})\n  sleep(60)\nend\n'.encode())
+    peer, _ = listener.accept()
+    with peer:
+        peer.settimeout(10)
+        if end == "stop":
+            controller.call(controller.stop_program)
+        elif end == "reboot":
+            controller.faults.reboot(downtime=0.1)
+        elif end == "close":
+            controller.close()
+        else:
+            primary.send(WAIT.encode())
+        assert peer.recv(1) == b""
+
+
+def test_heavy_programs_keep_nobody_from_closing_or_asking(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "primary")
+    # Nearly all that a cycle may cost, in every cycle.
+    loop = "    i = 0\n    while i < 4500:\n      i = i + 1\n    end\n    sync()\n"
+    link.send(f"def heavy():\n  while True:\n{loop}  end\nend\n".encode())
+    until(lambda: controller.program_name == "heavy")
+    for _ in range(20):
+        controller.call(lambda: None)
+    asking = connect(controller, "dashboard")
+    assert asking.segment().startswith(b"Connected")
+    assert reply(asking, "running") == "Program running: true"
+    assert reply(asking, "stop") == "Stopped"
+
+
+# -- dashboard -----------------------------------------------------------------------------------------
+
+
+def test_the_dashboard_from_power_off_to_a_program() -> None:
+    with urlink.connect("sim://ur5e") as robot:
+        controller, dashboard = robot.controller, robot.dashboard
+        assert controller is not None
+        controller.files.update({"turn.urp": TURN, "wait.urp": WAIT})
+        dashboard.stop()
+        dashboard.power_off()
+        until(lambda: dashboard.robot_mode() is RobotMode.POWER_OFF)
+        with pytest.raises(urlink.DashboardRefused):
+            dashboard.play()
+        dashboard.power_on()
+        until(lambda: dashboard.robot_mode() is RobotMode.IDLE)
+        dashboard.brake_release()
+        until(lambda: dashboard.robot_mode() is RobotMode.RUNNING)
+        dashboard.load("wait.urp")
+        dashboard.play()
+        assert dashboard.program_state().state is ProgramState.PLAYING
+        dashboard.pause()
+        assert dashboard.program_state().state is ProgramState.PAUSED
+        dashboard.play()
+        assert dashboard.program_state().state is ProgramState.PLAYING
+        dashboard.stop()
+        assert dashboard.program_state().state is ProgramState.STOPPED
+        controller.faults.protective_stop()
+        with pytest.raises(urlink.DashboardRefused, match="5s"):
+            dashboard.unlock_protective_stop()
+        controller.remote_control = False
+        with pytest.raises(urlink.DashboardRefused, match="Remote Control"):
+            dashboard.play()
+        dashboard.quit()
+        assert not dashboard.is_in_remote_control()
+
+
+def test_the_dashboard_says_goodbye(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "dashboard")
+    assert link.segment() == b"Connected: Universal Robots Dashboard Server\n"
+    link.send(b"robotmode\nquit\nrobotmode\n")
+    data = b""
+    while data.count(b"\n") < 2:
+        data += link.segment()
+    assert data == b"Robotmode: RUNNING\nDisconnected\n"
+    assert link.is_ended()
+
+
+def test_play_and_pause_in_one_segment(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "dashboard")
+    assert link.segment().startswith(b"Connected")
+    link.send(b"load wait.urp\r\nplay\r\nprogramState\r\npause\r\nprogramState\r\nplay\r\nstop\r\nprogramState\r\n")
+    data = b""
+    while data.count(b"\n") < 8:
+        data += link.segment()
+    assert data.decode().splitlines() == [
+        "Loading program: wait.urp",
+        "Starting program",
+        "PLAYING wait.urp",
+        "Pausing program",
+        "PAUSED wait.urp",
+        "Starting program",
+        "Stopped",
+        "STOPPED wait.urp",
+    ]
