@@ -44,8 +44,8 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 #: States a second on the primary and secondary interface.
 STATE_RATE = 10
-#: Bytes of messages in one cycle beyond which texts and popups are lost; a program could make thousands of them.
-MOST_MESSAGES = 1 << 16
+#: Bytes of messages in one cycle after which texts and popups are lost; a program could make thousands of them.
+MOST_MESSAGES = 1 << 14
 #: Lines from clients that are kept.
 RECEIVED = 1000
 
@@ -302,16 +302,17 @@ class Controller:
 
         self.call(take)
 
-    def say(self, message: bytes, can_be_lost: bool = False) -> None:
-        """Send a robot message to the clients of the primary interface, in this cycle.
-
-        Only for the thread that owns the controller. `can_be_lost`: where this cycle has too many of them.
-        """
-        if can_be_lost and self._outbox_size + len(message) > MOST_MESSAGES:
-            self.counters.lost_messages += 1
-            return
+    def say(self, message: bytes) -> None:
+        """Send a robot message to the clients of the primary interface, in this cycle."""
         self._outbox.append(message)
         self._outbox_size += len(message)
+
+    def mention(self, make: Callable[[], bytes]) -> None:
+        """Say something that is lost where this cycle has too much of it, before it is made."""
+        if self._outbox_size > MOST_MESSAGES:
+            self.counters.lost_messages += 1
+        else:
+            self.say(make())
 
     def stop_for(self, reason: str) -> None:
         """A protective stop, and why. Only for the thread that owns the controller."""

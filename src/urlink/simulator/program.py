@@ -130,12 +130,12 @@ class ProgramWorld:
         """Without effect: the simulated arm stands upright."""
 
     def text_message(self, text: str) -> None:
-        self._controller.say(text_message(self._controller, text), can_be_lost=True)
+        self._controller.mention(lambda: text_message(self._controller, text))
 
     def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
-        self._controller.popup = text
-        message = popup_message(self._controller, text, title, is_warning, is_error, is_blocking)
-        self._controller.say(message, can_be_lost=True)
+        controller = self._controller
+        controller.popup = text
+        controller.mention(lambda: popup_message(controller, text, title, is_warning, is_error, is_blocking))
 
     @property
     def has_popup(self) -> bool:

@@ -434,25 +434,23 @@ class Server:
             # Text to a read-only port has no effect.
             self._counters.refused_bytes += len(data)
         else:
+            # What a line does begins in the next cycle, not in one after that at which the clock was looked at last.
+            self._catch_up()
             *lines, rest = data.split(b"\n")
             for line in lines:
+                if not client.is_open:
+                    return
                 self._extend(client, line)
                 text = None if client.is_too_long else client.line.decode("utf-8", "backslashreplace")
                 client.line.clear()
                 client.is_too_long = False
                 if text is not None:
                     self._take(client, text.removesuffix("\r"))
-                if not client.is_open:
-                    return
             self._extend(client, rest)
 
     def _take(self, client: _Client, text: str) -> None:
         """A line that a client has sent."""
         controller = self._controller
-        # What it does begins in the next cycle, and not in one after that at which the clock was looked at last.
-        self._catch_up()
-        if not client.is_open:
-            return
         if client.port.kind == "dashboard":
             reply = controller.dashboard.reply(text)
             self._send(client, b"Disconnected\n" if reply is None else f"{reply}\n".encode())

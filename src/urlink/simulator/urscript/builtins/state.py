@@ -17,6 +17,9 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
+# What it costs to look at the arm anew, as with another tool, in elements of a list.
+_LOOK = 400
+
 _List = tuple[float, ...]
 
 
@@ -96,6 +99,7 @@ def get_tcp_offset(thread: ScriptThread) -> Pose:
 
 @FAMILY.declare()
 def set_tcp(thread: ScriptThread, pose: Any) -> None:
+    thread.machine.spend(_LOOK)
     thread.world.set_tcp(_pose(pose, "set_tcp: pose"))
 
 
