@@ -153,6 +153,12 @@ class Gate:
         return None if heard is None else heard.status
 
     @property
+    def statuses(self) -> list[Status]:
+        """What each source said last on its present connection, the newest first."""
+        heard = sorted(self._sources.values(), key=lambda each: each.heard, reverse=True)
+        return [each.status for each in heard if each.status is not None]
+
+    @property
     def cause(self) -> str | None:
         """The stop that holds, in words, or None."""
         return next((cause for heard in self._sources.values() if heard.status and (cause := heard.status.cause)), None)

@@ -66,14 +66,12 @@ class Safety:
     @property
     def mode(self) -> SafetyMode | None:
         """The safety mode as heard last; None if it is not known, and on CB2, which does not say it."""
-        status = self._status()
-        return None if status is None else status.safety_mode
+        return next((each.safety_mode for each in self._statuses() if each.safety_mode is not None), None)
 
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2 | None:
         """The robot mode as heard last, in the numbers of the generation; None if it is not known."""
-        status = self._status()
-        return None if status is None else status.robot_mode
+        return next((each.robot_mode for each in self._statuses() if each.robot_mode is not None), None)
 
     @property
     def cause(self) -> str | None:
@@ -301,10 +299,10 @@ class Safety:
             except Exception:
                 _log.exception("a callback of on_stop raised; the others are called all the same")
 
-    def _status(self) -> Status | None:
+    def _statuses(self) -> list[Status]:
         self.attend()
         with self.lock:
-            return self._gate.status("primary")
+            return self._gate.statuses
 
     def _wait(self, hindrance: Callable[[float], SafetyStop | LinkError | None], timeout: float) -> None:
         self.attend()

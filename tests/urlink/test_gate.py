@@ -261,3 +261,14 @@ def test_policies_can_change() -> None:
     assert gate.refusal(1.0) is None
     with pytest.raises(BadValue, match="sometimes"):
         gate.policy = "sometimes"  # type: ignore[assignment]
+
+
+def test_the_newest_word_comes_first() -> None:
+    gate = Gate()
+    slow, fast = Status(RobotMode.RUNNING, SafetyMode.NORMAL), Status(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
+    gate.hear("primary", slow, 100.0)
+    gate.hear("realtime", fast, 100.05)
+    assert gate.statuses == [fast, slow]
+    gate.hear("primary", fast, 100.1)
+    gate.lose("realtime", "pulled", 100.2)
+    assert gate.statuses == [fast]
