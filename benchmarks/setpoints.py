@@ -6,6 +6,9 @@ that state's time on the controller's clock, plus the median of the differences 
 sender, or the machine, was late with counts against the cycle too; a line of its own says how many were not. A cycle
 without a set-point is not met.
 
+What the machine can do at all is measured before and after that, for half of the time each: a process that sends as
+many bytes as often, by the clock, and a loop around `recv`.
+
     python benchmarks/setpoints.py                     # 60 s
     python benchmarks/setpoints.py --output FILE       # writes the figures
 """
@@ -15,6 +18,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
+import socket
 import time
 from pathlib import Path
 
@@ -24,11 +29,42 @@ from _simulated import simulated
 import urlink
 
 RATE = 500
+#: Bytes in a real-time packet.
+SIZE = 1220
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
 #: of the cycles, to be met within half a cycle.
 GOAL = 0.999
 #: Cycles before the stream calls the loop without a detour; they are sent, but not measured.
 WARMING = 250
+
+
+def send_by_the_clock(port: int, count: int) -> None:
+    with socket.create_connection(("127.0.0.1", port)) as link:
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        begin = time.monotonic()
+        for number in range(count):
+            wait = begin + number / RATE - time.monotonic()
+            if wait > 0:
+                time.sleep(wait)
+            link.sendall(bytes(SIZE))
+
+
+def bare(seconds: float) -> float:
+    """Share of the cycles that a loop around `recv` meets."""
+    count = round(seconds * RATE)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        sender = multiprocessing.get_context("spawn").Process(target=send_by_the_clock, args=(port, count))
+        sender.start()
+        link, _ = listener.accept()
+    met = []
+    with link:
+        for _ in range(count):
+            link.recv(SIZE, socket.MSG_WAITALL)
+            met.append(time.monotonic())
+    sender.join(10)
+    off = np.array(met) - np.arange(count) / RATE
+    return float(np.mean(np.abs(off - np.median(off)) <= 0.5 / RATE))
 
 
 def measure(seconds: float) -> dict[str, float]:
@@ -42,7 +78,8 @@ def measure(seconds: float) -> dict[str, float]:
 
     with simulated("UR5e", "5.11") as address, urlink.connect(address) as robot:
         robot.motion.move_joints(READY).wait()
-        with robot.motion.servo() as servo, robot.realtime.subscribe(note):
+        # A hold-up is to be counted rather than to end the run.
+        with robot.motion.servo(watchdog=1.0) as servo, robot.realtime.subscribe(note):
             begin = robot.realtime.wait(5).time
             for state in robot.realtime:
                 t = state.time - begin
@@ -79,11 +116,15 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="5 s instead of 60 s")
     parser.add_argument("--output", type=Path, help="write the figures as JSON")
     options = parser.parse_args()
-    figures = measure(5.0 if options.quick else 60.0)
+    seconds = 5.0 if options.quick else 60.0
+    before = bare(seconds / 2)
+    figures = measure(seconds)
+    figures["share_bare"] = (before + bare(seconds / 2)) / 2
     print(f"{figures['cycles']} cycles at {RATE} Hz, {figures['skipped']} of them skipped")
     print(f"  sent within half a cycle of when due      {figures['share_met']:8.3%}   (goal: {GOAL:.1%})")
     print(f"  ... of the arrival of the state           {figures['share_answered']:8.3%}")
     print(f"  states that arrived within half a cycle   {figures['share_arrived']:8.3%}")
+    print(f"  a bare loop around recv                   {figures['share_bare']:8.3%}")
     for name, what in (("send", "send()"), ("answer", "arrival of a state to sent"), ("due", "due to sent")):
         p50, p99 = (figures[f"{name}_{p}"] * 1e6 for p in (50, 99))
         print(f"  {what:30} p50 {p50:7.0f} us   p99 {p99:7.0f} us")
