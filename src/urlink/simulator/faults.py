@@ -29,7 +29,7 @@ class Faults:
     """The faults of one controller.
 
     Wherever a method takes `port`, that is the name of the one port it is for (`"realtime"`,
-    `"primary_readonly"`, ...), or None for all six.
+    `"primary_readonly"`, ...), or None for all of them.
     """
 
     def __init__(self, controller: Controller, seed: int) -> None:
@@ -179,7 +179,7 @@ class Faults:
         """Send a package of this type once, on the primary and secondary ports.
 
         Raises:
-            BadValue: the type is not 0 to 255, or the port is a real-time one.
+            BadValue: the type is not 0 to 255, or the port is neither.
         """
         made = package(_byte(kind), payload)
         names = _package_ports(port)
@@ -194,7 +194,7 @@ class Faults:
         """Let robot states end in a sub-package of this type, until `heal`.
 
         Raises:
-            BadValue: the type is not 0 to 255, or the port is a real-time one.
+            BadValue: the type is not 0 to 255, or the port is neither.
         """
         added, names = (_byte(kind), payload), _package_ports(port)
         self._do(lambda: self._sub_packages.update(dict.fromkeys(names, added)))
@@ -244,7 +244,7 @@ class Faults:
         tail = self._tails.get(port)
         if interface(port) == "realtime":
             return packet if tail is None else tampering.with_tail(packet, tail)
-        if packet[4] != 16:
+        if interface(port) == "dashboard" or packet[4] != 16:
             return packet
         if tail is not None:
             packet = tampering.with_tails(packet, tail)
@@ -273,7 +273,7 @@ def _names(port: str | None) -> tuple[str, ...]:
 
 
 def _package_ports(port: str | None) -> tuple[str, ...]:
-    names = tuple(name for name in _names(port) if interface(name) != "realtime")
+    names = tuple(name for name in _names(port) if interface(name) in ("primary", "secondary"))
     if not names:
         raise BadValue(f"{port} has no packages with types")
     return names

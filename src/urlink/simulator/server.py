@@ -308,12 +308,12 @@ class Server:
             if port.clients and not self._faults.is_stalled(port.name):
                 data = self._faults.on_the_wire(port.name, packet)
                 for client in list(port.clients):
-                    self._counters.sent += 1
-                    if client.segmenter is None:
-                        self._send(client, data)
-                    else:
-                        for segment in client.segmenter.put(data):
-                            self._send(client, segment)
+                    self._put(client, data)
+
+    def _put(self, client: _Client, data: bytes) -> None:
+        self._counters.sent += 1
+        for segment in [data] if client.segmenter is None else client.segmenter.put(data):
+            self._send(client, segment)
 
     def _send(self, client: _Client, data: bytes) -> None:
         if not client.is_open:
@@ -404,10 +404,7 @@ class Server:
         self._counters.connections += 1
         self._selector.register(link, selectors.EVENT_READ, client)
         for package in self._controller.greeting(port.name):
-            self._counters.sent += 1
-            data = self._faults.lasting(port.name, package)
-            for segment in [data] if client.segmenter is None else client.segmenter.put(data):
-                self._send(client, segment)
+            self._put(client, self._faults.lasting(port.name, package))
 
     def _flush(self, client: _Client) -> None:
         try:
@@ -453,7 +450,9 @@ class Server:
         controller = self._controller
         if client.port.kind == "dashboard":
             reply = controller.dashboard.reply(text)
-            self._send(client, b"Disconnected\n" if reply is None else f"{reply}\n".encode())
+            if not self._faults.is_stalled(client.port.name):
+                data = b"Disconnected\n" if reply is None else f"{reply}\n".encode()
+                self._put(client, self._faults.on_the_wire(client.port.name, data))
             if reply is None and client.is_open:
                 self._drop(client)
             return

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import urlink
+from linkcore.errors import BadValue
 from tests.waiting import until
 from urlink.schemas.enums import ProgramState, RobotMode
 from urlink.simulator import Controller
@@ -326,3 +327,20 @@ def test_play_and_pause_in_one_segment(controller: Controller, connect: Connect)
         "Stopped",
         "STOPPED wait.urp",
     ]
+
+
+def test_a_dashboard_can_be_disturbed(controller: Controller, connect: Connect) -> None:
+    link = connect(controller, "dashboard")
+    assert link.segment().startswith(b"Connected")
+    controller.faults.garbage(b"???", "dashboard")
+    assert reply(link, "running") == "???Program running: false"
+    controller.faults.stall(60.0, "dashboard")
+    link.send(b"load wait.urp\nplay\n")
+    # What it says is lost, what it does is not.
+    until(lambda: controller.program_name == "wait")
+    controller.faults.heal()
+    assert reply(link, "running") == "Program running: true"
+    controller.faults.cut("dashboard")
+    assert link.is_ended()
+    with pytest.raises(BadValue, match="packages"):
+        controller.faults.unknown_package(port="dashboard")
