@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -38,6 +39,8 @@ __all__ = ["Dashboard", "DashboardRefused"]
 
 #: Seconds between two looks at the robot mode while it starts.
 _POLL = 0.2
+#: Seconds within which an arm that was told to switch off no longer runs.
+_OFF_WITHIN = 5.0
 
 # The beginning of the reply after which a controller wants to be connected to anew.
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
@@ -97,6 +100,7 @@ class Dashboard:
         self._lock = threading.Lock()
         self._protocol: DashboardProtocol | None = None
         self._is_closed = False
+        self._switched_off = -math.inf
 
     # -- power ---------------------------------------------------------------------------------------
 
@@ -118,8 +122,11 @@ class Dashboard:
         next_step = {RobotMode.POWER_OFF: "power on", RobotMode.IDLE: "brake release"}
         while True:
             mode = self.robot_mode()
-            if mode == RobotMode.RUNNING:
+            # An arm that was told to switch off runs on while it comes to rest.
+            if mode == RobotMode.RUNNING and time.monotonic() - self._switched_off > _OFF_WITHIN:
                 return
+            if mode != RobotMode.RUNNING:
+                self._switched_off = -math.inf
             left = until - time.monotonic()
             if left <= 0:
                 raise LinkTimeout(
@@ -137,8 +144,9 @@ class Dashboard:
         self._do("power on")
 
     def power_off(self) -> None:
-        """Switch the arm off."""
+        """Begin to switch the arm off; it comes to rest first."""
         self._do("power off")
+        self._switched_off = time.monotonic()
 
     def brake_release(self) -> None:
         """Begin to release the brakes. **The arm may move.** Powers it on first if it is off."""

@@ -30,11 +30,13 @@ class Outlet:
         self._stream = stream
         self._safety = safety
 
-    def motion(self, text: str) -> None:
+    def motion(self, text: str, *, brakes: bool = False) -> None:
         """Send URScript that may move the arm.
 
         Args:
             text: whole lines; the last newline may be left out.
+            brakes: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
+                program that went on while it could not be heard, and can then be stopped.
 
         Raises:
             SafetyStop: a stop holds; NotEnabled if only `safety.enable()` is missing.
@@ -44,7 +46,7 @@ class Outlet:
         self._safety.attend(closely=True)
         self._safety.reconsider(moves=True)
         with self._safety.lock:
-            self._safety.admit()
+            self._safety.admit(brakes)
             self._send(text)
 
     def command(self, text: str) -> None:
@@ -60,15 +62,16 @@ class Outlet:
             self._safety.admit_command()
             self._send(text)
 
-    def setpoint(self, send: Callable[[], object]) -> None:
-        """Let `send` send something that moves the arm over another connection; it has to be quick.
+    def setpoint(self, send: Callable[[], object], *, brakes: bool = False) -> None:
+        """Let `send` send something that moves the arm, or that `brakes` it, over another connection; it has to be
+        quick.
 
         Raises:
             SafetyStop, NotRunning: as `motion`; `send` was not called.
             Exception: whatever `send` raises.
         """
         with self._safety.lock:
-            self._safety.admit()
+            self._safety.admit(brakes)
             send()
 
     def _send(self, text: str) -> None:

@@ -9,6 +9,8 @@ from collections.abc import Callable
 
 from linkcore.errors import LinkError, LinkTimeout
 
+from .script.text import checked
+
 __all__ = ["Program", "ProgramPhase"]
 
 _log = logging.getLogger(__name__)
@@ -73,10 +75,11 @@ class Program:
         """Wait until it is done.
 
         Raises:
+            BadValue: `timeout` is no number of seconds.
             LinkTimeout: it was not within `timeout` seconds; it goes on.
             LinkError: `error`, if it did not come to its own end.
         """
-        if not self._over.wait(timeout):
+        if not self._over.wait(checked(timeout, "timeout", 0.0)):
             raise LinkTimeout(f"program {self.name} is {self._phase.value}, not over within {timeout:g} s")
         if self._error is not None:
             raise self._error

@@ -157,15 +157,19 @@ class Safety:
 
     # -- what the outlet asks ------------------------------------------------------------------------
 
-    def admit(self) -> None:
+    def admit(self, brakes: bool = False) -> None:
         """The gate itself; asked with `lock` held.
+
+        Args:
+            brakes: what is to be sent can only bring the arm to rest, so nobody has to enable it.
 
         Raises:
             SafetyStop: a stop holds; NotEnabled if only `enable()` is missing.
             NotRunning: the robot does not run, or nothing is known of it.
         """
         with self.lock:
-            refusal = self._gate.refusal(time.monotonic())
+            now = time.monotonic()
+            refusal = self._gate.hindrance(now) if brakes else self._gate.refusal(now)
             if refusal is not None:
                 raise refusal
 
@@ -304,10 +308,15 @@ class Safety:
         with self.lock:
             return self._gate.statuses
 
+    @property
+    def _is_connected(self) -> bool:
+        """What is listened to is connected; the gate hears of a loss a moment later than others may."""
+        return all(self._streams[name]().connection is ConnectionState.CONNECTED for name in list(self._subscriptions))
+
     def _wait(self, hindrance: Callable[[float], SafetyStop | LinkError | None], timeout: float) -> None:
         self.attend()
         with self._changed:
-            if not self._changed.wait_for(lambda: hindrance(time.monotonic()) is None, timeout):
+            if not self._changed.wait_for(lambda: self._is_connected and hindrance(time.monotonic()) is None, timeout):
                 raise LinkTimeout(f"not within {timeout:g} s: {hindrance(time.monotonic())}")
 
     def __repr__(self) -> str:

@@ -119,7 +119,12 @@ class Scripts:
         return self._send(sources.wrap(source, token), on_text, wait)
 
     def start(
-        self, body: Sequence[str], *, prefix: str = "urlink", on_text: Callable[[str], object] | None = None
+        self,
+        body: Sequence[str],
+        *,
+        prefix: str = "urlink",
+        on_text: Callable[[str], object] | None = None,
+        brakes: bool = False,
     ) -> Program:
         """Send a program of the library's own; it stops the one that runs.
 
@@ -127,13 +132,14 @@ class Scripts:
             body: its lines, without the ``def`` around them.
             prefix: what its name begins with.
             on_text: called with each line of `textmsg` while it runs, from the thread that reads.
+            brakes: it can only bring the arm to rest; see `Outlet.motion`.
 
         Raises:
             SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
             RemoteError: it could not be sent.
         """
         name = f"{prefix}_{self._token}_{next(self._numbers)}"
-        return self._send(sources.program(name, body), on_text, False)
+        return self._send(sources.program(name, body), on_text, False, brakes)
 
     def send_line(self, line: str) -> None:
         """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not told.
@@ -161,7 +167,9 @@ class Scripts:
 
     # -- sending -----------------------------------------------------------------------------------
 
-    def _send(self, wrapped: Wrapped, on_text: Callable[[str], object] | None, wait: bool | float) -> Program:
+    def _send(
+        self, wrapped: Wrapped, on_text: Callable[[str], object] | None, wait: bool | float, brakes: bool = False
+    ) -> Program:
         if not isinstance(wait, bool) and not wait > 0:
             raise BadValue(f"wait is {wait!r}; expected True, False or a positive number of seconds")
         self._listen()
@@ -172,7 +180,7 @@ class Scripts:
                 run.sent = time.monotonic()
                 self._runs.append(run)
             try:
-                self._outlet.motion(wrapped.text)
+                self._outlet.motion(wrapped.text, brakes=brakes)
             except BaseException:
                 with self._lock:
                     self._runs.remove(run)
@@ -192,7 +200,7 @@ class Scripts:
         # A new program stops the one that runs. Where a stop holds, the arm stands already and the gate refuses.
         name = f"urlink_stop_{self._token}_{next(self._numbers)}"
         with contextlib.suppress(SafetyStop):
-            self._outlet.motion(f"def {name}():\n  stopj(2.0)\nend")
+            self._outlet.motion(f"def {name}():\n  stopj(2.0)\nend", brakes=True)
 
     # -- what the controller says --------------------------------------------------------------------
 

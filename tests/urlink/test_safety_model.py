@@ -208,6 +208,17 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
         self.try_motion(expected=self.is_open)
 
     @rule()
+    def brake(self) -> None:
+        """What can only bring the arm to rest needs nobody to enable it; a stop refuses it all the same."""
+        try:
+            self.outlet.motion("stopj(2.0)", brakes=True)
+        except (SafetyStop, NotRunning):
+            assert self.hindrance is not None
+        else:
+            assert self.hindrance is None
+            assert self.lines["primary"].sent.pop() == "stopj(2.0)\n"
+
+    @rule()
     def setpoint(self) -> None:
         sent: list[int] = []
         try:

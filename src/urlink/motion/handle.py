@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from linkcore.errors import LinkError, LinkTimeout, LocalError
 
 from ..errors import MotionCancelled
+from ..script.text import checked
 from .equipment import Equipment
 
 if TYPE_CHECKING:
@@ -89,13 +90,14 @@ class Motion:
         """Wait until it is over.
 
         Raises:
+            BadValue: `timeout` is no number of seconds.
             LinkTimeout: it was not within `timeout` seconds; it goes on.
             MotionCancelled: it was cancelled, or superseded by another.
             SafetyStop, NotRunning: a stop ended it, or the robot stopped running.
             ConnectFailed, ConnectionLost, ProgramStopped, ScriptError, ToleranceExceeded: what else ended it.
         """
         try:
-            error = self._future.exception(max(timeout, 0.0))
+            error = self._future.exception(checked(timeout, "timeout", 0.0))
         except (FutureTimeout, TimeoutError):
             raise LinkTimeout(f"{self.name} is not over within {timeout:g} s; it goes on") from None
         if error is not None:

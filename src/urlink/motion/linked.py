@@ -174,7 +174,7 @@ class LinkedMotion(Motion):
     def _brake(self) -> None:
         link, program = self._link, self._program
         if link is not None and link.is_up and self._farewell():
-            self._equipment.outlet.setpoint(lambda: link.send(self._farewell()))
+            self._equipment.outlet.setpoint(lambda: link.send(self._farewell()), brakes=True)
         elif program is not None:
             program.stop()
 

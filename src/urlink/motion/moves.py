@@ -150,10 +150,11 @@ class Motions:
     def stop(self, acceleration: float = 2.0) -> Motion:
         """Brake all joints with so many rad/s². Done when the arm stands.
 
-        An ordinary stop by the controller's program, no substitute for the emergency stop.
+        An ordinary stop by the controller's program, no substitute for the emergency stop. It is sent whether or not
+        `safety.enable()` was called; where a stop holds it is refused, and the arm stands.
         """
         body = programs.stop(_acceleration(acceleration))
-        return self._begin(UploadedMotion("stop", self._equipment, body))
+        return self._begin(UploadedMotion("stop", self._equipment, body, brakes=True))
 
     # -- programs that talk back -------------------------------------------------------------------------
 

@@ -26,16 +26,26 @@ class UploadedMotion(Motion):
     Args:
         body: its lines.
         gauge: measures its progress; None for one that cannot be measured.
+        brakes: it can only bring the arm to rest.
     """
 
-    def __init__(self, name: str, equipment: Equipment, body: Sequence[str], gauge: Gauge | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        equipment: Equipment,
+        body: Sequence[str],
+        gauge: Gauge | None = None,
+        *,
+        brakes: bool = False,
+    ) -> None:
         super().__init__(name, equipment)
         self._body = body
         self._gauge = gauge
+        self._brakes = brakes
         self._program: Program | None = None
 
     def _begin(self) -> None:
-        self._program = self._equipment.scripts.start(self._body)
+        self._program = self._equipment.scripts.start(self._body, brakes=self._brakes)
         self._program.add_done_callback(self._ended)
 
     def _ended(self, program: Program) -> None:

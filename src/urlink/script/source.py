@@ -27,6 +27,8 @@ _INDENT = "  "
 # A string, a comment, or a word that opens or ends a block.
 _TOKEN = re.compile(r"\"[^\"]*\"|#.*|\b(?:def|sec|thread|while|if|for|end)\b")
 _HEAD = re.compile(r"\s*(def|sec)\s+([A-Za-z_][A-Za-z0-9_]*)\s*\(\s*([^)]*)\)\s*:")
+# A statement that wants more, and would take the marker that follows for it.
+_UNFINISHED = re.compile(r"(?:[-+*/%=<>,(\[]|\b(?:and|or|not|xor))$")
 _NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
 
 
@@ -111,8 +113,8 @@ def wrap(source: str, token: str) -> Wrapped:
         token: makes the name unique.
 
     Raises:
-        BadValue: nothing to run, a block without its `end` or an `end` without its block, a program that wants
-            arguments, or a `sec` that is not alone.
+        BadValue: nothing to run, a block without its `end` or an `end` without its block, a last statement that is
+            not whole, a program that wants arguments, or a `sec` that is not alone.
     """
     lines = _read(source)
     items = _items(lines)
@@ -189,9 +191,12 @@ def _items(lines: list[str]) -> list[_Item]:
     """The statements and functions at the top."""
     items: list[_Item] = []
     opened: list[tuple[str, int]] = []
+    end = (0, "")
     for number, line in enumerate(lines):
         words = [token for token in _tokens(line, number) if token]
         code = _TOKEN.sub(lambda found: "" if found[0].startswith("#") else found[0], line).strip()
+        if code:
+            end = (number, code)
         if not opened and code:
             first = re.match(r"\w+", code)
             items.append(_Item(first[0] if first else code[0], number, number))
@@ -207,6 +212,8 @@ def _items(lines: list[str]) -> list[_Item]:
     if opened:
         word, number = opened[-1]
         raise BadValue(f"line {number + 1} of the program: `{word}` has no `end`")
+    if _UNFINISHED.search(end[1]):
+        raise BadValue(f"line {end[0] + 1} of the program: it ends in the middle of a statement, {end[1]!r}")
     return items
 
 

@@ -10,7 +10,7 @@ import pytest
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal, turned
 from tests.waiting import until
-from urlink.errors import MotionCancelled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.errors import MotionCancelled, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.motion import Motion, MotionPhase
 from urlink.schemas.enums import RobotMode, SafetyMode
 
@@ -77,6 +77,20 @@ def test_nothing_is_sent_while_a_stop_holds(
     assert robot.motion.current is None
 
 
+def test_an_arm_that_nobody_enabled_can_be_stopped(robot: Rehearsal) -> None:
+    """It may be moving: by a program that went on while the robot could not be heard."""
+    running = robot.motion.move_joints([0] * 6)
+    robot.begin()
+    robot.safety.policy = "always"
+    with pytest.raises(NotEnabled):
+        robot.motion.move_joints([1] * 6)
+    before = len(robot.sent)
+    running.cancel()
+    assert "stopj(2.0)" in robot.sent[before]
+    robot.motion.stop()
+    assert "stopj(2.0)" in robot.sent[before + 1]
+
+
 def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: Rehearsal) -> None:
     robot.state(RobotMode.IDLE)
     until(lambda: not robot.safety.is_enabled)
@@ -127,6 +141,12 @@ def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
     assert motion.progress == pytest.approx(0.75)
     with pytest.raises(LinkTimeout, match=r"move_joints is not over within 0\.01 s"):
         motion.wait(0.01)
+
+
+@pytest.mark.parametrize("timeout", [None, -1, "soon", float("nan")])
+def test_waiting_for_no_number_of_seconds(robot: Rehearsal, timeout: object) -> None:
+    with pytest.raises(BadValue, match="timeout"):
+        robot.motion.stop().wait(timeout)  # type: ignore[arg-type]
 
 
 def test_superseded(robot: Rehearsal) -> None:

@@ -142,3 +142,9 @@ def test_whatever_is_sent_is_one_program(lines: list[str]) -> None:
         depth += word.startswith(("def", "thread", "if")) - (word == "end")
         assert depth > 0 or number == len(sent)
     assert depth == 0
+
+
+@pytest.mark.parametrize("end", ["b = a +", "f(1,", "x = [1, ", "y = not", "z = a and  # more?"])
+def test_the_last_statement_is_whole(end: str) -> None:
+    with pytest.raises(BadValue, match=r"line 2 .* in the middle of a statement"):
+        wrap(f"a = 1\n{end}\n\n", "t")
