@@ -6,12 +6,15 @@ import ast
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pytest
+
 SRC = Path(__file__).resolve().parents[1] / "src"
 
 #: The only modules that may import `socket`.
 SOCKETS = {
     "linkcore.transport",
     "linkcore.listener",
+    "urlink.simulator.connections",
     "urlink.simulator.server",
     "urlink.simulator.sockets",
     "rhdlink.server",
@@ -26,6 +29,7 @@ THREADS = {
     "linkcore.shortcut",  # who takes over the reading from a callback that keeps the reader
     "linkcore.subscription",  # one for each callback
     "urlink.simulator.server",  # one for each simulated controller
+    "urlink.simulator.intake",  # one at a time, for a long program
     "rhdlink.background",  # keeps a robot in sync
     "rhdlink.host",  # one for each host that does not run in its caller's
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
@@ -124,19 +128,48 @@ def test_asyncio_is_where_something_can_be_awaited() -> None:
     assert {module for module in MODULES if "asyncio" in imports(module)} == AWAITED
 
 
-def starts_threads(module: str) -> bool:
+def starts_threads(source: str) -> bool:
+    """It calls what makes a thread, or derives a class from it, under whichever name it was imported."""
+    tree = ast.parse(source)
     names = {"Thread", "Timer", "ThreadPoolExecutor", "start_new_thread"}
-    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
-        called = node.func if isinstance(node, ast.Call) else None
-        if (isinstance(called, ast.Attribute) and called.attr in names) or (
-            isinstance(called, ast.Name) and called.id in names
-        ):
-            return True
+    names |= {
+        alias.asname
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.name in names and alias.asname
+    }
+    for node in ast.walk(tree):
+        used = [node.func] if isinstance(node, ast.Call) else node.bases if isinstance(node, ast.ClassDef) else []
+        for each in used:
+            if (isinstance(each, ast.Attribute) and each.attr in names) or (
+                isinstance(each, ast.Name) and each.id in names
+            ):
+                return True
     return False
 
 
+@pytest.mark.parametrize(
+    ("source", "starts"),
+    [
+        ("threading.Thread(target=run).start()", True),
+        ("Timer(1.0, run).start()", True),
+        ("from threading import Thread as Worker\nWorker(target=run).start()", True),
+        ("class Compilation(threading.Thread):\n    pass", True),
+        ("class Compilation(Base, Thread):\n    pass", True),
+        ("def f():\n    class Inner(threading.Timer):\n        pass", True),
+        ("from threading import Thread as Worker\nclass Compilation(Worker):\n    pass", True),
+        ("def f(thread: threading.Thread) -> None:\n    thread.join()", False),
+        ("class Compilation(Base):\n    pass", False),
+    ],
+)
+def test_whatever_way_a_thread_is_made_is_seen(source: str, starts: bool) -> None:
+    assert starts_threads(source) == starts
+
+
 def test_threads_are_started_where_it_is_declared() -> None:
-    assert {module for module in MODULES if starts_threads(module)} == THREADS
+    found = {module for module, path in MODULES.items() if starts_threads(path.read_text(encoding="utf-8"))}
+    assert found == THREADS
 
 
 def test_what_is_declared_is_there() -> None:

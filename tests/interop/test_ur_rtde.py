@@ -95,10 +95,10 @@ def test_popups_and_the_log(controller: Controller, client: Any) -> None:
     shown = []
     for command in (lambda: client.popup("Is anybody there?"), client.closePopup, client.closeSafetyPopup):
         command()
-        shown.append(controller.popup)
+        shown.append(controller.pendant.popup)
     assert shown == ["Is anybody there?", None, None]
     client.addToLog("somebody was there")
-    assert controller.log[-1] == "somebody was there"
+    assert controller.pendant.log[-1] == "somebody was there"
 
 
 @pytest.mark.slow

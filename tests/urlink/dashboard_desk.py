@@ -22,7 +22,7 @@ FIRMWARES = ["1.6", "1.8", "3.0", "3.1", "3.2", "3.4", "3.7", "3.12", "3.14", "5
 
 @dataclass
 class StandIn:
-    """A controller with one program, and no arm."""
+    """A controller with one program, and no arm; it is its own pendant."""
 
     firmware: Firmware
     modes: Modes
@@ -42,6 +42,10 @@ class StandIn:
     def of(cls, firmware: str) -> StandIn:
         version = Firmware.parse(firmware)
         return cls(version, Modes(version), model("UR5e" if version.is_e_series else "UR5"))
+
+    @property
+    def pendant(self) -> StandIn:
+        return self
 
     def wait(self, seconds: float) -> None:
         self.time += seconds
@@ -66,7 +70,7 @@ class StandIn:
     def pause(self) -> bool:
         return self.has_program
 
-    def stop_program(self) -> bool:
+    def stop(self) -> bool:
         return self.has_program and self._set(False)
 
     def _set(self, has_program: bool) -> bool:

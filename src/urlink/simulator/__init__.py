@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from ..ports import PORTS
-from .controller import Controller, Counters
+from .controller import Controller
+from .counters import Counters
 from .faults import Faults, ScheduledFault, parse_fault
 
 __all__ = ["PORTS", "Controller", "Counters", "Faults", "ScheduledFault", "parse_fault"]

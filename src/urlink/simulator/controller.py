@@ -7,7 +7,6 @@ import logging
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
@@ -18,25 +17,25 @@ from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
 
 from ..ports import PORTS, interface
 from ..schemas.dashboard import GREETING
-from ..schemas.enums import ProgramState
 from .arm import Arm
 from .assembly import Assembler
+from .counters import Counters
 from .dashboard import Responder
 from .faults import FAULTS, Faults, ScheduledFault, parse_fault
 from .messages import greeting, safety_messages
 from .modes import Modes, Stop
-from .motion import Demonstration, Motion, Still
+from .motion import Demonstration, Motion
 from .packets import Packets
+from .pendant import Pendant
 from .programs import Programs
 from .signals import Signals
-from .urscript import ScriptError, compile_script
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
     from .server import Server
 
-__all__ = ["Controller", "Counters"]
+__all__ = ["Controller"]
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -48,29 +47,6 @@ STATE_RATE = 10
 MOST_MESSAGES = 1 << 14
 #: Lines from clients that are kept.
 RECEIVED = 1000
-
-
-@dataclass
-class Counters:
-    """What has happened on the ports of a controller since it started.
-
-    Attributes:
-        connections: accepted.
-        sent: packets and packages handed to the network, once per connection.
-        dropped: connections ended because the client did not read.
-        refused_bytes: input thrown away: text to read-only ports, lines and programs too long, or too many that wait.
-        late: cycles in which packets went out more than one cycle after they were due.
-        skipped: cycles in which no packets went out because they were far too late.
-        lost_messages: texts and popups of programs, beyond what one cycle sends.
-    """
-
-    connections: int = 0
-    sent: int = 0
-    dropped: int = 0
-    refused_bytes: int = 0
-    late: int = 0
-    skipped: int = 0
-    lost_messages: int = 0
 
 
 class Controller:
@@ -95,7 +71,7 @@ class Controller:
         serial: serial number of the arm.
         motion: what the arm follows; None for the gentle demonstration.
         output_limit: bytes that may wait for one client before it is dropped, beside what the network holds.
-        files: path -> URScript of the programs that the dashboard can load; a real one loads what the pendant saved.
+        files: path -> URScript of the programs that are saved at the pendant.
         reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
             clients always are.
 
@@ -107,13 +83,11 @@ class Controller:
         signals: its inputs and outputs.
         faults: what can go wrong, on demand.
         programs: that run on it.
+        pendant: what is saved, loaded and shown at it; its buttons.
         dashboard: answers the lines of dashboard clients.
         remote_control: on an e-Series, whether it takes commands from others than the pendant.
         speed_fraction: of the speed slider, 0 to 1.
         flags: 64, of `set_flag`.
-        popup: text on the pendant, or None.
-        log: lines that were added by the dashboard.
-        loaded: path of the program that `play` runs, or None.
         stopped_since: `time` at which the present stop began; None without one.
         received: (name of the port, line of text) of the latest lines that clients sent.
         counters: what has happened on the ports.
@@ -154,10 +128,9 @@ class Controller:
         self.output_limit = output_limit
         self.cycle = 0
         self.signals = Signals()
-        self.files = dict(files or {})
+        self.pendant = Pendant(self, files or {})
         self.reachable = frozenset(map(_numeric, reachable))
         self.remote_control = True
-        self.log: list[str] = []
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
         self.counters = Counters()
         self._wanted_ports = _wanted(ports)
@@ -214,8 +187,7 @@ class Controller:
         self.programs = Programs(self)
         self.speed_fraction = 1.0
         self.flags = [False] * 64
-        self.popup: str | None = None
-        self.loaded: str | None = None
+        self.pendant.restart()
         self.stopped_since: float | None = None
         self._stop_reason = ""
         self._packets = Packets(self)
@@ -328,49 +300,6 @@ class Controller:
         """Name of the program that runs or is paused, or None."""
         main = self.programs.main
         return main.name if main is not None and main.is_program else None
-
-    def load(self, path: str) -> bool:
-        """Load one of the `files`; False if there is none of that name."""
-        if path not in self.files:
-            return False
-        self.stop_program()
-        self.loaded = path
-        return True
-
-    def play(self) -> bool:
-        """Go on with the program that was paused, or run the loaded one; False if neither can be."""
-        if not self.is_up or not self.modes.may_move:
-            return False
-        if self.programs.is_paused:
-            self.programs.is_paused = False
-            self.show_modes()
-            return True
-        if self.loaded is None or self.program_name is not None:
-            return False
-        try:
-            self.programs.run(compile_script(self.files[self.loaded], self.firmware))
-        except ScriptError as error:
-            _log.info("%s does not compile: %s", self.loaded, error)
-            return False
-        return True
-
-    def pause(self) -> bool:
-        """Let the arm stand and its program wait; False if none plays."""
-        if self.modes.program_state is not ProgramState.PLAYING:
-            return False
-        self.programs.is_paused = True
-        self.show_modes()
-        return True
-
-    def stop_program(self) -> bool:
-        """End what the arm follows, the demonstration too; False if that is nothing."""
-        if not self.programs.stop():
-            if not self.arm.motion.is_program:
-                return False
-            self.programs.is_paused = False
-            self.arm.follow(Still())
-        self.show_modes()
-        return True
 
     # -- faults by the clock -------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ from ..schemas.dashboard import COMMANDS, COULD_NOT_UNDERSTAND, NOT_IN_REMOTE_CO
 from ..schemas.enums import ProgramState
 from .modes import Modes, Power, Stop
 
-__all__ = ["DashboardHost", "Responder"]
+__all__ = ["DashboardHost", "DashboardPendant", "Responder"]
 
 #: Seconds for which a protective stop cannot be unlocked.
 UNLOCK_AFTER = 5.0
@@ -48,14 +48,39 @@ _UNNAMED = "<unnamed>"
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
+class DashboardPendant(Protocol):
+    """What the responder needs of a pendant."""
+
+    popup: str | None
+    log: list[str]
+
+    @property
+    def loaded(self) -> str | None:
+        """Path of the loaded program."""
+
+    def load(self, path: str) -> bool:
+        """Load a program; False if there is no such file."""
+
+    def play(self) -> bool:
+        """Run the loaded program or go on with it; False if that cannot be."""
+
+    def pause(self) -> bool:
+        """Pause the program; False if none plays."""
+
+    def stop(self) -> bool:
+        """Stop the program; False if none is there to be stopped."""
+
+
 class DashboardHost(Protocol):
     """What the responder needs of a controller."""
 
     modes: Modes
     remote_control: bool
-    popup: str | None
-    log: list[str]
     serial: str
+
+    @property
+    def pendant(self) -> DashboardPendant:
+        """What the commands for programs, popups and the log are carried out at."""
 
     @property
     def model(self) -> Model:
@@ -72,22 +97,6 @@ class DashboardHost(Protocol):
     @property
     def stopped_since(self) -> float | None:
         """`time` at which the present stop began; None without one."""
-
-    @property
-    def loaded(self) -> str | None:
-        """Path of the loaded program."""
-
-    def load(self, path: str) -> bool:
-        """Load a program; False if there is no such file."""
-
-    def play(self) -> bool:
-        """Run the loaded program or go on with it; False if that cannot be."""
-
-    def pause(self) -> bool:
-        """Pause the program; False if none plays."""
-
-    def stop_program(self) -> bool:
-        """Stop the program; False if none is there to be stopped."""
 
 
 class Responder:
@@ -148,7 +157,7 @@ class Responder:
         return "Brake releasing"
 
     def _shutdown(self, _: str) -> str:
-        self._controller.stop_program()
+        self._controller.pendant.stop()
         self._controller.modes.power_off()
         return "Shutting down"
 
@@ -158,7 +167,7 @@ class Responder:
     # -- programs ------------------------------------------------------------------------------------
 
     def _load(self, path: str) -> str:
-        return f"Loading program: {path}" if path and self._controller.load(path) else f"File not found: {path}"
+        return f"Loading program: {path}" if path and self._controller.pendant.load(path) else f"File not found: {path}"
 
     def _load_installation(self, path: str) -> str:
         if not path:
@@ -167,13 +176,13 @@ class Responder:
         return f"Loading installation: {path}"
 
     def _play(self, _: str) -> str:
-        return "Starting program" if self._controller.play() else "Failed to execute: play"
+        return "Starting program" if self._controller.pendant.play() else "Failed to execute: play"
 
     def _pause(self, _: str) -> str:
-        return "Pausing program" if self._controller.pause() else "Failed to execute: pause"
+        return "Pausing program" if self._controller.pendant.pause() else "Failed to execute: pause"
 
     def _stop(self, _: str) -> str:
-        return "Stopped" if self._controller.stop_program() else "Failed to execute: stop"
+        return "Stopped" if self._controller.pendant.stop() else "Failed to execute: stop"
 
     def _running(self, _: str) -> str:
         return f"Program running: {_truth(self._state == 'PLAYING')}"
@@ -182,10 +191,10 @@ class Responder:
         return f"{self._state} {self._program}"
 
     def _isprogramsaved(self, _: str) -> str:
-        return f"{_truth(self._controller.loaded is not None)} {self._program}"
+        return f"{_truth(self._controller.pendant.loaded is not None)} {self._program}"
 
     def _get_loaded_program(self, _: str) -> str:
-        path = self._controller.loaded
+        path = self._controller.pendant.loaded
         return "No program loaded" if path is None else f"Loaded program: {path}"
 
     @property
@@ -194,7 +203,7 @@ class Responder:
 
     @property
     def _program(self) -> str:
-        path = self._controller.loaded
+        path = self._controller.pendant.loaded
         return _UNNAMED if path is None else path.rpartition("/")[2]
 
     # -- safety --------------------------------------------------------------------------------------
@@ -217,7 +226,7 @@ class Responder:
             if since is None or controller.time - since < UNLOCK_AFTER:
                 return _TOO_EARLY
             controller.modes.clear()
-        controller.popup = None
+        controller.pendant.popup = None
         return "Protective stop releasing"
 
     def _restart_safety(self, _: str) -> str:
@@ -256,11 +265,11 @@ class Responder:
     # -- pendant -------------------------------------------------------------------------------------
 
     def _popup(self, text: str) -> str:
-        self._controller.popup = text
+        self._controller.pendant.popup = text
         return "showing popup"
 
     def _close_popup(self, _: str) -> str:
-        self._controller.popup = None
+        self._controller.pendant.popup = None
         return "closing popup"
 
     def _close_safety_popup(self, _: str) -> str:
@@ -269,7 +278,7 @@ class Responder:
     def _addtolog(self, text: str) -> str:
         if not text:
             return "No log message to add"
-        log = self._controller.log
+        log = self._controller.pendant.log
         log.append(text)
         del log[:-LOG_LINES]
         return "Added log message"

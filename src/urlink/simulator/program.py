@@ -134,12 +134,12 @@ class ProgramWorld:
 
     def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
         controller = self._controller
-        controller.popup = text
+        controller.pendant.popup = text
         controller.mention(lambda: popup_message(controller, text, title, is_warning, is_error, is_blocking))
 
     @property
     def has_popup(self) -> bool:
-        return self._controller.popup is not None
+        return self._controller.pendant.popup is not None
 
     def protective_stop(self, reason: str) -> None:
         self._controller.stop_for(reason)

@@ -11,7 +11,6 @@ import contextlib
 import select
 import selectors
 import socket
-import struct
 import threading
 import time
 from collections import deque
@@ -20,16 +19,14 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
-from linkcore.errors import BadAddress, LinkTimeout
+from linkcore.errors import LinkTimeout
 
-from ..ports import interface
-from .assembly import Assembler
+from .connections import Client, Port
 from .controller import STATE_RATE
 from .intake import Intake
 
 if TYPE_CHECKING:
     from .controller import Controller
-    from .tampering import Segmenter
 
 __all__ = ["Server"]
 
@@ -37,8 +34,6 @@ __all__ = ["Server"]
 LATEST = 0.25
 #: Seconds beyond which the clock is set anew rather than caught up: the machine slept.
 ASLEEP = 5.0
-#: Bytes of a line from a client; longer ones are thrown away.
-LONGEST_LINE = 1 << 16
 #: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
 #: cycles that cost more than they last.
 LONGEST_CATCH_UP = 0.05
@@ -47,69 +42,8 @@ RECEIVED_AT_ONCE = 1 << 12
 #: Seconds that other threads wait for the server's.
 PATIENCE = 5.0
 
-# Bytes that the kernel may hold for a client. Left to itself it grows to megabytes: seconds of old news.
-_KERNEL_BUFFER = 1 << 18
 # Descriptors that select takes.
 _SELECTABLE = 1024
-# Closing with this option set resets the connection.
-_RESET = struct.pack("ii", 1, 0)
-
-
-class _Port:
-    """One port: its listening socket and its clients.
-
-    While the controller is down the socket is bound and does not listen: connections are refused, and nobody else can
-    take the number.
-    """
-
-    def __init__(self, name: str, host: str, number: int) -> None:
-        self.name = name
-        self.kind = interface(name)
-        self.clients: set[_Client] = set()
-        self._host = host
-        self.socket = self._bound(number)
-        self.number: int = self.socket.getsockname()[1]
-        self.is_listening = False
-        self.is_paused = False
-
-    def _bound(self, number: int) -> socket.socket:
-        listener = None
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(self._host, number, type=socket.SOCK_STREAM)[0]
-            listener = socket.socket(family, kind, protocol)
-            listener.setblocking(False)
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(address)
-        except (OSError, OverflowError) as error:
-            if listener is not None:
-                listener.close()
-            reason = getattr(error, "strerror", None) or error
-            raise BadAddress(f"cannot listen on {self._host}:{number} for {self.name}: {reason}") from None
-        return listener
-
-    def listen(self) -> None:
-        self.socket.listen(64)
-        self.is_listening = True
-
-    def refuse(self) -> None:
-        self.socket.close()
-        self.socket = self._bound(self.number)
-        self.is_listening = self.is_paused = False
-
-
-class _Client:
-    """One connection: what waits to be sent, and the line that is being received."""
-
-    def __init__(self, link: socket.socket, port: _Port) -> None:
-        self.link = link
-        self.is_open = True
-        self.port = port
-        self.pending = bytearray()
-        self.line = bytearray()
-        self.is_too_long = False
-        self.assembler = Assembler()
-        self.peer: str = link.getpeername()[0]
-        self.segmenter: Segmenter | None = None
 
 
 class Server:
@@ -129,7 +63,7 @@ class Server:
         self._counters = controller.counters
         self._faults = controller.faults
         self._intake = Intake(controller, self._wake)
-        self._ports: list[_Port] = []
+        self._ports: list[Port] = []
         self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
         self._is_closing = False
         self._rate = controller.firmware.rate
@@ -145,7 +79,7 @@ class Server:
         self._select_from = (fileno,) if 0 < fileno < _SELECTABLE else None
         try:
             for name, number in ports.items():
-                self._ports.append(_Port(name, host, number))
+                self._ports.append(Port(name, host, number))
             for port in self._ports:
                 port.listen()
                 self._selector.register(port.socket, selectors.EVENT_READ, port)
@@ -310,12 +244,12 @@ class Server:
                 for client in list(port.clients):
                     self._put(client, data)
 
-    def _put(self, client: _Client, data: bytes) -> None:
+    def _put(self, client: Client, data: bytes) -> None:
         self._counters.sent += 1
         for segment in [data] if client.segmenter is None else client.segmenter.put(data):
             self._send(client, segment)
 
-    def _send(self, client: _Client, data: bytes) -> None:
+    def _send(self, client: Client, data: bytes) -> None:
         if not client.is_open:
             return
         if not client.pending:
@@ -358,7 +292,7 @@ class Server:
             if what is None:
                 with contextlib.suppress(BlockingIOError):
                     self._woken.recv(4096)
-            elif isinstance(what, _Port):
+            elif isinstance(what, Port):
                 self._accept(what)
             else:
                 if mask & selectors.EVENT_WRITE and what.is_open:
@@ -381,7 +315,7 @@ class Server:
                 done.set_result(None)
         return True
 
-    def _accept(self, port: _Port) -> None:
+    def _accept(self, port: Port) -> None:
         # The clock may be waiting for its next appointment: who comes now is to see nothing of the past.
         self._catch_up()
         if not port.is_listening or port.is_paused:
@@ -391,22 +325,16 @@ class Server:
             self._selector.unregister(port.socket)
             port.is_paused = True
             return
-        try:
-            link, _ = port.socket.accept()
-        except OSError:
-            return  # It was there and is gone.
-        link.setblocking(False)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BUFFER)
-        client = _Client(link, port)
+        client = port.accept()
+        if client is None:
+            return
         client.segmenter = self._faults.segmenter(port.name)
-        port.clients.add(client)
         self._counters.connections += 1
-        self._selector.register(link, selectors.EVENT_READ, client)
+        self._selector.register(client.link, selectors.EVENT_READ, client)
         for package in self._controller.greeting(port.name):
             self._put(client, self._faults.lasting(port.name, package))
 
-    def _flush(self, client: _Client) -> None:
+    def _flush(self, client: Client) -> None:
         try:
             sent = client.link.send(client.pending)
         except BlockingIOError:
@@ -418,7 +346,7 @@ class Server:
         if not client.pending:
             self._selector.modify(client.link, selectors.EVENT_READ, client)
 
-    def _receive(self, client: _Client) -> None:
+    def _receive(self, client: Client) -> None:
         try:
             data = client.link.recv(RECEIVED_AT_ONCE)
         except BlockingIOError:
@@ -437,15 +365,13 @@ class Server:
             for line in lines:
                 if not client.is_open:
                     return
-                self._extend(client, line)
-                text = None if client.is_too_long else client.line.decode("utf-8", "backslashreplace")
-                client.line.clear()
-                client.is_too_long = False
+                self._counters.refused_bytes += client.extend_line(line)
+                text = client.end_line()
                 if text is not None:
-                    self._take(client, text.removesuffix("\r"))
-            self._extend(client, rest)
+                    self._take(client, text)
+            self._counters.refused_bytes += client.extend_line(rest)
 
-    def _take(self, client: _Client, text: str) -> None:
+    def _take(self, client: Client, text: str) -> None:
         """A line that a client has sent."""
         controller = self._controller
         if client.port.kind == "dashboard":
@@ -462,14 +388,6 @@ class Server:
         self._counters.refused_bytes += client.assembler.refused - refused
         if program is not None and not self._intake.put(program):
             self._counters.refused_bytes += len(program)
-
-    def _extend(self, client: _Client, part: bytes) -> None:
-        if client.is_too_long or len(client.line) + len(part) > LONGEST_LINE:
-            self._counters.refused_bytes += len(client.line) + len(part)
-            client.line.clear()
-            client.is_too_long = True
-        else:
-            client.line += part
 
     # -- connections come and go ---------------------------------------------------------------------
 
@@ -499,16 +417,11 @@ class Server:
                 if held:
                     self._send(client, held)
 
-    def _drop(self, client: _Client, reset: bool = False) -> None:
-        client.is_open = False
-        client.port.clients.discard(client)
+    def _drop(self, client: Client, reset: bool = False) -> None:
         self._selector.unregister(client.link)
-        if reset:
-            with contextlib.suppress(OSError):
-                client.link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-        client.link.close()
+        client.close(reset)
 
-    def _end(self, port: _Port, reset: bool) -> None:
+    def _end(self, port: Port, reset: bool) -> None:
         for client in list(port.clients):
             self._drop(client, reset)
 

@@ -11,7 +11,7 @@ def test_a_question(run: Run, address: str) -> None:
 
 def test_a_text_in_several_words(run: Run, controller: Controller, address: str) -> None:
     assert run("dashboard", address, "popup", "mind", "the", "gap") == (0, "showing popup\n", "")
-    assert controller.popup == "mind the gap"
+    assert controller.pendant.popup == "mind the gap"
     assert run("dashboard", address, "close", "popup") == (0, "closing popup\n", "")
 
 

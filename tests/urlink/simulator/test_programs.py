@@ -186,7 +186,7 @@ def test_a_new_program_takes_over_from_the_demonstration() -> None:
 
 def test_a_new_program_takes_over_from_a_braking_arm(watched: Watched) -> None:
     watched.take(SPIN).step(1)
-    watched.controller.pause()
+    watched.controller.pendant.pause()
     watched.step(0.05)
     assert 0 < watched.controller.arm.setpoint.qd[0] < 0.5
     watched.take(TURN).step(6)
@@ -238,7 +238,7 @@ def test_a_secondary_program_runs_beside_a_movement(watched: Watched) -> None:
 
 def test_a_secondary_program_runs_while_the_other_waits(watched: Watched) -> None:
     watched.take(WAIT).step(0.1)
-    watched.controller.pause()
+    watched.controller.pendant.pause()
     watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.01)
     assert watched.controller.signals.digital_outputs == 8
     assert watched.controller.programs.is_paused
@@ -249,7 +249,7 @@ def test_a_secondary_program_knows_whether_the_arm_moves(watched: Watched) -> No
     watched.take(ask).step(0.01)
     watched.take(SPIN).step(1)
     watched.take(ask).step(0.01)
-    watched.controller.stop_program()
+    watched.controller.pendant.stop()
     watched.step(2).take(ask).step(0.01)
     assert watched.story == ["'True'", "started spin", "'False'", "stopped spin", "'True'"]
 
@@ -356,7 +356,7 @@ def test_what_ends_a_program(watched: Watched, end: str) -> None:
 def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -> None:
     watched.take(SPIN).step(1)
     if hold == "pause":
-        assert watched.controller.pause()
+        assert watched.controller.pendant.pause()
     else:
         watched.controller.faults.protective_stop()
     watched.step(1)
@@ -385,14 +385,14 @@ def test_a_demonstration_that_was_paused_begins_anew_after_an_emergency_stop() -
 def test_a_reboot_ends_everything() -> None:
     watched = Watched(files={"a.urp": WAIT})
     controller = watched.controller
-    controller.load("a.urp")
+    controller.pendant.load("a.urp")
     watched.take(
         'def f():\n  set_flag(3, True)\n  set_tcp(p[0,0,0.1,0,0,0])\n  popup("x")\n'
         "  speedj([0.5,0,0,0,0,0],1,60)\nend\n",
         "set speed 0.5",
         'sec s():\n  popup("y", blocking=True)\nend\n',
     ).step(1)
-    assert controller.popup is not None
+    assert controller.pendant.popup is not None
     controller.faults.reboot(downtime=0.5)
     watched.step(0.4)
     watched.take(WAIT)
@@ -401,7 +401,12 @@ def test_a_reboot_ends_everything() -> None:
     assert watched.story == ["started f", "PopupMessage", "PopupMessage"]
     assert controller.program_name is None
     assert not controller.programs.is_running
-    after: list[Any] = [controller.popup, controller.loaded, controller.speed_fraction, any(controller.flags)]
+    after: list[Any] = [
+        controller.pendant.popup,
+        controller.pendant.loaded,
+        controller.speed_fraction,
+        any(controller.flags),
+    ]
     assert after == [None, None, 1.0, False]
     # It is in the installation.
     assert controller.arm.tcp[2] == 0.1
@@ -547,7 +552,7 @@ def test_local_control_refuses_text_and_commands() -> None:
     assert watched.controller.signals.digital_outputs == 0
     for command in ("load a.urp", "play", "power off", "stop"):
         assert "remote control" in str(watched.dashboard(command)).lower()
-    assert watched.controller.loaded is None
+    assert watched.controller.pendant.loaded is None
 
 
 def test_a_cb3_has_no_local_control() -> None:
@@ -560,7 +565,7 @@ def test_a_cb3_has_no_local_control() -> None:
 def test_a_blocking_popup_holds_its_program(watched: Watched) -> None:
     watched.take('def f():\n  popup("go on?", blocking=True)\n  textmsg("on")\nend\n').step(5)
     assert watched.story == ["started f", "PopupMessage"]
-    assert watched.controller.popup == "go on?"
+    assert watched.controller.pendant.popup == "go on?"
     watched.dashboard("close popup")
     watched.step(0.1)
     assert watched.story[2:] == ["'on'", "stopped f"]

@@ -232,7 +232,7 @@ def test_the_end_of_a_program_closes_its_sockets(
     with peer:
         peer.settimeout(10)
         if end == "stop":
-            controller.call(controller.stop_program)
+            controller.call(controller.pendant.stop)
         elif end == "reboot":
             controller.faults.reboot(downtime=0.1)
         elif end == "close":
@@ -270,7 +270,7 @@ def test_the_dashboard_from_power_off_to_a_program() -> None:
     with urlink.connect("sim://ur5e") as robot:
         controller, dashboard = robot.controller, robot.dashboard
         assert controller is not None
-        controller.files.update({"turn.urp": TURN, "wait.urp": WAIT})
+        controller.pendant.files.update({"turn.urp": TURN, "wait.urp": WAIT})
         dashboard.stop()
         dashboard.power_off()
         until(lambda: dashboard.robot_mode() is RobotMode.POWER_OFF)

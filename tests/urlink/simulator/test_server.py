@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -15,7 +16,7 @@ from linkcore.errors import BadAddress, BadValue, LocalError
 from urlink.schemas.realtime import RealtimeState
 from urlink.schemas.robot_message import VersionMessage
 from urlink.simulator import PORTS, Controller
-from urlink.simulator.server import LONGEST_LINE
+from urlink.simulator.connections import LONGEST_LINE
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]
@@ -55,6 +56,19 @@ def test_who_connects_sees_nothing_of_the_past(connect: Connect, eventually: Eve
             assert stamps[-1] == pytest.approx(first + 0.02, abs=1e-9)
             link.close()
         assert controller.counters.sent < 500
+
+
+@pytest.mark.parametrize("port", ["primary", "realtime", "dashboard"])
+def test_who_is_gone_before_being_accepted_harms_nobody(port: str, connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+
+        def come_and_go() -> None:
+            with socket.create_connection((controller.host, controller.ports[port])) as link:
+                link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+        # In the thread that accepts, so that it cannot be quicker.
+        controller.call(come_and_go)
+        times(connect(controller, "realtime"), 3)
 
 
 def test_the_clock_does_not_drift(connect: Connect) -> None:
