@@ -8,6 +8,7 @@ import pytest
 
 from linkcore.errors import BadValue, LinkTimeout
 from tests.urlink.stand_in import StandIn
+from tests.waiting import until
 from urlink import io as module
 from urlink.errors import NotRunning
 from urlink.io import IO, Analog
@@ -120,11 +121,10 @@ def test_cb2() -> None:
 def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: StandIn) -> None:
     io = io_of(robot)
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
-    robot.primary.wait(5) if robot.safety.cause is None else None
+    until(lambda: robot.safety.cause == "protective stop")
     io.set_tool_voltage(0)
     robot.state(RobotMode.POWER_OFF)
-    while robot.safety.robot_mode is not RobotMode.POWER_OFF:
-        robot.state(RobotMode.POWER_OFF)
+    until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning):
         io.set_tool_voltage(0)
     assert len(robot.sent) == 1
