@@ -42,7 +42,7 @@ def test_print_state_of_the_oldest_firmware_that_sends_no_robot_mode() -> None:
 
 
 def test_watch_safety() -> None:
-    text = output("watch_safety.py", "--demonstrate", "--duration", "3")
+    text = output("watch_safety.py", "--demonstrate", "--duration", "5")
     told = [line.partition(" ")[2] for line in text.splitlines()]
     assert "connected" in told
     modes = [line for line in told if line.startswith("safety mode:")]

@@ -79,9 +79,8 @@ def test_reading(robot: StandIn) -> None:
         "analog_output_domain_0": AnalogDomain.VOLTAGE,
     }
     tool = {"analog_input_2": 2.5, "analog_input_range_2": 1, "analog_input_3": 3.5, "tool_output_voltage": 24}
-    robot.slow.put(b"")
     robot.state(board=board, tool=tool)
-    robot.primary.wait(5)
+    until(lambda: io.tool_voltage == 24)
     assert [io.digital_in(number) for number in range(8)] == [number == 3 for number in range(8)]
     assert [io.digital_out(number) for number in range(8)] == [number == 7 for number in range(8)]
     assert [io.configurable_digital_in(number) for number in range(8)] == [number == 0 for number in range(8)]
