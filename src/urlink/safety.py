@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, cast
 
-from linkcore.errors import LinkError, LinkTimeout
+from linkcore.errors import BadValue, LinkError, LinkTimeout
 from linkcore.events import ConnectionEvent, ConnectionState
 from linkcore.packet import State
 from linkcore.stream import Stream
@@ -20,6 +20,7 @@ from .schemas.enums import RobotMode, RobotModeCB2, SafetyMode
 from .schemas.realtime import RealtimeState
 from .schemas.robot_message import SafetyModeMessage
 from .schemas.robot_state import RobotState
+from .script.text import checked
 
 __all__ = ["Safety"]
 
@@ -124,6 +125,7 @@ class Safety:
         """Wait until no stop holds and the robot runs; whether it is enabled is not asked.
 
         Raises:
+            BadValue: `timeout` is no number of seconds.
             LinkTimeout: it still was not so after `timeout` seconds; says what hinders.
         """
         self._wait(self._gate.hindrance, timeout)
@@ -132,6 +134,7 @@ class Safety:
         """Wait until motions are let through.
 
         Raises:
+            BadValue: `timeout` is no number of seconds.
             LinkTimeout: they still were not after `timeout` seconds; says what hinders.
         """
         self._wait(self._gate.refusal, timeout)
@@ -144,7 +147,12 @@ class Safety:
 
         Returns:
             what takes the callback away again.
+
+        Raises:
+            BadValue: nothing that can be called.
         """
+        if not callable(callback):
+            raise BadValue(f"{callback!r} cannot be called back")
         key = object()
         with self.lock:
             self._callbacks[key] = callback
@@ -213,7 +221,12 @@ class Safety:
                 )
 
     def wait_for_stop(self, timeout: float) -> LinkError | None:
-        """The stop that holds, or the first to be heard of within `timeout` seconds; else None."""
+        """The stop that holds, or the first to be heard of within `timeout` seconds; else None.
+
+        Raises:
+            BadValue: `timeout` is no number of seconds.
+        """
+        timeout = checked(timeout, "timeout", 0.0)
         with self._changed:
             self._changed.wait_for(lambda: self._gate.hindrance(time.monotonic()), timeout)
             return self._gate.hindrance(time.monotonic())
@@ -314,6 +327,7 @@ class Safety:
         return all(self._streams[name]().connection is ConnectionState.CONNECTED for name in list(self._subscriptions))
 
     def _wait(self, hindrance: Callable[[float], SafetyStop | LinkError | None], timeout: float) -> None:
+        timeout = checked(timeout, "timeout", 0.0)
         self.attend()
         with self._changed:
             if not self._changed.wait_for(lambda: self._is_connected and hindrance(time.monotonic()) is None, timeout):

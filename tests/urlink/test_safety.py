@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -194,6 +195,15 @@ def test_waiting_says_what_hinders(robot: StandIn) -> None:
     with pytest.raises(LinkTimeout, match="IDLE"):
         robot.safety.wait_until_clear(0.01)
     assert "IDLE" in repr(robot.safety)
+
+
+@pytest.mark.parametrize("timeout", [None, -1.0, float("inf"), "soon"])
+def test_waiting_for_no_number_of_seconds(robot: StandIn, timeout: Any) -> None:
+    for wait in (robot.safety.wait_enabled, robot.safety.wait_until_clear, robot.safety.wait_for_stop):
+        with pytest.raises(BadValue, match="timeout"):
+            wait(timeout)
+    with pytest.raises(BadValue, match="called"):
+        robot.safety.on_stop(timeout)
 
 
 def test_cb2() -> None:
