@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from linkcore.errors import LinkError, LocalError
+from linkcore.errors import Closed, LinkError, LocalError
 from linkcore.stream import Stream
 
 from .gate import Policy
@@ -65,6 +65,7 @@ class Control:
         self._reverse_port = reverse_port
         self._timeout = timeout
         self._lock = threading.Lock()
+        self._is_closed = False
         self._motion: Motions | None = None
         self._dashboard: Dashboard | None = None
         self.safety = Safety(primary, realtime, policy)
@@ -97,11 +98,14 @@ class Control:
 
         Raises:
             LocalError: a simulated controller that was told not to serve one.
+            Closed: the robot was closed before it was used.
         """
         if self._dashboard_port is None:
             raise LocalError("the controller serves no dashboard")
         with self._lock:
             if self._dashboard is None:
+                if self._is_closed:
+                    raise Closed("the robot was closed")
                 from .dashboard import Dashboard
 
                 self._dashboard = Dashboard(
@@ -113,6 +117,7 @@ class Control:
         """End motions, programs and the dashboard's connection."""
         until = time.monotonic() + timeout
         with self._lock:
+            self._is_closed = True
             motion, dashboard = self._motion, self._dashboard
         if motion is not None:
             try:

@@ -96,6 +96,13 @@ def test_moved_as_soon_as_it_is_switched_on() -> None:
             robot.motion.stop().wait(10)
 
 
+def test_a_closed_robot_connects_to_no_dashboard(controller: Controller) -> None:
+    robot = urlink.connect(controller.address)
+    robot.close()
+    with pytest.raises(urlink.Closed):
+        robot.dashboard.play()
+
+
 def test_enabling_is_asked_for(controller: Controller) -> None:
     with urlink.connect(controller.address, require_enable="always") as robot:
         with pytest.raises(NotEnabled):
