@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 
 from urlink.firmware import Firmware
-from urlink.motion.follower import STOP_WORD, setpoint
+from urlink.motion.setpoints import STOP_WORD, setpoint
 from urlink.schemas.enums import ProgramState
 from urlink.script import programs, source, waypoints
 from urlink.simulator import Controller

@@ -8,24 +8,16 @@ state.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from ..schemas.realtime import RealtimeState
-from ..script.programs import FOLLOW, SCALE, STOP, WAIT, streaming
 from ..trajectory import Trajectory
 from .equipment import Equipment
 from .following import Following, Tolerances, TrajectoryFeedback
 from .reverse import ReverseLink
+from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 
-__all__ = ["STOP_WORD", "WAIT_WORD", "Follower", "setpoint"]
-
-_WORD = struct.Struct(">7i")
-
-#: Brake, and end the program.
-STOP_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, STOP)
-#: There is nothing to do yet, but somebody is there.
-WAIT_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, WAIT)
+__all__ = ["Follower"]
 
 #: Cycles from a state to that in which the set-point that it brings about takes effect: it is sent back within the next
 #: one, and the program takes it up at the beginning of the one after.
@@ -36,19 +28,13 @@ _FADE_SPEED = 0.25
 _FADE_LEAST = 0.2
 
 
-def setpoint(q: Sequence[float]) -> bytes:
-    """Six joints, rad, as the streaming program reads them."""
-    return _WORD.pack(*[round(each * SCALE) for each in q], FOLLOW)
-
-
 class Follower(Following):
     """Streams a trajectory.
 
     Where the arm does not stand exactly at the first point, the difference is faded out while it moves.
 
     Args:
-        watchdog: seconds without a set-point after which the robot brakes.
-        lookahead_time, gain: of ``servoj``.
+        servoing: how its set-points are followed.
     """
 
     def __init__(
@@ -57,28 +43,16 @@ class Follower(Following):
         trajectory: Trajectory,
         tolerances: Tolerances,
         feedback: Callable[[TrajectoryFeedback], object] | None,
-        *,
-        watchdog: float,
-        lookahead_time: float,
-        gain: float,
+        servoing: Servoing,
     ) -> None:
         super().__init__(equipment, trajectory, tolerances, feedback)
-        self._watchdog = watchdog
-        self._lookahead_time = lookahead_time
-        self._gain = gain
+        self._servoing = servoing
         self._ahead = _AHEAD / equipment.firmware.rate
         self._offset = [0.0] * 6
         self._fade = _FADE_LEAST
 
     def _body(self, host: str, port: int) -> list[str]:
-        return streaming(
-            self._equipment.firmware,
-            host,
-            port,
-            watchdog=self._watchdog,
-            lookahead_time=self._lookahead_time,
-            gain=self._gain,
-        )
+        return self._servoing.body(self._equipment.firmware, host, port)
 
     def _farewell(self) -> bytes:
         return STOP_WORD

@@ -26,6 +26,7 @@ from .follower import Follower
 from .following import Tolerances, TrajectoryFeedback
 from .handle import Motion
 from .servo import Servo
+from .setpoints import Servoing
 from .uploaded import UploadedMotion, arriving, lasting
 from .waypoints import WaypointFollower
 
@@ -203,7 +204,7 @@ class Motions:
             checked(goal_time, "goal_time", 0.0, _HOUR),
             checked(start_tolerance, "start_tolerance", 1e-6, 1.0),
         )
-        watchdog, lookahead_time, gain = _servo(watchdog, lookahead_time, gain)
+        servoing = _servoing(watchdog, lookahead_time, gain)
         trajectory.check(equipment.model)
         running = self.current
         if running is None:
@@ -211,19 +212,16 @@ class Motions:
             trajectory.check(near=equipment.state().q_target, within=tolerances.start)
         if low_bandwidth:
             return self._begin(
-                WaypointFollower(equipment, trajectory, tolerances, feedback, lookahead_time=lookahead_time, gain=gain)
+                WaypointFollower(
+                    equipment,
+                    trajectory,
+                    tolerances,
+                    feedback,
+                    lookahead_time=servoing.lookahead_time,
+                    gain=servoing.gain,
+                )
             )
-        return self._begin(
-            Follower(
-                equipment,
-                trajectory,
-                tolerances,
-                feedback,
-                watchdog=watchdog,
-                lookahead_time=lookahead_time,
-                gain=gain,
-            )
-        )
+        return self._begin(Follower(equipment, trajectory, tolerances, feedback, servoing))
 
     def servo(
         self,
@@ -244,9 +242,9 @@ class Motions:
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain: see `follow`.
         """
-        watchdog, lookahead_time, gain = _servo(watchdog, lookahead_time, gain)
+        servoing = _servoing(watchdog, lookahead_time, gain)
         pace = float(self._equipment.firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
-        return Servo(self._equipment, pace, watchdog, lookahead_time, gain, self._begin)
+        return Servo(self._equipment, pace, servoing, self._begin)
 
     # ----------------------------------------------------------------------------------------------------
 
@@ -286,8 +284,8 @@ def _acceleration(value: float) -> float:
     return checked(value, "acceleration", _LEAST, _HARDEST)
 
 
-def _servo(watchdog: float, lookahead_time: float, gain: float) -> tuple[float, float, float]:
-    return (
+def _servoing(watchdog: float, lookahead_time: float, gain: float) -> Servoing:
+    return Servoing(
         checked(watchdog, "watchdog", 0.01, 10.0),
         checked(lookahead_time, "lookahead_time", 0.03, 0.2),
         checked(gain, "gain", 100.0, 2000.0),

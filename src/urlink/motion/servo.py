@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
 
 from ..schemas.realtime import RealtimeState
-from ..script.programs import streaming
 from ..vectors import JOINTS, six
 from .equipment import Equipment
-from .follower import STOP_WORD, WAIT_WORD, setpoint
 from .linked import CONNECT_TIMEOUT, LinkedMotion
 from .reverse import ReverseLink
+from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,8 +67,7 @@ class Servo(LinkedMotion):
 
     Args:
         rate: set-points a second that are meant to be sent.
-        watchdog: seconds without a set-point after which the robot brakes.
-        lookahead_time, gain: of ``servoj``.
+        servoing: how set-points are followed.
         begin: begins it, in place of any other motion.
     """
 
@@ -77,16 +75,12 @@ class Servo(LinkedMotion):
         self,
         equipment: Equipment,
         rate: float,
-        watchdog: float,
-        lookahead_time: float,
-        gain: float,
+        servoing: Servoing,
         begin: Callable[[Servo], object],
     ) -> None:
         super().__init__("servo", equipment)
         self.rate = rate
-        self._watchdog = watchdog
-        self._lookahead_time = lookahead_time
-        self._gain = gain
+        self._servoing = servoing
         self._start_in_place = begin
         self._here: list[float] | None = None
         self._last: list[float] | None = None
@@ -204,14 +198,7 @@ class Servo(LinkedMotion):
         return self._error or error
 
     def _body(self, host: str, port: int) -> list[str]:
-        return streaming(
-            self._equipment.firmware,
-            host,
-            port,
-            watchdog=self._watchdog,
-            lookahead_time=self._lookahead_time,
-            gain=self._gain,
-        )
+        return self._servoing.body(self._equipment.firmware, host, port)
 
     def _farewell(self) -> bytes:
         return STOP_WORD

@@ -8,7 +8,7 @@ import pytest
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
-from urlink.motion.follower import STOP_WORD, WAIT_WORD, setpoint
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
 from urlink.script import programs, waypoints
 from urlink.script.text import number
 from urlink.trajectory import Trajectory

@@ -1,0 +1,44 @@
+"""What is said to the streaming program: its words, and how it is to follow them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..firmware import Firmware
+from ..script.programs import FOLLOW, SCALE, STOP, WAIT, streaming
+
+__all__ = ["STOP_WORD", "WAIT_WORD", "Servoing", "setpoint"]
+
+_WORD = struct.Struct(">7i")
+
+#: Brake, and end the program.
+STOP_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, STOP)
+#: There is nothing to do yet, but somebody is there.
+WAIT_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, WAIT)
+
+
+def setpoint(q: Sequence[float]) -> bytes:
+    """Six joints, rad, as the streaming program reads them."""
+    return _WORD.pack(*[round(each * SCALE) for each in q], FOLLOW)
+
+
+@dataclass(frozen=True)
+class Servoing:
+    """How set-points are followed.
+
+    Attributes:
+        watchdog: seconds without one after which the robot brakes.
+        lookahead_time, gain: of ``servoj``, where the firmware has them.
+    """
+
+    watchdog: float
+    lookahead_time: float
+    gain: float
+
+    def body(self, firmware: Firmware, host: str, port: int) -> list[str]:
+        """The lines of the program that connects to `host` and `port` for its set-points."""
+        return streaming(
+            firmware, host, port, watchdog=self.watchdog, lookahead_time=self.lookahead_time, gain=self.gain
+        )
