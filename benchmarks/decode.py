@@ -15,10 +15,10 @@ from collections.abc import Callable
 from typing import Any
 
 from urlink.firmware import RELEASES
-from urlink.protocols.primary import PackageDecoder
-from urlink.protocols.realtime import RealtimeProtocol
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_state import SUB_PACKAGES, RobotState, SubPackage
+from urlink.interfaces.primary.protocol import PackageDecoder
+from urlink.interfaces.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
 #: What a person would write who wants the numbers of one firmware and nothing else: 5.4 to 5.24.
 _HEAD = struct.Struct(">iB")

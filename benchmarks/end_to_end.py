@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.backoff import Backoff
-from linkcore.stream import Stream
-from linkcore.transport import TcpTransport
+from linkcore.net.transport import TcpTransport
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.stream import Stream
 from urlink import RealtimeState
-from urlink.protocols.realtime import RealtimeProtocol
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
 RATE = 500
 #: Packets before anything is measured: half a second, in which a callback proves that it is quick.

@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 
 from linkcore.errors import ConnectionLost
-from linkcore.recorder import Recorder
-from linkcore.recording import Kind, Recording
+from linkcore.recording.file import Kind, Recording
+from linkcore.recording.recorder import Recorder
 from linkcore.stamp import Stamp
-from linkcore.stream import Stream
+from linkcore.streaming.stream import Stream
 from urlink import RealtimeState
-from urlink.protocols.realtime import RealtimeProtocol
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
 #: Seconds between two packets: four times as many as the fastest controller sends, and time enough to go to sleep.
 PERIOD = 0.0005

@@ -23,12 +23,12 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 
 from urlink.firmware import Firmware
+from urlink.interfaces.enums import ProgramState
 from urlink.motion.setpoints import STOP_WORD, setpoint
-from urlink.schemas.enums import ProgramState
-from urlink.script import programs, source, waypoints
 from urlink.simulator import Controller
 from urlink.simulator.kinematics import pose
 from urlink.simulator.motion import Still
+from urlink.urscript import programs, source, waypoints
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import urlink
-from linkcore.packet import State
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
+from linkcore.wire.packet import State
 from urlink.firmware import Firmware
-from urlink.protocols.primary import PrimaryProtocol
-from urlink.protocols.realtime import RealtimeProtocol
+from urlink.interfaces.primary.protocol import PrimaryProtocol
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
 FOLDER = Path(__file__).parent
 

@@ -12,8 +12,8 @@ SRC = Path(__file__).resolve().parents[1] / "src"
 
 #: The only modules that may import `socket`.
 SOCKETS = {
-    "linkcore.transport",
-    "linkcore.listener",
+    "linkcore.net.transport",
+    "linkcore.net.listener",
     "urlink.simulator.connections",
     "urlink.simulator.server",
     "urlink.simulator.sockets",
@@ -25,9 +25,9 @@ AWAITED = {"urlink.motion.handle"}
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.stream",  # the reader of each stream
-    "linkcore.shortcut",  # who takes over the reading from a callback that keeps the reader
-    "linkcore.subscription",  # one for each callback
+    "linkcore.streaming.stream",  # the reader of each stream
+    "linkcore.streaming.shortcut",  # who takes over the reading from a callback that keeps the reader
+    "linkcore.streaming.subscription",  # one for each callback
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.intake",  # one at a time, for a long program
     "rhdlink.background",  # keeps a robot in sync
@@ -37,14 +37,11 @@ THREADS = {
 
 #: Part of urlink -> the parts of urlink that it may import; the parts that are not named may import all but the cli.
 BELOW: dict[str, set[str]] = {
-    "schemas": {"schemas"},
-    "firmware": {"firmware", "schemas"},
-    "models": {"models", "schemas"},
+    "interfaces": {"interfaces", "firmware"},
+    "firmware": {"firmware", "interfaces"},
+    "models": {"models", "interfaces"},
     "errors": {"errors"},
-    "gate": {"gate", "errors", "schemas"},
-    "script": {"script", "firmware", "schemas"},
-    "trajectory": {"trajectory", "trajectory_csv", "models", "schemas", "vectors"},
-    "protocols": {"protocols", "schemas", "firmware"},
+    "urscript": {"urscript", "firmware", "interfaces"},
 }
 
 
@@ -73,7 +70,7 @@ def imports(module: str) -> Iterator[str]:
 
 
 def part(module: str) -> str:
-    """What of its package a module belongs to: `urlink.schemas.enums` to `schemas`."""
+    """What of its package a module belongs to: `urlink.interfaces.enums` to `interfaces`."""
     return [*module.split("."), ""][1]
 
 
@@ -84,11 +81,11 @@ def within(module: str, package: str) -> bool:
 def test_the_imports_are_read() -> None:
     """Of one module of each way to import, so that the rules below are not true of nothing."""
     assert {"linkcore", "urlink"} <= {module.partition(".")[0] for module in MODULES}
-    assert {"json", "linkcore.errors", "linkcore.stream"} <= set(imports("linkcore.recorder"))
+    assert {"json", "linkcore.errors", "linkcore.streaming.stream"} <= set(imports("linkcore.recording.recorder"))
     assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= set(
         imports("urlink.simulator.controller")
     )
-    assert {"urlink.schemas.headers", "linkcore.framing"} <= set(imports("urlink.protocols.realtime"))
+    assert {"urlink.interfaces.headers", "linkcore.wire.framing"} <= set(imports("urlink.interfaces.realtime.protocol"))
     assert "urlink.decode" in set(imports("urlink"))
 
 

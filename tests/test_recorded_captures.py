@@ -10,8 +10,8 @@ import pytest
 
 import urlink
 from captures.make import FIRMWARE, golden, golden_of, packets
-from linkcore.packet import State
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
+from linkcore.wire.packet import State
 
 FOLDER = Path(__file__).resolve().parents[1] / "captures"
 RECORDINGS = sorted(FOLDER.glob("*.urlog"))

@@ -11,7 +11,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
 from urlink.firmware import RELEASES
 
 #: Says that bytes of a controller back a row: "real bytes", "real connection heads", but not "real-time".

@@ -15,9 +15,9 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from linkcore.version import Version, version_text
+from linkcore.wire.version import Version, version_text
 from urlink import Dashboard
-from urlink.schemas.dashboard import COMMANDS
+from urlink.interfaces.dashboard.commands import COMMANDS
 
 _HEAD = ("method", "command", "CB2, CB3", "e-Series", "in local control", "what it does")
 

@@ -23,12 +23,12 @@ from sphinx.util.docutils import SphinxDirective
 
 import urlink
 from linkcore.errors import PacketError
-from linkcore.layout import Layout, Place
-from linkcore.packet import State
-from linkcore.shapes import Coded, Mask64, Raw, Text
+from linkcore.wire.layout import Layout, Place
+from linkcore.wire.packet import State
+from linkcore.wire.shapes import Coded, Mask64, Raw, Text
 from urlink.firmware import RELEASES
-from urlink.schemas.robot_message import MESSAGES, PACKAGES
-from urlink.schemas.robot_state import SUB_PACKAGES
+from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
+from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 
 _log = logging.getLogger(__name__)
 

@@ -17,7 +17,6 @@ Importing it starts nothing and touches no network.
 
 from __future__ import annotations
 
-from linkcore.backoff import Backoff
 from linkcore.errors import (
     BadAddress,
     BadRecording,
@@ -32,10 +31,11 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
-from linkcore.events import ConnectionEvent, ConnectionState
-from linkcore.policy import Policy, block, drop_oldest, latest
 from linkcore.stamp import Stamp
-from linkcore.subscription import Subscription
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.subscription import Subscription
 
 from .background import Background
 from .client import Variables, connect

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from linkcore.errors import Closed
-from linkcore.inbox import Inbox
-from linkcore.policy import Policy
 from linkcore.stamp import Stamp
-from linkcore.subscription import Subscription
+from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.policy import Policy
+from linkcore.streaming.subscription import Subscription
 
 from .update import Change, Update
 

@@ -7,8 +7,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, Closed, RemoteError
+from linkcore.streaming.backoff import Backoff
 
 __all__ = ["Background"]
 

@@ -12,13 +12,13 @@ from typing import Any, Literal, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
-from linkcore.events import ConnectionEvent, ConnectionState
-from linkcore.policy import Policy, drop_oldest
+from linkcore.net.transport import TcpTransport
 from linkcore.stamp import Stamp
-from linkcore.subscription import Subscription
-from linkcore.transport import TcpTransport
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.policy import Policy, drop_oldest
+from linkcore.streaming.subscription import Subscription
 
 from .address import parse_address
 from .audience import Audience

@@ -20,7 +20,7 @@ _MOST = 0.1
 
 
 class Transport(Protocol):
-    """What carries the bytes: `linkcore.transport.TcpTransport`."""
+    """What carries the bytes: `linkcore.net.transport.TcpTransport`."""
 
     name: str
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from linkcore.recording import Kind, Recording
+from linkcore.recording.file import Kind, Recording
 from linkcore.stamp import Stamp
 
 from .database import Database

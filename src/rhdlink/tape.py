@@ -7,7 +7,7 @@ import logging
 import os
 
 from linkcore.errors import BadRecording, Closed
-from linkcore.recording import Kind, RecordingWriter
+from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 
 from .link import Transport

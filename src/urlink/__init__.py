@@ -11,7 +11,6 @@ Importing it starts nothing and touches no network.
 
 from __future__ import annotations
 
-from linkcore.backoff import Backoff
 from linkcore.errors import (
     BadAddress,
     BadRecording,
@@ -27,16 +26,20 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
-from linkcore.events import Chunk, ConnectionEvent, ConnectionState, Traffic
-from linkcore.feed import Feed
-from linkcore.packet import State
-from linkcore.policy import Policy, block, drop_oldest, latest
-from linkcore.recorder import Recorder
+from linkcore.recording.recorder import Recorder
 from linkcore.stamp import Stamp
-from linkcore.stream import Stream
-from linkcore.subscription import Subscription
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import Chunk, ConnectionEvent, ConnectionState, Traffic
+from linkcore.streaming.feed import Feed
+from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.stream import Stream
+from linkcore.streaming.subscription import Subscription
+from linkcore.wire.packet import State
 
-from .dashboard import Dashboard, DashboardRefused
+from .commanding.handle import Program, ProgramPhase
+from .commanding.io import IO, Analog
+from .commanding.programs import Scripts
+from .commanding.safety import Safety
 from .decode import decode
 from .errors import (
     CompileError,
@@ -50,14 +53,9 @@ from .errors import (
     ToleranceExceeded,
 )
 from .firmware import Firmware
-from .io import IO, Analog
-from .models import UnknownModel
-from .motion import Motion, MotionPhase, Motions, Servo, ServoStatistics, TrajectoryFeedback
-from .program import Program, ProgramPhase
-from .protocols.dashboard import ProgramStatus, SavedProgram
-from .robot import Robot, connect
-from .safety import Safety
-from .schemas.enums import (
+from .interfaces.dashboard.client import Dashboard, DashboardRefused
+from .interfaces.dashboard.protocol import ProgramStatus, SavedProgram
+from .interfaces.enums import (
     AnalogDomain,
     ControlMode,
     DigitalBits,
@@ -73,8 +71,7 @@ from .schemas.enums import (
     SafetyMode,
     ToolMode,
 )
-from .schemas.realtime import RealtimeState
-from .schemas.robot_message import (
+from .interfaces.primary.robot_message import (
     KeyMessage,
     OtherPackage,
     PopupMessage,
@@ -91,7 +88,7 @@ from .schemas.robot_message import (
     UnnamedMessage12,
     VersionMessage,
 )
-from .schemas.robot_state import (
+from .interfaces.primary.robot_state import (
     AdditionalInfo,
     CalibrationData,
     CartesianInfo,
@@ -111,8 +108,11 @@ from .schemas.robot_state import (
     ToolModeInfo,
     UnknownSubPackage,
 )
-from .scripts import Scripts
-from .trajectory import Trajectory, TrajectoryPoint
+from .interfaces.realtime.packets import RealtimeState
+from .models import UnknownModel
+from .motion import Motion, MotionPhase, Motions, Servo, ServoStatistics, TrajectoryFeedback
+from .motion.trajectory import Trajectory, TrajectoryPoint
+from .robot import Robot, connect
 
 __all__ = [
     "IO",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Literal, overload
 
 from linkcore.errors import BadValue, PacketError
-from linkcore.packet import State
+from linkcore.wire.packet import State
 
 from .firmware import Firmware, release_of
-from .protocols.primary import PackageBorder, PackageDecoder
-from .protocols.realtime import RealtimeBorder
-from .schemas.realtime import RealtimeState
+from .interfaces.primary.protocol import PackageBorder, PackageDecoder
+from .interfaces.realtime.packets import RealtimeState
+from .interfaces.realtime.protocol import RealtimeBorder
 
 __all__ = ["INTERFACES", "Interface", "decode"]
 

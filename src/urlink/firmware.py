@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from linkcore.errors import BadVersion
-from linkcore.version import parse_version
+from linkcore.wire.version import parse_version
 
-from .schemas.robot_state import RobotState
+from .interfaces.primary.robot_state import RobotState
 
 __all__ = ["NEWEST", "RELEASES", "Firmware", "Release", "infer", "release_of"]
 

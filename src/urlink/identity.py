@@ -6,12 +6,12 @@ import time
 from dataclasses import dataclass
 
 from linkcore.errors import BadVersion, ConnectionLost, LinkTimeout, PacketError, WrongPeer
-from linkcore.transport import TcpTransport
+from linkcore.net.transport import TcpTransport
 
 from .firmware import Firmware, infer, release_of
+from .interfaces.primary.protocol import PrimaryProtocol
+from .interfaces.primary.robot_state import ConfigurationData, RobotState
 from .models import model_of
-from .protocols.primary import PrimaryProtocol
-from .schemas.robot_state import ConfigurationData, RobotState
 
 __all__ = ["Identity", "identify"]
 

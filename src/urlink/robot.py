@@ -9,30 +9,30 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
-from linkcore.backoff import Backoff
 from linkcore.errors import BadValue, LocalError
-from linkcore.packet import State
-from linkcore.recorder import Recorder
-from linkcore.session import Session
-from linkcore.stream import Stream
+from linkcore.recording.recorder import Recorder
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.stream import Stream
+from linkcore.wire.packet import State
+from linkcore.wire.protocol import Session
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from .control import Control
+from .commanding.control import Control
+from .commanding.interlock import Policy
+from .commanding.io import IO
+from .commanding.programs import Scripts
+from .commanding.safety import Safety
 from .firmware import Firmware
-from .gate import Policy
 from .identity import Identity
-from .io import IO
-from .origin import Origin, networked, recorded
-from .protocols.primary import PrimaryProtocol
-from .protocols.realtime import RealtimeProtocol
-from .safety import Safety
-from .schemas.realtime import RealtimeState
-from .schemas.robot_state import RobotState
-from .script import commands
-from .scripts import Scripts
+from .interfaces.primary.protocol import PrimaryProtocol
+from .interfaces.primary.robot_state import RobotState
+from .interfaces.realtime.packets import RealtimeState
+from .interfaces.realtime.protocol import RealtimeProtocol
+from .source import Origin, networked, recorded
+from .urscript import commands
 
 if TYPE_CHECKING:
-    from .dashboard import Dashboard
+    from .interfaces.dashboard.client import Dashboard
     from .motion import Motions
     from .simulator import Controller
 

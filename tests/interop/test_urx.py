@@ -22,7 +22,7 @@ import pytest
 
 import urlink
 from linkcore.errors import BadAddress
-from linkcore.stream import Stream
+from linkcore.streaming.stream import Stream
 from tests.waiting import until
 from urlink import CartesianInfo, JointData, MasterboardData, RealtimeState, RobotState
 from urlink.simulator import Controller

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from construct import Int8ub, Int32ub, Struct
 
 from linkcore.errors import ConnectionLost, PacketError
-from linkcore.framing import Framer
-from linkcore.packet import State, packet, wire
 from linkcore.stamp import Stamp
+from linkcore.wire.framing import Framer
+from linkcore.wire.packet import State, packet, wire
 
 HEADER = Struct("size" / Int8ub)
 

@@ -13,20 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.kinds import (
-    Bool,
-    Float32,
-    Float64,
-    Int32,
-    Int64,
-    Kind,
-    Millionths,
-    Order,
-    Scaled,
-    Structure,
-    Text,
-    UInt32,
-)
+from rhdlink.kinds import Bool, Float32, Float64, Int32, Int64, Kind, Millionths, Order, Scaled, Structure, Text, UInt32
 
 ORDERS: list[Order] = ["little", "big"]
 NUMBERS: list[tuple[Kind[Any, Any, Any], str, st.SearchStrategy[Any]]] = [

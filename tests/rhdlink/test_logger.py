@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from linkcore.errors import BadValue
-from linkcore.recording import Kind, Recording
+from linkcore.recording.file import Kind, Recording
 from rhdlink.config import Element
 from rhdlink.host import Host, PluginFailed
 from rhdlink.kinds import Int32

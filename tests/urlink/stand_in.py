@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-from linkcore.backoff import Backoff
-from linkcore.stream import Stream
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.stream import Stream
 from tests.linkcore.script import ScriptedTransport
 from tests.waiting import until
+from urlink.commanding.channel import Outlet
+from urlink.commanding.handle import Program
+from urlink.commanding.interlock import Policy
+from urlink.commanding.programs import Scripts
+from urlink.commanding.safety import Safety
 from urlink.firmware import Firmware
-from urlink.gate import Policy
-from urlink.outlet import Outlet
-from urlink.program import Program
-from urlink.protocols.primary import PrimaryProtocol
-from urlink.protocols.realtime import RealtimeProtocol
-from urlink.safety import Safety
-from urlink.schemas.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
-from urlink.schemas.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
-from urlink.script.source import finish_marker, start_marker
-from urlink.scripts import Scripts
+from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
+from urlink.interfaces.primary.protocol import PrimaryProtocol
+from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
+from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.urscript.source import finish_marker, start_marker
 
 AT_ONCE = Backoff(first=0, most=0)
 

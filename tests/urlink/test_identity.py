@@ -15,7 +15,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, WrongPee
 from urlink import RobotState, VersionMessage
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify
-from urlink.protocols.primary import PrimaryProtocol
+from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.simulator import Controller
 from urlink.simulator.packets import package
 

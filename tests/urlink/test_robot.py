@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore.statistics import StreamStatistics
+from linkcore.streaming.statistics import StreamStatistics
 from tests.waiting import until
 from urlink import (
     Backoff,

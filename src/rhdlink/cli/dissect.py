@@ -11,7 +11,7 @@ from typing import Any
 from linkcore.cli.options import Subparsers, add_command, positive_int
 from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording
-from linkcore.recording import Kind, Recording
+from linkcore.recording.file import Kind, Recording
 
 from ..tape import CHANNEL
 from .anatomy import Part, Piece, dissect, guess_sender, tables_in

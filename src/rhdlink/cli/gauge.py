@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linkcore.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
 
 from ..snapshot import Variable
 from ..update import Update

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from linkcore.cli.terminal import safe
-from linkcore.events import ConnectionState
+from linkcore.streaming.events import ConnectionState
 
 from .gauge import Sight
 from .meaning import in_units, words_text

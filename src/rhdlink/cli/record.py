@@ -7,7 +7,7 @@ import time
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
 
 from ..client import connect
 from .options import add_address, tell

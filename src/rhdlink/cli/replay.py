@@ -11,8 +11,8 @@ from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int
 from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording
-from linkcore.recording import Recording
-from linkcore.replay import ReplayClock
+from linkcore.recording.file import Recording
+from linkcore.recording.player import ReplayClock
 
 from ..playback import play
 from ..update import Update

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from linkcore.cli.terminal import safe
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
 
 from ..playback import play
 

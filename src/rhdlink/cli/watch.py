@@ -13,9 +13,9 @@ from typing import Any
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
 from linkcore.cli.terminal import safe, strict_json
-from linkcore.inbox import Inbox
-from linkcore.policy import drop_oldest
 from linkcore.stamp import Stamp
+from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.policy import drop_oldest
 
 from ..background import Background
 from ..client import Variables, connect

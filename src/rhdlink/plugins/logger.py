@@ -11,12 +11,12 @@ from typing import Protocol, TextIO
 import numpy as np
 
 from linkcore.errors import BadRecording, BadValue, LinkTimeout
-from linkcore.inbox import Inbox
-from linkcore.policy import drop_oldest
-from linkcore.recording import Kind, RecordingWriter
+from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
-from linkcore.statistics import SubscriptionStatistics
-from linkcore.subscription import Subscription
+from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.policy import drop_oldest
+from linkcore.streaming.statistics import SubscriptionStatistics
+from linkcore.streaming.subscription import Subscription
 
 from ..config import Element
 from ..database import Database

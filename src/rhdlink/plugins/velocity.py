@@ -12,10 +12,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from linkcore.errors import BadValue
-from linkcore.inbox import Inbox
-from linkcore.policy import latest
-from linkcore.statistics import SubscriptionStatistics
-from linkcore.subscription import Subscription
+from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.policy import latest
+from linkcore.streaming.statistics import SubscriptionStatistics
+from linkcore.streaming.subscription import Subscription
 
 from ..config import Element
 from ..kinds import Int32

@@ -7,8 +7,8 @@ import argparse
 from linkcore.cli.terminal import safe
 from linkcore.errors import LocalError
 
+from ..interfaces.dashboard.commands import COMMANDS
 from ..robot import connect
-from ..schemas.dashboard import COMMANDS
 from .options import Subparsers, add_address, add_command, seconds
 
 __all__ = ["add_parser"]

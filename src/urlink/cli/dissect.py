@@ -13,17 +13,17 @@ import numpy as np
 
 from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording, PacketError
-from linkcore.layout import Row, header_rows
-from linkcore.packet import State
-from linkcore.recording import Kind, Recording
-from linkcore.version import version_text
+from linkcore.recording.file import Kind, Recording
+from linkcore.wire.layout import Row, header_rows
+from linkcore.wire.packet import State
+from linkcore.wire.version import version_text
 
 from ..decode import INTERFACES, Interface, decode
 from ..firmware import Firmware, release_of
-from ..protocols.primary import PackageDecoder
-from ..schemas.headers import PACKAGE
-from ..schemas.robot_message import VersionMessage
-from ..schemas.robot_state import RobotState
+from ..interfaces.headers import PACKAGE
+from ..interfaces.primary.protocol import PackageDecoder
+from ..interfaces.primary.robot_message import VersionMessage
+from ..interfaces.primary.robot_state import RobotState
 from .options import Subparsers, add_command, positive_int
 from .stretches import Stretch, cut, guess_interface
 from .values import as_text, plain

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from linkcore.cli.terminal import strict_json
-from linkcore.packet import State
+from linkcore.wire.packet import State
 
 from ..decode import INTERFACES
+from ..interfaces.primary.robot_state import RobotState
+from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
-from ..schemas.realtime import RealtimeState
-from ..schemas.robot_state import RobotState
 from .fields import KINDS, NoSuchField, getter
 from .options import Subparsers, add_address, add_command, positive_int, seconds
 from .tap import Tap

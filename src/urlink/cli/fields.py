@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import urlink
-from linkcore.packet import State
+from linkcore.wire.packet import State
 
-from ..schemas.realtime import RealtimeState
-from ..schemas.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
+from ..interfaces.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
+from ..interfaces.realtime.packets import RealtimeState
 
 __all__ = ["KINDS", "NoSuchField", "field_names", "getter"]
 

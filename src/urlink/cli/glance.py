@@ -5,8 +5,8 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
-from linkcore.events import ConnectionState
-from linkcore.statistics import StreamStatistics
+from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.statistics import StreamStatistics
 
 from .reading import Reading
 

@@ -8,12 +8,12 @@ import time
 from collections import deque
 
 from linkcore.errors import LinkTimeout
-from linkcore.statistics import StreamStatistics
+from linkcore.streaming.statistics import StreamStatistics
 
 from ..decode import INTERFACES
+from ..interfaces.primary.robot_state import RobotState
+from ..interfaces.realtime.packets import RealtimeState
 from ..robot import connect
-from ..schemas.realtime import RealtimeState
-from ..schemas.robot_state import RobotState
 from .options import Subparsers, add_address, add_command, add_interface, positive_int, seconds
 from .tap import Tap
 

@@ -10,8 +10,8 @@ from linkcore.cli.terminal import safe, strict_json
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from ..firmware import release_of
+from ..interfaces.primary.robot_state import SUB_PACKAGES
 from ..robot import Robot, connect
-from ..schemas.robot_state import SUB_PACKAGES
 from .options import Subparsers, add_address, add_command
 
 __all__ = ["add_parser"]

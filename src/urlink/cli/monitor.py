@@ -13,11 +13,11 @@ from typing import Any
 
 from linkcore.cli.interruption import Interruption
 from linkcore.errors import LinkError, LinkTimeout
-from linkcore.events import ConnectionEvent, ConnectionState
-from linkcore.stream import Stream
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.stream import Stream
 
+from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
-from ..schemas.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from .glance import Glance, Status, status_of
 from .options import Subparsers, add_address, add_command, add_interface, seconds
 from .plain import line

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from linkcore.packet import State
 from linkcore.stamp import Stamp
+from linkcore.wire.packet import State
 
-from ..schemas.enums import AnalogDomain
-from ..schemas.realtime import RealtimeState
-from ..schemas.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
+from ..interfaces.enums import AnalogDomain
+from ..interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
+from ..interfaces.realtime.packets import RealtimeState
 
 __all__ = ["Analog", "Reading", "read"]
 

@@ -6,8 +6,8 @@ import argparse
 import time
 
 from linkcore.cli.interruption import Interruption
-from linkcore.events import ConnectionState
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
+from linkcore.streaming.events import ConnectionState
 
 from ..decode import INTERFACES
 from ..robot import connect

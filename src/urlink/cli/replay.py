@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from linkcore.cli.terminal import strict_json
-from linkcore.recording import Recording
+from linkcore.recording.file import Recording
 
 from ..robot import connect
 from .echo import add_options, echo, kind_of, shower

@@ -10,8 +10,8 @@ from linkcore.cli.interruption import Interruption
 from linkcore.cli.terminal import safe
 from linkcore.errors import BadValue, LinkTimeout
 
+from ..commanding.handle import Program
 from ..errors import ScriptError
-from ..program import Program
 from ..robot import connect
 from .options import Subparsers, add_address, add_command, seconds
 from .tap import tell

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from linkcore.errors import WrongPeer
-from linkcore.framing import Border, Framer
+from linkcore.wire.framing import Border, Framer
 
 from ..decode import Interface
-from ..protocols.primary import PackageBorder
-from ..protocols.realtime import RealtimeBorder
+from ..interfaces.primary.protocol import PackageBorder
+from ..interfaces.realtime.protocol import RealtimeBorder
 
 __all__ = ["Stretch", "cut", "guess_interface"]
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from linkcore.cli.terminal import safe
 from linkcore.errors import PacketError, WrongPeer
-from linkcore.recording import Kind, Record, Recording
+from linkcore.recording.file import Kind, Record, Recording
 
-from ..protocols.primary import PrimaryProtocol
-from ..protocols.realtime import RealtimeProtocol
+from ..interfaces.primary.protocol import PrimaryProtocol
+from ..interfaces.realtime.protocol import RealtimeProtocol
 
 __all__ = ["Channel", "Summary", "summarise"]
 

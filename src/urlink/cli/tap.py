@@ -8,10 +8,10 @@ from typing import Any
 
 from linkcore.cli.terminal import safe
 from linkcore.errors import LinkTimeout
-from linkcore.events import ConnectionEvent, ConnectionState
-from linkcore.packet import State
-from linkcore.policy import drop_oldest
-from linkcore.stream import Stream
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.policy import drop_oldest
+from linkcore.streaming.stream import Stream
+from linkcore.wire.packet import State
 
 __all__ = ["Tap", "tell"]
 

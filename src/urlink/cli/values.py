@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from linkcore.cli.terminal import safe
-from linkcore.packet import State
-from linkcore.shapes import OpenInt
+from linkcore.wire.packet import State
+from linkcore.wire.shapes import OpenInt
 
-from ..schemas.robot_message import OtherPackage
-from ..schemas.robot_state import RobotState, UnknownSubPackage, snake_case
+from ..interfaces.primary.robot_message import OtherPackage
+from ..interfaces.primary.robot_state import RobotState, UnknownSubPackage, snake_case
 
 __all__ = ["as_json", "as_line", "as_text", "plain"]
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from linkcore.stream import Stream
+from linkcore.streaming.stream import Stream
 
+from ..commanding.channel import Outlet
+from ..commanding.programs import Scripts
+from ..commanding.safety import Safety
 from ..firmware import Firmware
 from ..identity import Identity
+from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model, UnknownModel, model
-from ..outlet import Outlet
-from ..safety import Safety
-from ..schemas.realtime import RealtimeState
-from ..scripts import Scripts
 
 __all__ = ["Equipment"]
 

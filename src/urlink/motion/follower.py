@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..schemas.realtime import RealtimeState
-from ..trajectory import Trajectory
+from ..interfaces.realtime.packets import RealtimeState
 from .equipment import Equipment
 from .following import Following, Tolerances, TrajectoryFeedback
 from .reverse import ReverseLink
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
+from .trajectory import Trajectory
 
 __all__ = ["Follower"]
 

@@ -11,12 +11,12 @@ import numpy as np
 from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
-from ..schemas.realtime import RealtimeState
-from ..trajectory import Trajectory
+from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import JOINTS, FloatArray
 from .equipment import Equipment
 from .linked import LinkedMotion
 from .reverse import ReverseLink
+from .trajectory import Trajectory
 
 __all__ = ["Following", "Tolerances", "TrajectoryFeedback"]
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from linkcore.errors import LinkError, LinkTimeout, LocalError
 
 from ..errors import MotionCancelled
-from ..script.text import checked
+from ..urscript.text import checked
 from .equipment import Equipment
 
 if TYPE_CHECKING:

@@ -11,13 +11,13 @@ import threading
 import time
 
 from linkcore.errors import ConnectionLost, LinkError, RemoteError
-from linkcore.policy import latest
-from linkcore.subscription import Subscription
+from linkcore.streaming.policy import latest
+from linkcore.streaming.subscription import Subscription
 
+from ..commanding.handle import Program, ProgramPhase
 from ..errors import ProgramStopped, ToleranceExceeded
-from ..program import Program, ProgramPhase
-from ..schemas.realtime import RealtimeState
-from ..script import programs
+from ..interfaces.realtime.packets import RealtimeState
+from ..urscript import programs
 from .equipment import Equipment
 from .handle import Motion, MotionPhase
 from .reverse import ReverseLink

@@ -9,17 +9,16 @@ from typing import TypeVar
 from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.stream import Stream
+from linkcore.streaming.stream import Stream
 
+from ..commanding.channel import Outlet
+from ..commanding.programs import Scripts
+from ..commanding.safety import Safety
 from ..identity import Identity
+from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..outlet import Outlet
-from ..safety import Safety
-from ..schemas.realtime import RealtimeState
-from ..script import programs
-from ..script.text import checked
-from ..scripts import Scripts
-from ..trajectory import Trajectory
+from ..urscript import programs
+from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
 from .equipment import Equipment
 from .follower import Follower
@@ -27,6 +26,7 @@ from .following import Tolerances, TrajectoryFeedback
 from .handle import Motion
 from .servo import Servo
 from .setpoints import Servoing
+from .trajectory import Trajectory
 from .uploaded import UploadedMotion, arriving, lasting
 from .waypoints import WaypointFollower
 

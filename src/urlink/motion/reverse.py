@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
-from linkcore.listener import TcpListener, local_address
-from linkcore.transport import TcpTransport
+from linkcore.net.listener import TcpListener, local_address
+from linkcore.net.transport import TcpTransport
 
 __all__ = ["ReverseLink"]
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
 
-from ..schemas.realtime import RealtimeState
+from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import JOINTS, six
 from .equipment import Equipment
 from .linked import CONNECT_TIMEOUT, LinkedMotion

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
-from ..script.programs import FOLLOW, SCALE, STOP, WAIT, streaming
+from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, streaming
 
 __all__ = ["STOP_WORD", "WAIT_WORD", "Servoing", "setpoint"]
 

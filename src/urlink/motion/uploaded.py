@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ..commanding.handle import Program, ProgramPhase
 from ..errors import ProgramStopped
-from ..program import Program, ProgramPhase
-from ..schemas.realtime import RealtimeState
+from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import FloatArray
 from .equipment import Equipment
 from .handle import Motion

@@ -11,15 +11,15 @@ from collections.abc import Callable
 
 from linkcore.errors import ConnectionLost
 
+from ..commanding.handle import Program, ProgramPhase
 from ..errors import ProgramStopped
-from ..program import Program, ProgramPhase
-from ..schemas.realtime import RealtimeState
-from ..script import waypoints
-from ..script.text import number
-from ..trajectory import Trajectory
+from ..interfaces.realtime.packets import RealtimeState
+from ..urscript import waypoints
+from ..urscript.text import number
 from .equipment import Equipment
 from .following import Following, Tolerances, TrajectoryFeedback
 from .reverse import ReverseLink
+from .trajectory import Trajectory
 
 __all__ = ["WaypointFollower"]
 

@@ -15,8 +15,8 @@ from urlink import models
 from urlink.address import RobotAddress
 from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
 
+from ..interfaces.dashboard.commands import GREETING
 from ..ports import PORTS, interface
-from ..schemas.dashboard import GREETING
 from .arm import Arm
 from .assembly import Assembler
 from .counters import Counters

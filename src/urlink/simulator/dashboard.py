@@ -1,7 +1,7 @@
 """The dashboard server of a simulated controller: a line in, a line out.
 
-Which firmware has which command, and what the replies look like, is in `urlink.schemas.dashboard`. What the commands do
-goes through the controller. Guesses, all of them:
+Which firmware has which command, and what the replies look like, is in `urlink.interfaces.dashboard.commands`. What
+the commands do goes through the controller. Guesses, all of them:
 
 - the reply to a command that is unknown, not on this firmware, or followed by text that it does not take; and to one
   that lacks its text, but for `addToLog` and `setUserRole`;
@@ -22,8 +22,8 @@ from typing import Protocol
 from urlink.firmware import Firmware
 from urlink.models import Model
 
-from ..schemas.dashboard import COMMANDS, COULD_NOT_UNDERSTAND, NOT_IN_REMOTE_CONTROL, Command
-from ..schemas.enums import ProgramState
+from ..interfaces.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND, NOT_IN_REMOTE_CONTROL, Command
+from ..interfaces.enums import ProgramState
 from .modes import Modes, Power, Stop
 
 __all__ = ["DashboardHost", "DashboardPendant", "Responder"]

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from linkcore.version import Since
-from urlink.schemas.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
-from urlink.schemas.robot_message import (
+from linkcore.wire.version import Since
+from urlink.interfaces.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
+from urlink.interfaces.primary.robot_message import (
     NO_TIMESTAMP,
     KeyMessage,
     PopupMessage,

@@ -1,6 +1,6 @@
 """The modes of robot, joints, safety and program, and how they follow from one another.
 
-Numbers and names are in `urlink.schemas.enums`. How the modes hang together is read off manuals, drivers and three
+Numbers and names are in `urlink.interfaces.enums`. How the modes hang together is read off manuals, drivers and three
 captures of standing robots; what is a guess says so here:
 
 - the times that powering on takes, and that a reboot is over with the arm running: guesses, made short for tests;
@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import enum
 
-from linkcore.version import Since
+from linkcore.wire.version import Since
 from urlink.firmware import Firmware
-from urlink.schemas.enums import (
+from urlink.interfaces.enums import (
     JointMode,
     MasterOnOffState,
     MasterSafetyState,

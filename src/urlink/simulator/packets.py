@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from linkcore.layout import Layout
+from linkcore.wire.layout import Layout
 from urlink.firmware import release_of
-from urlink.schemas.enums import SafetyMode
-from urlink.schemas.headers import PACKAGE
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_state import SUB_PACKAGES
+from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.headers import PACKAGE
+from urlink.interfaces.primary.robot_state import SUB_PACKAGES
+from urlink.interfaces.realtime.packets import RealtimeState
 
 if TYPE_CHECKING:
     from .controller import Controller

@@ -10,7 +10,7 @@ import logging
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from ..schemas.enums import ProgramState
+from ..interfaces.enums import ProgramState
 from .motion import Still
 from .urscript import ScriptError, compile_script
 

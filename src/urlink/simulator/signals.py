@@ -13,7 +13,7 @@ class Signals:
     """The inputs and outputs, to be read and set at will.
 
     Attributes:
-        digital_inputs: bit mask; see `urlink.schemas.enums.DigitalBits`.
+        digital_inputs: bit mask; see `urlink.interfaces.enums.DigitalBits`.
         digital_outputs: bit mask.
         analog_inputs: four values: 0 and 1 of the control box, 2 and 3 of the tool; A or V, as `analog_input_ranges`.
         analog_outputs: two values, A or V, as `analog_output_domains`.

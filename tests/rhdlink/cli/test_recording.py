@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import rhdlink
-from linkcore.recording import Kind, Recording, RecordingWriter
+from linkcore.recording.file import Kind, Recording, RecordingWriter
 from linkcore.stamp import Stamp
 from rhdlink import Database, Host, TimeStamp
 from rhdlink.playback import play

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 import rhdlink
-from linkcore.events import ConnectionState
 from linkcore.stamp import Stamp
+from linkcore.streaming.events import ConnectionState
 from rhdlink import Change, Host, TimeStamp, Update
 from rhdlink.cli.gauge import Gauge
 from rhdlink.cli.watch import line

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 import urlink.cli
-from linkcore.recording import Kind, RecordingWriter
+from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests.harm import HOSTILE
 from tests.spawning import spawning
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
-from urlink.schemas.robot_state import MasterboardData, ToolData
+from urlink.interfaces.primary.robot_state import MasterboardData, ToolData
 from urlink.simulator import Controller
 
 Run = Callable[..., tuple[int, str, str]]

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import urlink
-from linkcore.recording import Kind, RecordingWriter
+from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests.harm import HOSTILE, assert_harmless, strict
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage

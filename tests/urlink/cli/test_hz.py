@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from linkcore.statistics import StreamStatistics
+from linkcore.streaming.statistics import StreamStatistics
 from urlink.cli.hz import line
 from urlink.simulator import Controller
 

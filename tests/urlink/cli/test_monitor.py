@@ -16,8 +16,8 @@ import pytest
 from rich.console import Console
 
 import urlink
-from linkcore.events import ConnectionState
-from linkcore.statistics import StreamStatistics
+from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.statistics import StreamStatistics
 from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
 from urlink.cli.glance import Glance, Status, status_of

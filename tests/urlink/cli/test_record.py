@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from linkcore.recording import Kind, Recording
+from linkcore.recording.file import Kind, Recording
 from urlink import decode
 from urlink.simulator import Controller
 

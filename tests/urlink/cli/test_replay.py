@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from linkcore.recording import Kind, RecordingWriter
+from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests.harm import HOSTILE, assert_harmless, strict
 from urlink import RealtimeState

@@ -8,10 +8,10 @@ from typing import Any, Literal, cast
 from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
 from urlink.models import model
-from urlink.script.source import program
 from urlink.simulator.drive import Drive
 from urlink.simulator.motion import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
+from urlink.urscript.source import program
 
 
 class Line:

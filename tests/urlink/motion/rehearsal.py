@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.identity import Identity
+from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion import Motions
-from urlink.schemas.enums import RobotMode, RobotModeCB2, SafetyMode
-from urlink.schemas.realtime import RealtimeState
-from urlink.script.source import finish_marker, start_marker
+from urlink.urscript.source import finish_marker, start_marker
 
 PATIENCE = 10.0
 STOP, FOLLOW, WAIT = 0, 1, 2

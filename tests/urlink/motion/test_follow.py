@@ -15,9 +15,9 @@ from linkcore.errors import BadAddress, BadValue, ConnectFailed, ConnectionLost,
 from tests.urlink.motion.rehearsal import FOLLOW, PATIENCE, STOP, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.interfaces.enums import SafetyMode
 from urlink.motion import Motion, MotionPhase, TrajectoryFeedback
-from urlink.schemas.enums import SafetyMode
-from urlink.trajectory import Trajectory
+from urlink.motion.trajectory import Trajectory
 
 #: A tenth of a radian there and back.
 PATH = Trajectory.from_arrays([0.0, 0.2, 0.4], [turned(0), turned(0.1), turned(0)])

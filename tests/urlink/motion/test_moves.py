@@ -11,8 +11,8 @@ from linkcore.errors import BadValue, Closed, LinkTimeout
 from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import MotionCancelled, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.motion import Motion, MotionPhase
-from urlink.schemas.enums import RobotMode, SafetyMode
 
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
     (lambda r: r.motion.move_joints([0] * 6), "move_joints", "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05)"),

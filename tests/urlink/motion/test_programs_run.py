@@ -9,9 +9,9 @@ from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
-from urlink.script import programs, waypoints
-from urlink.script.text import number
-from urlink.trajectory import Trajectory
+from urlink.motion.trajectory import Trajectory
+from urlink.urscript import programs, waypoints
+from urlink.urscript.text import number
 
 FIRMWARES = [Firmware(1, 8), Firmware(3, 4), Firmware(5, 11)]
 NEW = FIRMWARES[1:]

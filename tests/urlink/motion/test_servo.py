@@ -12,8 +12,8 @@ from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, Loc
 from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop
+from urlink.interfaces.enums import SafetyMode
 from urlink.motion import MotionPhase, Servo
-from urlink.schemas.enums import SafetyMode
 
 
 class Beside:

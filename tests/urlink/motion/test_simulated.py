@@ -14,9 +14,9 @@ from tests.waiting import until
 from urlink.errors import MotionCancelled, SafetyStop
 from urlink.motion import Motion, MotionPhase, TrajectoryFeedback
 from urlink.motion.linked import LinkedMotion
+from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 from urlink.simulator import Controller
-from urlink.trajectory import Trajectory
 
 PATIENCE = 20.0
 

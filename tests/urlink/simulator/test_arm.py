@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import MODELS
-from urlink.schemas.realtime import RealtimeState
 from urlink.simulator import Controller, kinematics
 from urlink.simulator.arm import Arm
 from urlink.simulator.motion import HOME, Demonstration, Setpoint, Still

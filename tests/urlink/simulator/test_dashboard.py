@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.urlink.dashboard_desk import FIRMWARES, StandIn
-from urlink.schemas.dashboard import COMMANDS, NOT_IN_REMOTE_CONTROL
-from urlink.schemas.enums import SafetyMode
+from tests.urlink.interfaces.dashboard_desk import FIRMWARES, StandIn
+from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
+from urlink.interfaces.enums import SafetyMode
 from urlink.simulator.dashboard import Responder
 from urlink.simulator.modes import Power, Stop
 

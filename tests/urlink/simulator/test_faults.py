@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
-from urlink.schemas.enums import RobotMode, SafetyMode
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_message import SafetyModeMessage, VersionMessage
+from urlink.interfaces.enums import RobotMode, SafetyMode
+from urlink.interfaces.primary.robot_message import SafetyModeMessage, VersionMessage
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import Controller, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
 from urlink.simulator.tampering import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from urlink.schemas.enums import (
+from urlink.interfaces.enums import (
     JointMode,
     MasterOnOffState,
     MasterSafetyState,
@@ -12,8 +12,8 @@ from urlink.schemas.enums import (
     SafetyMode,
     ToolMode,
 )
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_state import MasterboardData, RobotModeData, ToolData
+from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, ToolData
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import Controller
 
 CASES = [

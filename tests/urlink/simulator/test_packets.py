@@ -4,19 +4,17 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LocalError
-from linkcore.packet import State
+from linkcore.wire.packet import State
 from urlink.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
-from urlink.models import MODELS, UnknownModel
-from urlink.schemas.enums import JointMode, RobotMode, RobotModeCB2, SafetyMode
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_message import (
+from urlink.interfaces.enums import JointMode, RobotMode, RobotModeCB2, SafetyMode
+from urlink.interfaces.primary.robot_message import (
     NO_TIMESTAMP,
     SafetyComplianceTolerances,
     SafetyModeMessage,
     UnnamedMessage12,
     VersionMessage,
 )
-from urlink.schemas.robot_state import (
+from urlink.interfaces.primary.robot_state import (
     SUB_PACKAGES,
     CartesianInfo,
     ConfigurationData,
@@ -28,6 +26,8 @@ from urlink.schemas.robot_state import (
     RobotState,
     SubPackage,
 )
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.models import MODELS, UnknownModel
 from urlink.simulator import Controller, kinematics
 from urlink.simulator.packets import _CHANGING, _UNCHANGING, Form, _realtime
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import urlink
-from urlink.schemas.enums import ProgramState, SafetyMode
+from urlink.interfaces.enums import ProgramState, SafetyMode
 from urlink.simulator import Controller
 from urlink.simulator.dashboard import UNLOCK_AFTER
 from urlink.simulator.modes import Power

@@ -13,7 +13,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue
 from tests.waiting import until
-from urlink.schemas.enums import ProgramState, RobotMode
+from urlink.interfaces.enums import ProgramState, RobotMode
 from urlink.simulator import Controller
 from urlink.simulator.intake import LONG, MOST_WAITING, Intake
 from urlink.simulator.motion import Still

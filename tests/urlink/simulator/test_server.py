@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadAddress, BadValue, LocalError
-from urlink.schemas.realtime import RealtimeState
-from urlink.schemas.robot_message import VersionMessage
+from urlink.interfaces.primary.robot_message import VersionMessage
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller
 from urlink.simulator.connections import LONGEST_LINE
 

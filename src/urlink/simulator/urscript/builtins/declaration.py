@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from linkcore.version import Since
+from linkcore.wire.version import Since
 from urlink.firmware import Firmware
 
 __all__ = ["REQUIRED", "Builtin", "Family"]

@@ -1,0 +1,235 @@
+"""Recordings: raw bytes with their stamps in a file that survives a crash.
+
+The file is append-only, big-endian::
+
+    8 bytes   magic "LINKREC1"
+    records   u32 length of what follows the checksum | u32 CRC-32 of it
+              u8 kind | u8 channel | i64 monotonic ns | i64 wall ns | payload
+
+    kind 0    channel: JSON object {"name": ..., and whatever the writer knows of the source}
+    kind 1    bytes as they came
+    kind 2    connection event: JSON object {"state": ..., "error": ...}
+    kind 3    end: the recording was closed in good order
+
+Each record goes to the operating system in one write, so a crash of the program loses nothing that
+was recorded, and one of the machine at worst the tail. Reading stops before the first record that is
+incomplete or damaged, and says how much it left out.
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import os
+import struct
+import threading
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..errors import BadRecording, BadValue, Closed
+from ..stamp import Stamp
+
+__all__ = ["Kind", "Record", "Recording", "RecordingWriter"]
+
+_MAGIC = b"LINKREC1"
+_FRAME = struct.Struct(">II")
+_HEAD = struct.Struct(">BBqq")
+#: No record is larger: a longer length is damage.
+_LARGEST = 1 << 26
+
+
+class Kind(enum.IntEnum):
+    """What a record holds."""
+
+    CHANNEL = 0
+    BYTES = 1
+    EVENT = 2
+    END = 3
+
+
+class Record(NamedTuple):
+    """One record of a recording."""
+
+    kind: Kind
+    channel: int
+    stamp: Stamp
+    payload: bytes
+
+
+class RecordingWriter:
+    """Appends records to a new file; may be called from several threads.
+
+    Raises:
+        BadRecording: the file exists, or cannot be made.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        try:
+            # Unbuffered: what write() returned from is the operating system's to keep.
+            self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115
+        except FileExistsError:
+            raise BadRecording(f"{self.path} exists; a recording never overwrites one") from None
+        except (OSError, ValueError) as error:  # ValueError: no operating system has such names
+            raise BadRecording(f"cannot write {self.path}: {_reason(error)}") from error
+        self._lock = threading.Lock()
+        self._channels = 0
+        #: What went wrong with the file; nothing is written after it.
+        self.failure: str | None = None
+        try:
+            self._append(_MAGIC)
+        except BadRecording:
+            self._file.close()
+            raise
+
+    def add_channel(self, info: Mapping[str, Any]) -> int:
+        """Declare a channel; `info` is JSON-ready and has at least "name". Returns its number.
+
+        Raises:
+            BadValue: there are 256 already.
+            BadRecording, Closed: as `write`.
+        """
+        payload = json.dumps(dict(info)).encode()
+        with self._lock:
+            number = self._channels
+            if number > 255:
+                raise BadValue("a recording holds at most 256 channels")
+            self._channels += 1
+        self.write(Kind.CHANNEL, number, Stamp.now(), payload)
+        return number
+
+    def write(self, kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> None:
+        """Append one record.
+
+        Raises:
+            BadRecording: the disk did not take it, or an earlier one.
+            Closed: after `close`.
+        """
+        data = _packed(kind, channel, stamp, payload)
+        with self._lock:
+            if self._file.closed:
+                raise Closed(f"{self.path} is closed")
+            self._append(data)
+
+    def close(self, *, complete: bool = True) -> None:
+        """Close; idempotent. Unless `complete` is False, the end record says that nothing is missing.
+
+        Raises:
+            BadRecording: the disk did not take the end record.
+        """
+        with self._lock:
+            if self._file.closed:
+                return
+            try:
+                if complete and self.failure is None:
+                    self._append(_packed(Kind.END, 0, Stamp.now(), b""))
+            finally:
+                self._file.close()
+
+    def _append(self, data: bytes) -> None:
+        if self.failure is None:
+            try:
+                written = self._file.write(data)
+                if written != len(data):
+                    # A full disk takes half a record: readers stop before it, and so do we.
+                    self.failure = f"{self.path}: only {written} of {len(data)} bytes were taken; is the disk full?"
+            except OSError as error:
+                self.failure = f"cannot write {self.path}: {_reason(error)}"
+        if self.failure is not None:
+            raise BadRecording(self.failure)
+
+
+def _packed(kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> bytes:
+    body = _HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
+    return _FRAME.pack(len(body), zlib.crc32(body)) + body
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+class Recording:
+    """A recording to read.
+
+    Attributes:
+        path: the file.
+        channels: number of each channel -> what the writer said of it.
+        is_complete: whether it was closed in good order.
+        left_out: bytes at its end that are unfinished or damaged.
+
+    Raises:
+        BadRecording: no such file, or not a recording.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.channels: dict[int, dict[str, Any]] = {}
+        self.is_complete = False
+        self.left_out = 0
+        for record in self:
+            if record.kind is Kind.CHANNEL:
+                self.channels[record.channel] = self._described(record, "name")
+            elif record.kind is Kind.EVENT:
+                self._described(record, "state")  # here, rather than in the middle of a replay
+            elif record.kind is Kind.END:
+                self.is_complete = True
+
+    def _described(self, record: Record, key: str) -> dict[str, Any]:
+        """The JSON object in a record, which holds text under `key`."""
+        try:
+            info = json.loads(record.payload)
+        except (ValueError, RecursionError) as error:
+            raise BadRecording(f"{self.path}: channel {record.channel} is not described in JSON") from error
+        if not isinstance(info, dict) or not isinstance(info.get(key), str):
+            raise BadRecording(f"{self.path}: channel {record.channel} has no {key}")
+        return info
+
+    def __iter__(self) -> Iterator[Record]:
+        """The records up to the end, or to the first that is incomplete or damaged.
+
+        `left_out` then says how many bytes follow.
+
+        Raises:
+            BadRecording: no such file, or not a recording.
+        """
+        try:
+            file = open(self.path, "rb")  # noqa: SIM115
+        except (OSError, ValueError) as error:
+            raise BadRecording(f"cannot read {self.path}: {_reason(error)}") from error
+        with file:
+            magic = file.read(len(_MAGIC))
+            if magic != _MAGIC:
+                raise BadRecording(f"{self.path} is not a recording: it begins with {magic!r}, not {_MAGIC!r}")
+            size = os.fstat(file.fileno()).st_size
+            at = len(_MAGIC)
+            while True:
+                frame = file.read(_FRAME.size)
+                if len(frame) < _FRAME.size:
+                    break
+                length, checksum = _FRAME.unpack(frame)
+                if not _HEAD.size <= length <= _LARGEST:
+                    break
+                body = file.read(length)
+                if len(body) < length or zlib.crc32(body) != checksum:
+                    break
+                at += _FRAME.size + length
+                kind, channel, monotonic, wall = _HEAD.unpack_from(body)
+                if kind > Kind.END:
+                    continue  # of a later version of the format
+                yield Record(Kind(kind), channel, Stamp(monotonic / 1e9, wall / 1e9), body[_HEAD.size :])
+            # It may have grown meanwhile: a recording can be read while it is being made.
+            self.left_out = max(size - at, 0)
+
+    def channel(self, name: str) -> int:
+        """Number of the channel called `name`.
+
+        Raises:
+            BadRecording: there is none; says which there are.
+        """
+        for number, info in self.channels.items():
+            if info["name"] == name:
+                return number
+        there = ", ".join(info["name"] for info in self.channels.values()) or "nothing"
+        raise BadRecording(f"{self.path} holds no {name}; it holds {there}")

@@ -1,0 +1,139 @@
+"""Replay: a recording as a transport, on absolute deadlines."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+
+from ..errors import BadValue, ConnectFailed, ConnectionLost, LinkTimeout
+from ..net.transport import Finished
+from ..stamp import Stamp
+from .file import Kind, Record, Recording
+
+__all__ = ["ReplayClock", "ReplayTransport"]
+
+
+class ReplayClock:
+    """The time line that the channels of one replay share; it starts when the first one opens.
+
+    Args:
+        recording: whose time line.
+        rate: 1 is the speed of the recording, 2 twice that; 0 as fast as possible.
+    """
+
+    def __init__(self, recording: Recording, rate: float = 1.0) -> None:
+        if not 0 <= rate < float("inf"):
+            raise BadValue(f"rate is {rate}; expected 0 (as fast as possible) or a positive number")
+        self.rate = rate
+        self._lock = threading.Lock()
+        self._started: float | None = None
+        first = next((record for record in recording if record.kind is Kind.BYTES), None)
+        self._first = 0.0 if first is None else first.stamp.monotonic
+
+    def start(self) -> None:
+        """Start the time line, if nothing has yet."""
+        with self._lock:
+            if self._started is None:
+                self._started = time.monotonic()
+
+    def delay(self, stamp: Stamp) -> float:
+        """Seconds from now until what was stamped so is due."""
+        if self.rate == 0 or self._started is None:
+            return 0.0
+        return self._started + (stamp.monotonic - self._first) / self.rate - time.monotonic()
+
+
+class ReplayTransport:
+    """One channel of a recording as a source of bytes.
+
+    Chunks come as they were cut, at the recorded times. Their stamps say the recorded wall time, and
+    the present on the monotonic clock. Where the recorded connection was lost, this one is too, and
+    comes back when that one did.
+    """
+
+    def __init__(self, recording: Recording, channel: str, clock: ReplayClock) -> None:
+        number = recording.channel(channel)
+        self.name = f"{recording.path.name} ({channel})"
+        self._clock = clock
+        self._records: Iterator[Record] = (record for record in recording if record.channel == number)
+        self._next: Record | None = None  # taken from the records, not yet due
+        self._was_open = False
+        self._closed = threading.Event()
+
+    def open(self, timeout: float) -> None:
+        """Start, or go on after a lost connection, once the recorded one went on.
+
+        Raises:
+            Finished: it never did.
+            ConnectFailed: as recorded.
+            LinkTimeout: it did not within `timeout` seconds.
+        """
+        self._closed.clear()
+        self._clock.start()
+        # The first connection is made at once: who opens a channel that was recorded late is not kept waiting.
+        again, self._was_open = self._was_open, True
+        while (record := self._peek()) is not None and record.kind is not Kind.BYTES:
+            state, error = self._event(record)
+            if state in ("connected", "lost"):
+                if again and not self._wait(record.stamp, timeout):
+                    raise LinkTimeout(f"{self.name}: not connected again within {timeout:g} s, as recorded")
+                self._next = None
+                if state == "lost":
+                    raise ConnectFailed(f"{self.name}: as recorded: {error}")
+                return
+            self._next = None
+        if record is None and again:
+            raise Finished
+
+    def receive(self) -> tuple[bytes, Stamp]:
+        """Wait until the next chunk is due.
+
+        Raises:
+            Finished: that was all.
+            ConnectionLost: as recorded, or closed.
+        """
+        while (record := self._peek()) is not None:
+            state, error = self._event(record)
+            if record.kind is Kind.BYTES or state == "lost":
+                self._wait(record.stamp)
+                if self._closed.is_set():
+                    raise ConnectionLost(f"{self.name}: closed")
+            self._next = None
+            if state == "lost":
+                raise ConnectionLost(f"{self.name}: as recorded: {error}")
+            if record.kind is Kind.BYTES:
+                return record.payload, Stamp(time.monotonic(), record.stamp.wall)
+        raise Finished
+
+    def _peek(self) -> Record | None:
+        if self._next is None:
+            self._next = next(self._records, None)
+        return self._next
+
+    @staticmethod
+    def _event(record: Record) -> tuple[str | None, object]:
+        if record.kind is not Kind.EVENT:
+            return None, None
+        event = json.loads(record.payload)
+        return event["state"], event.get("error")
+
+    def _wait(self, stamp: Stamp, most: float = float("inf")) -> bool:
+        """Wait until what was stamped so is due, for `most` seconds; False if it is not due yet."""
+        delay = self._clock.delay(stamp)
+        if delay > 0:
+            self._closed.wait(min(delay, most, threading.TIMEOUT_MAX))
+        return delay <= most
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Refuse: nobody is listening in a recording.
+
+        Raises:
+            BadValue: always.
+        """
+        raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
+
+    def close(self) -> None:
+        """Wake whoever waits."""
+        self._closed.set()

@@ -1,0 +1,51 @@
+"""How long to wait before trying again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..errors import BadValue
+
+__all__ = ["Backoff"]
+
+
+@dataclass(frozen=True)
+class Backoff:
+    """Exponential, bounded, with jitter so that many clients do not come back in step.
+
+    Attributes:
+        first: seconds before the first try.
+        factor: growth from try to try.
+        most: seconds that no wait exceeds.
+        jitter: share by which each wait is varied at random, 0 to 1.
+        tries: how many tries before giving up; None tries for ever, 0 never.
+
+    Raises:
+        BadValue: a negative time, a factor below 1, or a jitter outside 0 to 1.
+    """
+
+    first: float = 0.1
+    factor: float = 2.0
+    most: float = 5.0
+    jitter: float = 0.2
+    tries: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.first < 0 or self.most < 0 or self.factor < 1 or not 0 <= self.jitter <= 1:
+            raise BadValue(f"{self}: times cannot be negative, factor is at least 1, jitter is 0 to 1")
+
+    def waits(self) -> Iterator[float]:
+        """Seconds to wait before each try; ends when it is time to give up.
+
+        >>> list(Backoff(first=0.1, most=0.3, jitter=0, tries=4).waits())
+        [0.1, 0.2, 0.3, 0.3]
+        """
+        # Here, because it brings hashlib with it, and whoever imports us should not pay for that.
+        import random
+
+        wait, done = self.first, 0
+        while self.tries is None or done < self.tries:
+            yield min(wait * (1 + random.uniform(-self.jitter, self.jitter)), self.most)
+            wait = min(wait * self.factor, self.most)
+            done += 1

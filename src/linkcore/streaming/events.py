@@ -1,0 +1,49 @@
+"""What a stream tells beside its packets: how its connection fares, and the bytes as they came."""
+
+from __future__ import annotations
+
+import enum
+from typing import NamedTuple
+
+from ..stamp import Stamp
+
+__all__ = ["Chunk", "ConnectionEvent", "ConnectionState", "Traffic"]
+
+
+class ConnectionState(enum.Enum):
+    """What a stream's connection is doing."""
+
+    IDLE = "idle"
+    CONNECTING = "connecting"
+    CONNECTED = "connected"
+    LOST = "lost"
+    CLOSED = "closed"
+
+
+class ConnectionEvent(NamedTuple):
+    """A change of a stream's connection; subscribe to it as to a packet.
+
+    Attributes:
+        state: the new state.
+        stream: name of the stream.
+        error: what ended the connection, or None.
+        received: when it was noticed.
+    """
+
+    state: ConnectionState
+    stream: str
+    error: Exception | None
+    received: Stamp
+
+
+class Traffic:
+    """Everything as it came: subscribe to it for each `Chunk` and each `ConnectionEvent`, in order."""
+
+    IS_EVENT = True
+
+
+class Chunk(NamedTuple):
+    """Bytes as they came, and when."""
+
+    data: bytes
+    received: Stamp

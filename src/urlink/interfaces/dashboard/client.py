@@ -1,0 +1,423 @@
+"""`Dashboard`: power, programs, popups and modes over the dashboard server (port 29999), what `robot.dashboard` is."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
+
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError
+from linkcore.net.transport import TcpTransport
+from linkcore.wire.version import version_text
+
+from ...firmware import Firmware
+from ..enums import RobotMode, RobotModeCB2, SafetyMode
+from .commands import COMMANDS, NOT_IN_REMOTE_CONTROL, POLYSCOPE_X, FlightReport, OperationalMode, UserRole
+from .protocol import (
+    DashboardProtocol,
+    ProgramStatus,
+    SavedProgram,
+    command_line,
+    encode_line,
+    parse_is_program_saved,
+    parse_loaded_program,
+    parse_operational_mode,
+    parse_program_state,
+    parse_robot_mode,
+    parse_safety_mode,
+    parse_text,
+    parse_truth,
+    parse_user_role,
+)
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Dashboard", "DashboardRefused"]
+
+#: Seconds between two looks at the robot mode while it starts.
+_POLL = 0.2
+#: Seconds within which an arm that was told to switch off no longer runs.
+_OFF_WITHIN = 5.0
+
+# The beginning of the reply after which a controller wants to be connected to anew.
+_NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
+
+
+class DashboardRefused(RemoteError):
+    """The controller did not carry out a command, or answered what nobody can read as a yes.
+
+    Attributes:
+        command: what was sent.
+        reply: what the controller answered, in its own words.
+    """
+
+    def __init__(self, command: str, reply: str) -> None:
+        super().__init__(command, reply)
+        self.command = command
+        self.reply = reply
+
+    def __str__(self) -> str:
+        return f"{self.command!r}: the controller answered {self.reply!r}"
+
+
+class Dashboard:
+    """What can be asked of the dashboard server of one controller.
+
+    Connects at first use, and again where a connection was lost between two commands. A command that may have reached
+    the controller is never sent a second time: where the reply does not come, the connection is closed and the error
+    says so, and the next command begins on a new one. So it does after the refusal in local mode, as the controller
+    asks for there. Threads may share it; they take turns.
+
+    All methods that talk to the controller raise
+
+    - `LocalError` where the firmware does not have the command, and `BadValue` for an argument that cannot be sent;
+      nothing has been sent then;
+    - `DashboardRefused` where the controller does not carry it out, as an e-Series does in local mode;
+    - `LinkTimeout` where it does not answer in time, `ConnectFailed` and `ConnectionLost` where it is not there,
+      `WrongPeer` where something else is, and `PacketError` where an answer says something that is not known;
+    - `Closed` after `close`;
+    - what `firmware` raises.
+
+    Args:
+        host: name or address.
+        port: 29999 on a real controller.
+        firmware: says what runs there; asked before each command, since it may have changed in between.
+        timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
+            how much.
+
+    Raises:
+        BadValue: the timeout is not positive.
+    """
+
+    def __init__(self, host: str, port: int, firmware: Callable[[], Firmware], *, timeout: float = 5.0) -> None:
+        self._timeout = _positive(timeout)
+        self._firmware = firmware
+        self._transport = TcpTransport(host, port, silence=timeout)
+        self._name = f"the dashboard server at {self._transport.name}"
+        self._lock = threading.Lock()
+        self._protocol: DashboardProtocol | None = None
+        self._is_closed = False
+        self._switched_off = -math.inf
+
+    # -- power ---------------------------------------------------------------------------------------
+
+    def start(self, timeout: float = 30.0) -> None:
+        """Power the arm on and release its brakes; returns when it runs. **The arm may move** as the brakes release.
+
+        It does not unlock a stop: an arm in a protective stop runs, and does not move before `unlock_protective_stop`.
+        On CB2 the arm is started by a person at the pendant; later controllers may want one to confirm the safety
+        settings first.
+
+        Raises:
+            LinkTimeout: it does not run after `timeout` seconds; says how far it got.
+            LocalError: CB2 has no command for it.
+            DashboardRefused: the controller does not want to, as an e-Series in local mode.
+        """
+        until = time.monotonic() + _positive(timeout)
+        if self._present().is_cb2:
+            raise LocalError("a CB2 controller cannot be told to power the arm on; start the arm at the pendant")
+        next_step = {RobotMode.POWER_OFF: "power on", RobotMode.IDLE: "brake release"}
+        while True:
+            mode = self.robot_mode()
+            # An arm that was told to switch off runs on while it comes to rest.
+            if mode == RobotMode.RUNNING and time.monotonic() - self._switched_off > _OFF_WITHIN:
+                return
+            if mode != RobotMode.RUNNING:
+                self._switched_off = -math.inf
+            left = until - time.monotonic()
+            if left <= 0:
+                raise LinkTimeout(
+                    f"the arm does not run after {timeout:g} s: robot mode {mode.name}, "
+                    f"safety mode {self.safety_mode().name}"
+                )
+            # Each step once: a person who switches the arm off while it starts means it.
+            step = next_step.pop(RobotMode(mode), None)
+            if step is not None:
+                self._do(step)
+            time.sleep(min(_POLL, left))
+
+    def power_on(self) -> None:
+        """Begin to power the arm on; it arrives in IDLE with its brakes locked. `start` does all of it, and waits."""
+        self._do("power on")
+
+    def power_off(self) -> None:
+        """Begin to switch the arm off; it comes to rest first."""
+        self._do("power off")
+        self._switched_off = time.monotonic()
+
+    def brake_release(self) -> None:
+        """Begin to release the brakes. **The arm may move.** Powers it on first if it is off."""
+        self._do("brake release")
+
+    def shutdown(self) -> None:
+        """Shut the controller down and switch it off."""
+        self._do("shutdown", is_last=True)
+
+    # -- programs ------------------------------------------------------------------------------------
+
+    def load(self, path: str) -> None:
+        """Load a program of the controller's, such as `"pick.urp"`.
+
+        Up to 3.2 the controller answers before it has been loaded, and from 3.4 on after its installation is too.
+        """
+        self._do("load", path)
+
+    def load_installation(self, path: str) -> None:
+        """Load an installation of the controller's, such as `"default.installation"`."""
+        self._do("load installation", path)
+
+    def play(self) -> None:
+        """Run the loaded program, or go on with it. **The arm moves.**"""
+        self._do("play")
+
+    def pause(self) -> None:
+        """Pause the program that runs."""
+        self._do("pause")
+
+    def stop(self) -> None:
+        """Stop the program that runs."""
+        self._do("stop")
+
+    def running(self) -> bool:
+        """Whether a program runs."""
+        return parse_truth("running", self._do("running"))
+
+    def program_state(self) -> ProgramStatus:
+        """Whether the program is stopped, plays or is paused, and its name."""
+        return parse_program_state(self._do("programState"))
+
+    def loaded_program(self) -> str | None:
+        """Path of the loaded program; None if there is none."""
+        return parse_loaded_program(self._do("get loaded program"))
+
+    def is_program_saved(self) -> SavedProgram:
+        """Whether the loaded program has been saved since it was changed, and its name."""
+        return parse_is_program_saved(self._do("isProgramSaved"))
+
+    # -- safety --------------------------------------------------------------------------------------
+
+    def robot_mode(self) -> RobotMode | RobotModeCB2:
+        """The robot mode; CB2 has a list of its own."""
+        return parse_robot_mode(self._do("robotmode"), self._present().is_cb2)
+
+    def safety_mode(self) -> SafetyMode:
+        """The safety mode."""
+        return parse_safety_mode("safetymode", self._do("safetymode"))
+
+    def safety_status(self) -> SafetyMode:
+        """As `safety_mode`, with finer names for the stops."""
+        return parse_safety_mode("safetystatus", self._do("safetystatus"))
+
+    def unlock_protective_stop(self) -> None:
+        """Let the arm move again after a protective stop. **Look what caused the stop first.**
+
+        Refused in the first five seconds of the stop.
+        """
+        self._do("unlock protective stop")
+
+    def restart_safety(self) -> None:
+        """Restart the safety system after a fault or violation, which leaves the arm switched off."""
+        self._do("restart safety")
+
+    def is_in_remote_control(self) -> bool:
+        """Whether an e-Series takes commands that move or power the arm."""
+        return parse_truth("is in remote control", self._do("is in remote control"))
+
+    def operational_mode(self) -> OperationalMode:
+        """The operational mode; `"none"` where no password for it was set."""
+        return parse_operational_mode(self._do("get operational mode"))
+
+    def set_operational_mode(self, mode: Literal["manual", "automatic"]) -> None:
+        """Set the operational mode, and keep the pendant from changing it until `clear_operational_mode`."""
+        self._do("set operational mode", mode)
+
+    def clear_operational_mode(self) -> None:
+        """Leave the operational mode to the pendant again."""
+        self._do("clear operational mode")
+
+    def user_role(self) -> UserRole:
+        """What the pendant of a CB3 lets its user do."""
+        return parse_user_role(self._do("getUserRole"))
+
+    def set_user_role(self, role: UserRole) -> None:
+        """Set what the pendant of a CB3 lets its user do."""
+        self._do("setUserRole", role)
+
+    # -- pendant -------------------------------------------------------------------------------------
+
+    def popup(self, text: str) -> None:
+        """Show a message on the pendant."""
+        self._do("popup", text)
+
+    def close_popup(self) -> None:
+        """Close the message."""
+        self._do("close popup")
+
+    def close_safety_popup(self) -> None:
+        """Close a message of the safety system."""
+        self._do("close safety popup")
+
+    def add_to_log(self, text: str) -> None:
+        """Add a line to the controller's log."""
+        self._do("addToLog", text)
+
+    # -- who it is -----------------------------------------------------------------------------------
+
+    def polyscope_version(self) -> str:
+        """Version and date of the software, such as `"5.4.0.76837 (Jul 30 2019)"`."""
+        return parse_text("PolyscopeVersion", self._do("PolyscopeVersion"))
+
+    def version(self) -> str:
+        """Version of the software, four numbers."""
+        return parse_text("version", self._do("version"))
+
+    def serial_number(self) -> str:
+        """Serial number of the robot."""
+        return parse_text("get serial number", self._do("get serial number"))
+
+    def robot_model(self) -> str:
+        """Name of the arm without its generation, such as `"UR5"`."""
+        return parse_text("get robot model", self._do("get robot model"))
+
+    # -- reports -------------------------------------------------------------------------------------
+
+    def generate_flight_report(self, kind: FlightReport = "system") -> str:
+        """Write a flight report, which takes up to three minutes; returns its id."""
+        return parse_text("generate flight report", self._do("generate flight report", kind))
+
+    def generate_support_file(self, directory: str) -> str:
+        """Write a support file to a directory of the controller's, which takes up to ten minutes; returns its name."""
+        return parse_text("generate support file", self._do("generate support file", directory))
+
+    def save_log(self) -> None:
+        """Write the controller's log to its disk."""
+        self._do("saveLog")
+
+    # -- the connection --------------------------------------------------------------------------------
+
+    def send(self, command: str, timeout: float | None = None) -> str:
+        """Send any command and return the reply, whatever it says; for what has no method here.
+
+        Args:
+            command: one line of text, without its end.
+            timeout: seconds for the reply; by default that of the dashboard.
+        """
+        self._present()
+        encode_line(command)
+        within = self._timeout if timeout is None else _positive(timeout)
+        return self._exchange(command, within, lambda reply: not reply.casefold().startswith(_NOT_ALLOWED))
+
+    def quit(self) -> None:
+        """Take leave of the controller and disconnect; the next command connects again."""
+        self._do("quit", is_last=True)
+
+    def close(self) -> None:
+        """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
+        self._is_closed = True
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Dashboard {self._transport.name}>"
+
+    def _present(self) -> Firmware:
+        """What runs on the controller at present; raises `LocalError` where that has no dashboard server."""
+        firmware = self._firmware()
+        if firmware >= POLYSCOPE_X:
+            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server")
+        return firmware
+
+    def _do(self, name: str, argument: str | None = None, *, is_last: bool = False) -> str:
+        """Have one command of the table carried out; returns the reply."""
+        command, firmware = COMMANDS[name], self._present()
+        if not command.is_on(firmware):
+            first = command.first(firmware)
+            generation = "e-Series" if firmware.is_e_series else "CB2 or CB3"
+            which = f"the first that has it is {version_text(first)}" if first else f"no {generation} controller has it"
+            raise LocalError(f"firmware {firmware} has no dashboard command {name!r}; {which}")
+        line = command_line(command, argument)
+
+        def stays(reply: str) -> bool:
+            # In local mode the controller wants to be connected to anew; and what is no reply that is known may be the
+            # reply to something else.
+            return not is_last if command.match(reply) else command.is_refusal(reply)
+
+        reply = self._exchange(line, max(self._timeout, command.slow), stays)
+        if command.match(reply) is None:
+            raise DashboardRefused(line, reply)
+        return reply
+
+    def _exchange(self, line: str, timeout: float, stays: Callable[[str], bool]) -> str:
+        """Send a line and wait for the reply; `stays` says by the reply whether the connection is kept."""
+        until = time.monotonic() + timeout
+        if not self._lock.acquire(timeout=timeout):
+            raise LinkTimeout(
+                f"{self._name}: {line!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
+            )
+        try:
+            protocol = self._connected(min(until, time.monotonic() + self._timeout))
+            self._transport.send(protocol.ask(line), max(until - time.monotonic(), 0.0))
+            reply = None
+            while reply is None:
+                reply = protocol.feed(self._received(until, f"no reply to {line!r} within {timeout:g} s"))
+            if not stays(reply):
+                self._disconnect()
+        except BaseException as error:
+            # Whatever comes on this connection now might be taken for the reply to the next command.
+            self._disconnect()
+            if self._is_closed and isinstance(error, ConnectionLost):
+                raise Closed(f"{self._name} was closed while {line!r} waited") from error
+            raise
+        finally:
+            self._lock.release()
+        return reply
+
+    def _connected(self, until: float) -> DashboardProtocol:
+        """The protocol of a connection on which nothing is under way; a new one if need be."""
+        if self._protocol is not None and not self._is_in_step(self._protocol):
+            self._disconnect()
+        if self._protocol is None:
+            if self._is_closed:
+                raise Closed(f"{self._name} was closed")
+            protocol = DashboardProtocol()
+            self._transport.open(max(until - time.monotonic(), 0.0))
+            if self._is_closed:
+                raise ConnectionLost(f"{self._name} was closed here")
+            while not protocol.is_greeted:
+                protocol.feed(self._received(until, "no greeting came"))
+            self._protocol = protocol
+        return self._protocol
+
+    def _is_in_step(self, protocol: DashboardProtocol) -> bool:
+        """Nothing has been sent yet, so a connection that was lost, or on which something came unasked, can be left."""
+        try:
+            return self._transport.receive_waiting() is None and protocol.is_in_step
+        except ConnectionLost:
+            return False
+
+    def _received(self, until: float, otherwise: str) -> bytes:
+        try:
+            left = until - time.monotonic()
+            if left > 0:
+                return self._transport.receive(left)[0]
+        except LinkTimeout:
+            pass
+        raise LinkTimeout(f"{self._name}: {otherwise}")
+
+    def _disconnect(self) -> None:
+        self._protocol = None
+        self._transport.close()
+
+
+def _positive(timeout: float) -> float:
+    if not 0 < timeout < threading.TIMEOUT_MAX:
+        raise BadValue(f"a timeout is a positive number of seconds, not {timeout!r}")
+    return timeout

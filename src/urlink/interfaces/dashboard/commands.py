@@ -1,0 +1,217 @@
+"""The dashboard server (port 29999): the one table of its commands.
+
+Lines of text, one reply to each command. Source: reference ur-dashboard, where the versions are those that the vendor's
+own client enforces. Punctuation and case of the replies changed between generations, so they are matched from their
+beginning and case-insensitively. What is not in the reference:
+
+- which commands need remote control beyond those that it names (`stop`, `pause`, `shutdown`, `power off`,
+  `restart safety`), and the words of that refusal: reports of users of the e-Series;
+- the bare number with which a CB2 controller says its mode: the vendor's older table and two public clients;
+- `No log message to add`, `Failed setting user role` and `Program loaded`: public clients that follow the vendor's
+  older table;
+- `could not understand`: the vendor's own client expects it of a controller that does not know a command;
+- the kinds of flight report: a public client that follows the vendor's table for the e-Series;
+- how long slow commands may take: for the reports what the vendor's own client allows, for the others a guess.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, get_args
+
+from linkcore.wire.version import Version
+
+from ..headers import DASHBOARD_GREETING
+
+__all__ = [
+    "COMMANDS",
+    "COULD_NOT_UNDERSTAND",
+    "GREETING",
+    "NOT_IN_REMOTE_CONTROL",
+    "POLYSCOPE_X",
+    "Command",
+    "FlightReport",
+    "OperationalMode",
+    "UserRole",
+]
+
+#: What the server says first.
+GREETING = DASHBOARD_GREETING.decode("ascii") + " Robots Dashboard Server"
+
+#: The reply of an e-Series controller in local mode, to commands that need remote control.
+NOT_IN_REMOTE_CONTROL = (
+    "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to "
+    "port 29999"
+)
+
+#: How the reply to an unknown command begins.
+COULD_NOT_UNDERSTAND = "could not understand"
+
+#: From this version on there is no dashboard server.
+POLYSCOPE_X: Version = (10, 0)
+
+OperationalMode = Literal["none", "manual", "automatic"]
+UserRole = Literal["programmer", "operator", "none", "locked", "restricted"]
+FlightReport = Literal["controller", "software", "system"]
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Attributes:
+        name: as it is sent.
+        cb: the first firmware of CB2 and CB3 that has it; None: none has.
+        e: the first of the e-Series; None: none has.
+        success: regular expression that a reply matches, from its beginning, if the command was carried out.
+        refusals: how replies begin that say that it was not.
+        argument: what follows the name; empty: nothing does.
+        choices: the only values of the argument; empty: any text.
+        needs_remote_control: the e-Series refuses it in local mode.
+        slow: seconds that the reply may take, where that is longer than a moment.
+    """
+
+    name: str
+    cb: Version | None
+    e: Version | None
+    success: str
+    refusals: tuple[str, ...] = ()
+    argument: str = ""
+    choices: tuple[str, ...] = ()
+    needs_remote_control: bool = False
+    slow: float = 0.0
+
+    def first(self, firmware: Version) -> Version | None:
+        """The first firmware of the generation of `firmware` that has it, or None where none has."""
+        if firmware >= POLYSCOPE_X:
+            return None
+        return self.e if firmware >= (5, 0) else self.cb
+
+    def is_on(self, firmware: Version) -> bool:
+        """Whether `firmware` has it."""
+        first = self.first(firmware)
+        return first is not None and firmware >= first
+
+    def match(self, reply: str) -> re.Match[str] | None:
+        """The match of `success`, whose groups are what the reply says; None if it was not carried out."""
+        return re.match(self.success, reply, re.IGNORECASE | re.ASCII)
+
+    def is_refusal(self, reply: str) -> bool:
+        """Whether the reply is one that is known to say no."""
+        return reply.casefold().startswith((*map(str.casefold, self.refusals), COULD_NOT_UNDERSTAND))
+
+
+def _failed(name: str) -> tuple[str]:
+    return (f"Failed to execute: {name}",)
+
+
+_TABLE = (
+    Command(
+        "load",
+        (1, 4),
+        (5, 0),
+        r"Loading program: *(.*)",
+        ("File not found:", "Error while loading program"),
+        argument="path",
+        needs_remote_control=True,
+        slow=60.0,
+    ),
+    Command("play", (1, 4), (5, 0), "Starting program", _failed("play"), needs_remote_control=True, slow=15.0),
+    Command("stop", (1, 4), (5, 0), "Stopped", _failed("stop"), needs_remote_control=True, slow=15.0),
+    Command("pause", (1, 4), (5, 0), "Pausing program", _failed("pause"), needs_remote_control=True, slow=15.0),
+    Command("quit", (1, 4), (5, 0), "Disconnected"),
+    Command("shutdown", (1, 4), (5, 0), "Shutting down", needs_remote_control=True),
+    Command("running", (1, 6), (5, 0), r"(?:Program|Robot) running: *(true|false)$"),
+    Command("robotmode", (1, 6), (5, 0), r"(?:Robot ?mode: *)?(-?\d{1,9}|[A-Z]+(?:_[A-Z]+)*)$"),
+    Command(
+        "get loaded program",
+        (1, 6),
+        (5, 0),
+        r"(?:Loaded program|Program loaded): *(\S.*)|No program loaded",
+    ),
+    Command("popup", (1, 6), (5, 0), "showing popup", argument="text"),
+    Command("close popup", (1, 6), (5, 0), "closing popup"),
+    Command("addToLog", (1, 8), (5, 0), "Added log message", ("No log message to add",), argument="text"),
+    Command("isProgramSaved", (1, 8), (5, 0), r"(true|false)(?: +(\S.*)|$)"),
+    Command("programState", (1, 8), (5, 0), r"(STOPPED|PLAYING|PAUSED)(?: +(\S.*)|$)"),
+    Command("PolyscopeVersion", (1, 8), (5, 0), r"(?:URSoftware *)?(\d+(?:\.\d+)+.*)"),
+    Command("version", None, (5, 0), r"(\d+(?:\.\d+)+)$"),
+    Command(
+        "setUserRole",
+        (3, 1),
+        None,
+        r"Setting user role: *(\w+)",
+        ("Failed setting user role:",),
+        argument="role",
+        choices=get_args(UserRole),
+    ),
+    Command("getUserRole", (3, 1), None, r"(PROGRAMMER|OPERATOR|NONE|LOCKED|RESTRICTED)$"),
+    Command(
+        "set operational mode",
+        None,
+        (5, 0),
+        r"Operational mode '?(MANUAL|AUTOMATIC)'? is set|Setting operational mode: *(MANUAL|AUTOMATIC)",
+        argument="mode",
+        choices=("manual", "automatic"),
+    ),
+    Command("get operational mode", None, (5, 6), r"(NONE|MANUAL|AUTOMATIC)$"),
+    Command(
+        "clear operational mode",
+        None,
+        (5, 0),
+        r"No longer controlling the operational mode|Operational mode is no longer controlled",
+    ),
+    Command("power on", (3, 0), (5, 0), "Powering on", needs_remote_control=True),
+    Command("power off", (3, 0), (5, 0), "Powering off", needs_remote_control=True),
+    Command("brake release", (3, 0), (5, 0), "Brake releasing", needs_remote_control=True),
+    Command("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$"),
+    # One list has it from 3.11 on, which nobody has verified.
+    Command("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$"),
+    Command(
+        "unlock protective stop",
+        (3, 1),
+        (5, 0),
+        "Protective stop releasing",
+        ("Cannot unlock protective stop",),
+        needs_remote_control=True,
+    ),
+    Command("close safety popup", (3, 1), (5, 0), "closing safety popup"),
+    Command(
+        "load installation",
+        (3, 2),
+        (5, 0),
+        r"Loading installation: *(.*)",
+        ("File not found:", "Failed to load installation"),
+        argument="path",
+        needs_remote_control=True,
+        slow=60.0,
+    ),
+    Command("restart safety", (3, 7), (5, 1), "Restarting safety", needs_remote_control=True, slow=15.0),
+    Command("is in remote control", None, (5, 6), r"(true|false)$"),
+    Command("get serial number", (3, 12), (5, 6), r"(\d\S*)$"),
+    Command("get robot model", (3, 12), (5, 6), r"(UR\d\S*)$"),
+    Command(
+        "generate flight report",
+        (3, 13),
+        (5, 8),
+        r"Flight Report generated with id: *(\S.*)",
+        argument="kind",
+        choices=get_args(FlightReport),
+        slow=180.0,
+    ),
+    Command(
+        "generate support file",
+        (3, 13),
+        (5, 8),
+        r"Completed successfully: *(\S.*)",
+        argument="directory",
+        slow=600.0,
+    ),
+    Command("saveLog", (3, 13), (5, 8), "Log saved to disk", slow=30.0),
+)
+
+#: name -> command
+COMMANDS: Mapping[str, Command] = MappingProxyType({command.name: command for command in _TABLE})

@@ -1,0 +1,96 @@
+"""The points of a trajectory as a table in a file: ``time,q0,...,q5``, and, or not, velocities and accelerations."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from linkcore.errors import BadValue
+
+from ..vectors import FloatArray
+
+__all__ = ["read_points", "write_points"]
+
+_QUANTITIES = ("q", "qd", "qdd")
+
+
+def _names(quantities: int) -> list[str]:
+    return ["time", *(f"{name}{joint}" for name in _QUANTITIES[:quantities] for joint in range(6))]
+
+
+def read_points(path: Path) -> tuple[list[FloatArray], int]:
+    """Times (n,), positions (n, 6), and velocities and accelerations as far as there are any; and the line of point 0.
+
+    Raises:
+        BadValue: the file cannot be read, or is no such table.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
+    except (OSError, ValueError) as error:
+        raise BadValue(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    reader = csv.reader(text.splitlines(keepends=True))
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    columns: list[str] = []
+    try:
+        for row in reader:
+            if not row:
+                continue
+            if not columns:
+                columns = _header(path, reader.line_num, [cell.strip() for cell in row])
+                continue
+            rows.append(_numbers_of(path, reader.line_num, row, columns))
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise BadValue(f"{path}, line {reader.line_num}: {error}") from None
+    if len(rows) < 2:
+        raise BadValue(f"{path}: {len(rows)} points; a trajectory has at least two")
+    order = [columns.index(name) for name in _names((len(columns) - 1) // 6)]
+    table = np.array(rows, dtype=np.float64)[:, order]
+    return [table[:, 0], *np.split(table[:, 1:], table.shape[1] // 6, axis=1)], lines[0]
+
+
+def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
+    """Write what `read_points` reads. No digit is lost.
+
+    Raises:
+        BadValue: the file cannot be written.
+    """
+    try:
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_names(len(arrays) - 1))
+            writer.writerows(np.column_stack(arrays).tolist())
+    except OSError as error:
+        raise BadValue(f"{path}: {error.strerror or error}") from error
+
+
+def _header(path: Path, line: int, columns: list[str]) -> list[str]:
+    for quantities in (1, 2, 3):
+        if sorted(columns) == sorted(_names(quantities)):
+            return columns
+    raise BadValue(
+        f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, and, or not, "
+        "qd0,...,qd5 and qdd0,...,qdd5"
+    )
+
+
+def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> list[float]:
+    if len(row) != len(columns):
+        raise BadValue(f"{path}, line {line}: {len(row)} values; expected {len(columns)}")
+    values = []
+    for name, cell in zip(columns, row, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            value = float("nan")
+        if not math.isfinite(value):
+            raise BadValue(f"{path}, line {line}, column {name}: {cell[:50]!r} is not a finite number")
+        values.append(value)
+    return values

@@ -1,0 +1,151 @@
+"""The commands that move nothing, as URScript of each firmware.
+
+What is sure: the names of the output functions by generation and the numbering of digital outputs (three public
+drivers), `set_payload` with a mass alone, `set_tool_voltage`, `set_flag`, `set_tcp`, `popup`, `set_target_payload`
+from 5.10, and the line ``set speed`` (reports of users). What is not:
+
+- that tool outputs of CB2 are 8 and 9 of `set_digital_out`: its masterboard has 16 bits, of which 0 to 7 are the box's;
+- that analogue outputs take a fraction of their range, 0 to 1, whether they drive a current or a voltage: so the
+  vendor's manual is commonly quoted, and the public drivers hand a number through unchecked;
+- that `set_payload` takes a centre of gravity from 3.0 on, and `popup` a title and two flags in every generation;
+- that flags go up to 31.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from linkcore.errors import BadValue
+from linkcore.wire.version import Since
+from urlink.firmware import Firmware
+
+from .text import boolean, integer, number, pose, quoted, vector
+
+__all__ = [
+    "analog_out",
+    "digital_out",
+    "flag",
+    "payload",
+    "popup",
+    "secondary",
+    "speed_slider",
+    "tcp",
+    "tool_voltage",
+]
+
+_TARGET_PAYLOAD = Since("5.10")
+
+#: kg. No arm lifts it; it tells kilograms from grams.
+_HEAVIEST = 100.0
+#: m. No tool is as long as the longest arm reaches, but for a mistaken unit.
+_LONGEST = 5.0
+
+
+def secondary(*statements: str) -> str:
+    """Statements as a program that runs beside the one that moves the arm, and takes no time."""
+    return "\n".join(["sec urlink_command():", *(f"  {statement}" for statement in statements), "end"]) + "\n"
+
+
+def digital_out(firmware: Firmware, number: int, on: bool) -> str:
+    """Switch a digital output: 0-7 of the box, 8-15 configurable, 16-17 of the tool.
+
+    Raises:
+        BadValue: there is no such output, or `on` is neither True nor False.
+    """
+    digits = int(integer(number, 0, 17, "digital output"))
+    value = boolean(on, f"digital output {digits}")
+    if firmware.is_cb2:
+        if 8 <= digits < 16:
+            raise BadValue(f"firmware {firmware} has no configurable outputs")
+        return f"set_digital_out({digits if digits < 8 else digits - 8}, {value})"
+    if digits < 8:
+        return f"set_standard_digital_out({digits}, {value})"
+    if digits < 16:
+        return f"set_configurable_digital_out({digits - 8}, {value})"
+    return f"set_tool_digital_out({digits - 16}, {value})"
+
+
+def analog_out(firmware: Firmware, output: int, fraction: float) -> str:
+    """Set analogue output 0 or 1 to a fraction of its range.
+
+    Raises:
+        BadValue: there is no such output, or the fraction is not from 0 to 1.
+    """
+    name = "set_analog_out" if firmware.is_cb2 else "set_standard_analog_out"
+    value = number(fraction, "fraction", 0.0, 1.0)
+    return f"{name}({integer(output, 0, 1, 'analogue output')}, {value})"
+
+
+def tool_voltage(volts: int) -> str:
+    """Supply the tool with 0, 12 or 24 V.
+
+    Raises:
+        BadValue: another voltage.
+    """
+    if isinstance(volts, bool) or volts not in (0, 12, 24):
+        raise BadValue(f"tool voltage is {volts!r}; expected 0, 12 or 24")
+    return f"set_tool_voltage({int(volts)})"
+
+
+def flag(index: int, on: bool) -> str:
+    """Set flag 0 to 31.
+
+    Raises:
+        BadValue: there is no such flag, or `on` is neither True nor False.
+    """
+    return f"set_flag({integer(index, 0, 31, 'flag')}, {boolean(on, 'flag')})"
+
+
+def payload(
+    firmware: Firmware,
+    mass: float,
+    cog: Sequence[float] | None = None,
+    inertia: Sequence[float] | None = None,
+) -> str:
+    """Tell what the arm carries: kg; m in the flange's frame; inertia about that: xx, yy, zz, xy, xz, yz in kg m².
+
+    Raises:
+        BadValue: a number out of range, or what this firmware cannot be told.
+    """
+    weight = number(mass, "payload mass", 0.0, _HEAVIEST)
+    if cog is None and inertia is None:
+        return f"set_payload({weight})"
+    if firmware.is_cb2:
+        raise BadValue(f"firmware {firmware} takes the mass of a payload only")
+    centre = vector((0.0, 0.0, 0.0) if cog is None else cog, 3, "payload cog")
+    if inertia is None:
+        return f"set_payload({weight}, {centre})"
+    if firmware not in _TARGET_PAYLOAD:
+        raise BadValue(f"firmware {firmware} takes no inertia; that needs 5.10")
+    return f"set_target_payload({weight}, {centre}, {vector(inertia, 6, 'payload inertia')})"
+
+
+def tcp(offset: Sequence[float]) -> str:
+    """Put the tool centre point at a pose in the flange's frame.
+
+    Raises:
+        BadValue: not six finite numbers, or metres away.
+    """
+    text = pose(offset, "tcp")
+    for index, metres in enumerate(list(offset)[:3]):
+        number(metres, f"tcp[{index}]", -_LONGEST, _LONGEST)
+    return f"set_tcp({text})"
+
+
+def speed_slider(fraction: float) -> str:
+    """The line that moves the speed slider; no function, so it stands alone.
+
+    Raises:
+        BadValue: not from 0 to 1.
+    """
+    return f"set speed {number(fraction, 'speed slider', 0.0, 1.0)}\n"
+
+
+def popup(text: str, title: str, warning: bool, error: bool) -> str:
+    """Show a text on the pendant.
+
+    Raises:
+        BadValue: a string that cannot be carried.
+    """
+    flags = f"{boolean(warning, 'warning')}, {boolean(error, 'error')}"
+    return f"popup({quoted(text)}, {quoted(title, 'title')}, {flags})"

@@ -1,0 +1,224 @@
+"""The programs that move an arm, as text: the lines within their ``def``, for the firmware that is to run them.
+
+Assignments in a thread or a nested function reach the variables of the program around them, as the programs of public
+drivers rely on; nothing here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are
+written out element by element, since arithmetic on whole lists came late.
+
+Two of the programs open a socket back to this computer (reference ur-script, sections 2 and 5): the one in
+`urlink.urscript.waypoints`, and `streaming`. That reads seven big-endian int32 per set-point: six joints in millionths
+of a rad, and what to do, one of `STOP`, `FOLLOW` and `WAIT`. The answer of ``socket_read_binary_integer`` begins with
+the count that was read; after two seconds without anything, or once the link is gone, that is less than seven.
+
+What ends such a program before its time it says with a ``textmsg``: `NO_CONNECTION`, `LINK_ENDED`, `STARVED`,
+`TOO_FAR`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from textwrap import dedent
+
+from ..firmware import Firmware
+from .text import integer, number, pose, quoted, vector
+
+__all__ = [
+    "FOLLOW",
+    "LINK_ENDED",
+    "NO_CONNECTION",
+    "SCALE",
+    "STARVED",
+    "STOP",
+    "TOO_FAR",
+    "WAIT",
+    "each",
+    "lines",
+    "move_joints",
+    "move_linear",
+    "servo_cycle",
+    "speed_joints",
+    "speed_linear",
+    "stop",
+    "streaming",
+]
+
+#: What a set-point is multiplied by.
+SCALE = 1_000_000
+#: The last of the seven numbers: brake and end, go to this set-point, or do nothing yet.
+STOP, FOLLOW, WAIT = 0, 1, 2
+
+NO_CONNECTION = "urlink: cannot connect"
+LINK_ENDED = "urlink: the link ended"
+STARVED = "urlink: nothing to go to"
+TOO_FAR = "urlink: the first point is too far away"
+
+
+# -- one command ---------------------------------------------------------------------------------------
+
+
+def move_joints(q: Sequence[float], speed: float, acceleration: float, time: float | None = None) -> list[str]:
+    """Move the joints to `q` (6, rad), at most so fast (rad/s, rad/s²), or in `time` seconds."""
+    return [f"movej({vector(q, what='q')}, {_how(speed, acceleration, time)})"]
+
+
+def move_linear(target: Sequence[float], speed: float, acceleration: float, time: float | None = None) -> list[str]:
+    """Move the tool in a straight line to a pose (m, rad), at most so fast (m/s, m/s²), or in `time` seconds."""
+    return [f"movel({pose(target)}, {_how(speed, acceleration, time)})"]
+
+
+def _how(speed: float, acceleration: float, time: float | None) -> str:
+    limits = f"a={number(acceleration, 'acceleration')}, v={number(speed, 'speed')}"
+    return limits if time is None else f"{limits}, t={number(time, 'time')}"
+
+
+def speed_joints(firmware: Firmware, qd: Sequence[float], acceleration: float, duration: float) -> list[str]:
+    """Turn the joints at `qd` (6, rad/s) for `duration` seconds, then brake."""
+    return _speed(firmware, "speedj", vector(qd, what="qd"), acceleration, duration, "stopj")
+
+
+def speed_linear(firmware: Firmware, xd: Sequence[float], acceleration: float, duration: float) -> list[str]:
+    """Move the tool at `xd` (6, m/s and rad/s) for `duration` seconds, then brake."""
+    return _speed(firmware, "speedl", vector(xd, what="xd"), acceleration, duration, "stopl")
+
+
+def _speed(
+    firmware: Firmware, function: str, speeds: str, acceleration: float, duration: float, brake: str
+) -> list[str]:
+    a, t = number(acceleration, "acceleration"), number(duration, "duration")
+    # 3.1 and 3.2 take no time here: they return once the speed is reached, and keep it (reference ur-script, section 2)
+    timed = [f"{function}({speeds}, {a}, {t})"]
+    untimed = [f"{function}({speeds}, {a})", f"sleep({t})"]
+    return [*(untimed if (3, 1) <= firmware[:2] < (3, 3) else timed), f"{brake}({a})"]
+
+
+def stop(acceleration: float) -> list[str]:
+    """Brake all joints with so many rad/s²."""
+    return [f"stopj({number(acceleration, 'acceleration')})"]
+
+
+# -- programs that talk back -----------------------------------------------------------------------------
+
+
+def streaming(
+    firmware: Firmware,
+    host: str,
+    port: int,
+    *,
+    watchdog: float = 0.1,
+    lookahead_time: float = 0.1,
+    gain: float = 300.0,
+    deceleration: float = 4.0,
+) -> list[str]:
+    """Follow set-points that come over a socket, one per cycle, and brake where they stay away.
+
+    A late one makes hardly a dent: meanwhile the arm goes on by its last step, less and less of it until the watchdog's
+    time is up, when it has come to rest.
+
+    Args:
+        host: address at which the robot reaches this computer.
+        watchdog: seconds without a set-point after which it brakes.
+        lookahead_time, gain: of ``servoj``, where the firmware has them.
+        deceleration: rad/s² with which it brakes.
+    """
+    servo = servo_cycle(firmware, lookahead_time, gain)
+    missable = max(math.ceil(watchdog * firmware.rate), 2)
+    text = f"""
+        target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        mode = {WAIT}
+        fresh = False
+        starved = False
+        thread servo():
+          q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+          last = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+          step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+          missed = 0
+          begun = False
+          going = True
+          while going:
+            enter_critical
+            wanted = mode
+            is_new = fresh
+            fresh = False
+            goal = target
+            exit_critical
+            if wanted == {STOP}:
+              going = False
+            elif wanted == {WAIT}:
+              sync()
+            elif is_new:
+              if begun:
+                share = 1.0 / (missed + 1)
+                step = [{each("(goal[{i}] - last[{i}]) * share")}]
+              end
+              begun = True
+              missed = 0
+              last = goal
+              q = goal
+              {servo}
+            elif missed < {missable}:
+              missed = missed + 1
+              share = 1.0 - missed / {number(missable)}
+              q = [{each("q[{i}] + step[{i}] * share")}]
+              {servo}
+            else:
+              starved = True
+              textmsg({quoted(STARVED)})
+              going = False
+            end
+          end
+          stopj({number(deceleration)})
+        end
+        if socket_open({quoted(host)}, {integer(port, 1, 65535)}):
+          servo_thread = run servo()
+          reading = True
+          while reading:
+            word = socket_read_binary_integer(7)
+            if word[0] < 7:
+              if not starved:
+                textmsg({quoted(LINK_ENDED)})
+              end
+              reading = False
+            elif starved:
+              reading = False
+            elif word[7] == {FOLLOW}:
+              goal_read = [{each("word[{n}] / " + number(SCALE))}]
+              enter_critical
+              target = goal_read
+              fresh = True
+              mode = {FOLLOW}
+              exit_critical
+            elif word[7] == {STOP}:
+              reading = False
+            end
+          end
+          mode = {STOP}
+          join servo_thread
+          socket_close()
+        else:
+          textmsg({quoted(NO_CONNECTION)})
+        end
+    """
+    return lines(text)
+
+
+def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
+    """One cycle of ``servoj`` to `q`: before 3.0 it has neither lookahead nor gain (reference ur-script, section 5)."""
+    smoothing = (
+        ""
+        if firmware.is_cb2
+        else (
+            f", lookahead_time={number(lookahead_time, 'lookahead_time', 0.03, 0.2)}"
+            f", gain={number(gain, 'gain', 100, 2000)}"
+        )
+    )
+    return f"servoj(q, t={number(1.0 / firmware.rate)}{smoothing})"
+
+
+def each(template: str) -> str:
+    """A list of six: `{i}` counts from 0, `{n}` from 1, and `{q}` finds the position in an answer."""
+    return ", ".join(template.format(i=i, n=i + 1, q=i + 2) for i in range(6))
+
+
+def lines(text: str) -> list[str]:
+    """The lines of a program that is indented as the module it stands in."""
+    return [line.rstrip() for line in dedent(text).splitlines() if line.strip()]

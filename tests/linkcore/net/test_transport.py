@@ -1,0 +1,427 @@
+"""TCP with deadlines: every way in which a peer can fail, and its error."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import linkcore.net.transport
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
+from linkcore.net.transport import TcpTransport
+
+#: Seconds that a test waits for what must come at once.
+PATIENCE = 10.0
+
+
+class Peer:
+    """Who listens: a socket, and the connection that came."""
+
+    def __init__(self) -> None:
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.listener.settimeout(PATIENCE)
+        self.port: int = self.listener.getsockname()[1]
+        self.connections: list[socket.socket] = []
+
+    def accept(self) -> socket.socket:
+        connection, _ = self.listener.accept()
+        connection.settimeout(PATIENCE)
+        self.connections.append(connection)
+        return connection
+
+    def reset(self) -> None:
+        connection = self.connections.pop()
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        connection.close()
+
+    def close(self) -> None:
+        for each in (self.listener, *self.connections):
+            each.close()
+
+
+@pytest.fixture
+def peer() -> Iterator[Peer]:
+    peer = Peer()
+    yield peer
+    peer.close()
+
+
+@pytest.fixture
+def transport(peer: Peer) -> Iterator[TcpTransport]:
+    """Connected to the peer."""
+    transport = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+    transport.open(PATIENCE)
+    peer.accept()
+    yield transport
+    transport.close()
+
+
+@pytest.fixture(autouse=True)
+def leaks_no_socket() -> Iterator[None]:
+    """A socket that nobody closed warns when it is collected: here, rather than in some later test."""
+    yield
+    gc.collect()
+
+
+def has_come(transport: TcpTransport) -> bool:
+    """Wait until there is something to receive."""
+    assert transport._socket is not None
+    return bool(select.select([transport._socket], [], [], PATIENCE)[0])
+
+
+def unused_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port: int = server.getsockname()[1]
+        return port
+
+
+class Background:
+    """Calls something in a thread, and keeps what came of it."""
+
+    def __init__(self, call: Callable[[], object]) -> None:
+        self.result: object = None
+        self.error: Exception | None = None
+        self.seconds = 0.0
+        self._call = call
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        began = time.monotonic()
+        try:
+            self.result = self._call()
+        except Exception as error:
+            self.error = error
+        self.seconds = time.monotonic() - began
+
+    def join(self) -> None:
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive()
+
+
+# -- connecting ---------------------------------------------------------------------------------------
+
+
+def test_receives_what_was_sent_with_the_moment_it_came(transport: TcpTransport, peer: Peer) -> None:
+    before = time.monotonic(), time.time()
+    peer.connections[0].sendall(b"state")
+    data, stamp = transport.receive()
+    assert data == b"state"
+    assert before[0] <= stamp.monotonic <= time.monotonic()
+    assert before[1] <= stamp.wall <= time.time()
+
+
+def test_refused() -> None:
+    transport = TcpTransport("127.0.0.1", unused_port(), silence=1)
+    with pytest.raises(ConnectFailed, match=r"127\.0\.0\.1:\d+: connection refused; is the controller on"):
+        transport.open(PATIENCE)
+    with pytest.raises(ConnectionError):
+        transport.open(PATIENCE)
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b", "nul\0", "\udc80", "ü" * 70])
+def test_no_such_host(host: str) -> None:
+    with pytest.raises(ConnectFailed, match="no such host"):
+        TcpTransport(host, 30003, silence=1).open(PATIENCE)
+
+
+@pytest.fixture
+def silent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], list[float]]]:
+    """Makes a host with so many addresses, none of which answers; says how long each was tried."""
+    with contextlib.ExitStack() as stack:
+        # A queue for one connection, and it is full: the kernel lets all further ones wait.
+        listener = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
+        place = listener.getsockname()
+        for _ in range(4):
+            filler = stack.enter_context(socket.socket())
+            filler.setblocking(False)
+            filler.connect_ex(place)
+
+        def make(count: int) -> list[float]:
+            tried: list[float] = []
+
+            class Timed(socket.socket):
+                def settimeout(self, value: float | None) -> None:
+                    if value is not None:
+                        tried.append(value)
+                    super().settimeout(value)
+
+            answer = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", place)] * count
+            monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
+            monkeypatch.setattr(socket, "socket", Timed)
+            return tried
+
+        yield make
+
+
+@pytest.mark.parametrize("addresses", [1, 3])
+def test_a_host_that_does_not_answer_is_given_up_within_the_timeout(
+    silent: Callable[[int], list[float]], addresses: int
+) -> None:
+    tried = silent(addresses)
+    began = time.monotonic()
+    with pytest.raises(LinkTimeout, match=r"cannot connect to robot:30003: nothing within 0\.3 s"):
+        TcpTransport("robot", 30003, silence=1).open(0.3)
+    assert 0.25 < time.monotonic() - began < 2
+    assert len(tried) == addresses
+    assert tried[0] == pytest.approx(0.3 / addresses, abs=0.05)
+
+
+def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in (unused_port(), peer.port)]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
+    transport = TcpTransport("robot", 30003, silence=1)
+    transport.open(PATIENCE)
+    peer.accept().sendall(b"hello")
+    assert transport.receive()[0] == b"hello"
+    transport.close()
+
+
+def test_a_host_without_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: [])
+    with pytest.raises(ConnectFailed, match="robot has no address"):
+        TcpTransport("robot", 30003, silence=1).open(PATIENCE)
+
+
+def test_a_socket_that_cannot_be_set_up_is_told_and_closed(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(connection: socket.socket, seconds: float) -> None:
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(linkcore.net.transport, "_set_receive_timeout", fail)
+    with pytest.raises(ConnectFailed, match="Invalid argument"):
+        TcpTransport("127.0.0.1", peer.port, silence=1).open(PATIENCE)
+    assert peer.accept().recv(1) == b"", "closed"
+
+
+def test_sockets_are_quick_and_kept_alive(transport: TcpTransport) -> None:
+    connection = transport._socket
+    assert connection is not None
+    assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+
+
+def test_opening_again_closes_the_first_connection(transport: TcpTransport, peer: Peer) -> None:
+    transport.open(PATIENCE)
+    peer.accept().sendall(b"new")
+    assert peer.connections[0].recv(1) == b""
+    assert transport.receive()[0] == b"new"
+
+
+# -- receiving ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("silence", [0.05, 0.000001])
+def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
+    transport = TcpTransport("127.0.0.1", peer.port, silence=silence)
+    transport.open(PATIENCE)
+    began = time.monotonic()
+    with pytest.raises(LinkTimeout, match="nothing within") as caught:
+        transport.receive()
+    assert isinstance(caught.value, TimeoutError)
+    assert silence * 0.9 <= time.monotonic() - began < 2
+    # It is still connected: what comes now is received.
+    peer.accept().sendall(b"late")
+    while True:
+        with contextlib.suppress(LinkTimeout):
+            assert transport.receive()[0] == b"late"
+            break
+    transport.close()
+
+
+def test_a_receive_can_have_a_timeout_of_its_own(transport: TcpTransport, peer: Peer) -> None:
+    for timeout in (0.05, 0.05, 0.0, -1.0):
+        began = time.monotonic()
+        with pytest.raises(LinkTimeout, match=f"nothing within {max(timeout, 0):g} s"):
+            transport.receive(timeout)
+        assert max(timeout, 0) * 0.9 <= time.monotonic() - began < 2
+    peer.connections[-1].sendall(b"late")
+    assert transport.receive(PATIENCE)[0] == b"late"
+    peer.connections[-1].sendall(b"later")
+    assert transport.receive()[0] == b"later"  # with the patience that it was made with
+
+
+def test_what_has_come_already_is_received_without_waiting(transport: TcpTransport, peer: Peer) -> None:
+    assert transport.receive_waiting() is None
+    peer.connections[-1].sendall(b"there")
+    assert has_come(transport)
+    arrived = transport.receive_waiting()
+    assert arrived is not None
+    data, stamp = arrived
+    assert data == b"there"
+    assert stamp.age < PATIENCE
+    assert transport.receive_waiting() is None
+    peer.connections.pop().close()
+    assert has_come(transport)
+    with pytest.raises(ConnectionLost, match="closed the connection"):
+        transport.receive_waiting()
+    transport.close()
+    with pytest.raises(ConnectionLost, match="is not connected"):
+        transport.receive_waiting()
+
+
+def test_the_end_of_the_connection(transport: TcpTransport, peer: Peer) -> None:
+    peer.connections[0].sendall(b"last")
+    peer.connections[0].close()
+    assert transport.receive()[0] == b"last"
+    with pytest.raises(ConnectionLost, match="closed the connection"):
+        transport.receive()
+
+
+def test_a_reset(transport: TcpTransport, peer: Peer) -> None:
+    peer.reset()
+    with pytest.raises(ConnectionLost, match=r"127\.0\.0\.1.*reset"):
+        transport.receive()
+
+
+def test_close_from_another_thread_wakes_who_receives(transport: TcpTransport) -> None:
+    entered = threading.Event()
+
+    def receive() -> object:
+        entered.set()
+        return transport.receive()
+
+    waiting = Background(receive)
+    assert entered.wait(PATIENCE)
+    transport.close()
+    waiting.join()
+    assert isinstance(waiting.error, ConnectionLost)
+    assert "here" in str(waiting.error) or "not connected" in str(waiting.error)
+    assert waiting.seconds < PATIENCE / 2
+
+
+def test_close_races_with_receive_often(peer: Peer) -> None:
+    """Wherever the other thread is, it ends at once, and in an error of the tree."""
+    transport = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+    for _ in range(100):
+        transport.open(PATIENCE)
+        waiting = Background(transport.receive)
+        transport.close()
+        waiting.join()
+        assert isinstance(waiting.error, ConnectionLost)
+        peer.accept()
+
+
+def test_used_before_and_after_it_is_open(transport: TcpTransport) -> None:
+    for each in (TcpTransport("127.0.0.1", 1, silence=1), transport):
+        each.close()
+        each.close()
+        with pytest.raises(ConnectionLost, match="not connected"):
+            each.receive()
+        with pytest.raises(ConnectionLost, match="not connected"):
+            each.send(b"x", 1)
+
+
+# -- sending ------------------------------------------------------------------------------------------
+
+
+def test_sends_all_however_long(transport: TcpTransport, peer: Peer) -> None:
+    text = bytes(range(256)) * 40_000  # more than any buffer on the way holds
+    sending = Background(lambda: transport.send(text, PATIENCE))
+    got = b""
+    while len(got) < len(text):
+        got += peer.connections[0].recv(1 << 20)
+    sending.join()
+    assert sending.error is None
+    assert got == text
+
+
+def test_sending_to_who_does_not_read_is_a_timeout(transport: TcpTransport) -> None:
+    began = time.monotonic()
+    with pytest.raises(LinkTimeout, match=r"sending to .* nothing within 0\.2 s"):
+        transport.send(b"x" * 50_000_000, 0.2)
+    assert 0.19 < time.monotonic() - began < 2
+
+
+def test_sending_to_who_is_gone(transport: TcpTransport, peer: Peer) -> None:
+    peer.reset()
+    with pytest.raises(ConnectionLost, match="sending to"):
+        transport.send(b"x" * 50_000_000, PATIENCE)
+
+
+def test_half_sent_and_then_gone(transport: TcpTransport, peer: Peer) -> None:
+    sending = Background(lambda: transport.send(b"x" * 50_000_000, PATIENCE))
+    assert peer.connections[0].recv(1000)
+    peer.reset()
+    sending.join()
+    assert isinstance(sending.error, ConnectionLost)
+
+
+def test_close_ends_a_send_that_waits(transport: TcpTransport, peer: Peer) -> None:
+    sending = Background(lambda: transport.send(b"x" * 50_000_000, PATIENCE))
+    assert peer.connections[0].recv(1000)
+    transport.close()
+    sending.join()
+    assert isinstance(sending.error, ConnectionLost)
+    assert sending.seconds < PATIENCE / 2
+
+
+def test_two_threads_send_and_both_are_sent(transport: TcpTransport, peer: Peer) -> None:
+    sending = [Background(lambda: transport.send(b"x" * 3_000_000, PATIENCE)) for _ in range(2)]
+    got = 0
+    while got < 6_000_000:
+        got += len(peer.connections[0].recv(1 << 20))
+    for each in sending:
+        each.join()
+        assert each.error is None
+
+
+def test_descriptors_beyond_those_of_select(transport: TcpTransport, peer: Peer) -> None:
+    """A program with many robots has them."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 1200:
+        pytest.skip("no more than 1200 files may be open here")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1200), hard))
+    with contextlib.ExitStack() as stack:
+        for _ in range(550):
+            for each in socket.socketpair():
+                stack.callback(each.close)
+        high = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+        stack.callback(high.close)
+        high.open(PATIENCE)
+        assert high._socket is not None
+        assert high._socket.fileno() >= 1024
+        high.send(b"hello", PATIENCE)
+        assert peer.accept().recv(10) == b"hello"
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.property
+@given(st.lists(st.binary(min_size=1, max_size=100_000), min_size=1, max_size=5))
+def test_bytes_arrive_as_they_were_sent(chunks: list[bytes]) -> None:
+    peer = Peer()
+    transport = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+    try:
+        transport.open(PATIENCE)
+        there = peer.accept()
+
+        def send() -> None:
+            for chunk in chunks:
+                there.sendall(chunk)
+            there.close()
+
+        sending = Background(send)
+        got = b""
+        with contextlib.suppress(ConnectionLost):
+            while True:
+                got += transport.receive()[0]
+        sending.join()
+        assert got == b"".join(chunks)
+    finally:
+        transport.close()
+        peer.close()
+
+
+def test_every_error_is_of_the_tree() -> None:
+    for error in (ConnectFailed, ConnectionLost, LinkTimeout):
+        assert issubclass(error, RemoteError)
+        assert issubclass(error, OSError), "and what code that knows sockets catches"

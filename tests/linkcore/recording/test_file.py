@@ -1,0 +1,383 @@
+"""The file: what is written is read, whatever happens to the writer, the disk or the bytes."""
+
+from __future__ import annotations
+
+import errno
+import json
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadRecording, BadValue, Closed
+from linkcore.recording.file import Kind, Record, Recording, RecordingWriter
+from linkcore.stamp import Stamp
+
+MAGIC = b"LINKREC1"
+
+stamps = st.builds(Stamp, st.floats(0, 1e7), st.floats(0, 4e9))
+payloads = st.tuples(stamps, st.binary(max_size=200))
+
+
+@contextmanager
+def folder() -> Iterator[Path]:
+    """A folder of its own for each example of a property."""
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+def record(kind: int, channel: int, payload: bytes) -> bytes:
+    """A record laid out by hand, as the format is documented."""
+    body = struct.pack(">BBqq", kind, channel, 1_000_000_000, 2_000_000_000) + payload
+    return struct.pack(">II", len(body), zlib.crc32(body)) + body
+
+
+def sample(path: Path) -> tuple[bytes, list[Record], list[int]]:
+    """A small recording: its bytes, its records, and where in the bytes each record ends."""
+    writer = RecordingWriter(path)
+    ends = []
+    steps: list[Callable[[], object]] = [
+        lambda: writer.add_channel({"name": "left", "firmware": "5.11"}),
+        lambda: writer.write(Kind.BYTES, 0, Stamp(1.0, 100.0), b"first"),
+        lambda: writer.write(Kind.EVENT, 0, Stamp(1.5, 100.5), b'{"state": "lost", "error": "cut"}'),
+        lambda: writer.write(Kind.BYTES, 0, Stamp(2.0, 101.0), bytes(range(40))),
+        writer.close,
+    ]
+    for step in steps:
+        step()
+        ends.append(path.stat().st_size)
+    return path.read_bytes(), list(Recording(path)), ends
+
+
+# -- what is written is read -------------------------------------------------------------------------
+
+
+@pytest.mark.property
+@given(st.lists(st.lists(payloads, max_size=5), min_size=1, max_size=3))
+def test_what_is_written_is_read(channels: list[list[tuple[Stamp, bytes]]]) -> None:
+    with folder() as path:
+        writer = RecordingWriter(path / "run")
+        expected = []
+        for number, contents in enumerate(channels):
+            assert writer.add_channel({"name": f"channel {number}"}) == number
+            for stamp, payload in contents:
+                writer.write(Kind.BYTES, number, stamp, payload)
+                expected.append((number, stamp, payload))
+        writer.close()
+        recording = Recording(path / "run")
+        read = [each for each in recording if each.kind is Kind.BYTES]
+    assert [(each.channel, each.payload) for each in read] == [(number, payload) for number, _, payload in expected]
+    for each, (_, stamp, _) in zip(read, expected, strict=True):
+        # Whole nanoseconds, as far as a float of seconds since 1970 can tell them apart.
+        assert each.stamp.monotonic == pytest.approx(stamp.monotonic, rel=1e-15, abs=1e-9)
+        assert each.stamp.wall == pytest.approx(stamp.wall, rel=1e-15, abs=1e-9)
+    assert recording.is_complete
+    assert recording.left_out == 0
+    assert [info["name"] for info in recording.channels.values()] == [f"channel {n}" for n in range(len(channels))]
+
+
+def test_the_file_is_laid_out_as_documented(tmp_path: Path) -> None:
+    info = json.dumps({"name": "left"}).encode()
+    (tmp_path / "run").write_bytes(MAGIC + record(0, 0, info) + record(1, 0, b"abc") + record(3, 0, b""))
+    recording = Recording(tmp_path / "run")
+    assert recording.channels == {0: {"name": "left"}}
+    assert list(recording)[1] == Record(Kind.BYTES, 0, Stamp(1.0, 2.0), b"abc")
+    assert recording.is_complete
+
+
+def test_the_writer_lays_it_out_so(tmp_path: Path) -> None:
+    with_it = RecordingWriter(tmp_path / "run")
+    with_it.write(Kind.BYTES, 7, Stamp(1.0, 2.0), b"abc")
+    with_it.close(complete=False)
+    assert (tmp_path / "run").read_bytes() == MAGIC + record(1, 7, b"abc")
+
+
+def test_records_of_a_later_format_are_passed_over(tmp_path: Path) -> None:
+    info = json.dumps({"name": "left"}).encode()
+    data = MAGIC + record(0, 0, info) + record(200, 0, b"?") + record(1, 0, b"abc") + record(3, 0, b"")
+    (tmp_path / "run").write_bytes(data)
+    recording = Recording(tmp_path / "run")
+    assert [each.kind for each in recording] == [Kind.CHANNEL, Kind.BYTES, Kind.END]
+    assert recording.left_out == 0
+
+
+def test_a_channel_is_found_by_name_or_what_there_is_is_told(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run")
+    writer.add_channel({"name": "left"})
+    writer.add_channel({"name": "right"})
+    writer.close()
+    recording = Recording(tmp_path / "run")
+    assert recording.channel("right") == 1
+    with pytest.raises(BadRecording, match="holds no middle; it holds left, right"):
+        recording.channel("middle")
+
+
+def test_several_threads_write_one_file(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run")
+    begin = threading.Barrier(4)
+
+    def write(number: int) -> None:
+        channel = writer.add_channel({"name": str(number)})
+        begin.wait(10)
+        for count in range(200):
+            writer.write(Kind.BYTES, channel, Stamp.now(), count.to_bytes(2, "big") * (count % 7 + 1))
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    writer.close()
+    recording = Recording(tmp_path / "run")
+    assert recording.is_complete
+    assert recording.left_out == 0
+    for channel in range(4):
+        counts = [
+            int.from_bytes(each.payload[:2], "big")
+            for each in recording
+            if each.kind is Kind.BYTES and each.channel == channel
+        ]
+        assert counts == list(range(200))
+
+
+def test_can_be_read_while_it_is_made(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run")
+    writer.add_channel({"name": "left"})
+    recording = Recording(tmp_path / "run")
+    writer.write(Kind.BYTES, 0, Stamp(1, 1), b"one")
+    records = iter(recording)
+    assert next(records).kind is Kind.CHANNEL
+    assert next(records).payload == b"one"
+    # What comes after the reader has begun is read too, and is nothing that is left out.
+    writer.write(Kind.BYTES, 0, Stamp(1, 1), b"two")
+    assert [each.payload for each in records] == [b"two"]
+    assert recording.left_out == 0
+    assert not recording.is_complete
+    writer.close()
+
+
+# -- the writer says no -------------------------------------------------------------------------------
+
+
+def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "run").write_bytes(b"somebody's work")
+    with pytest.raises(BadRecording, match="never overwrites"):
+        RecordingWriter(tmp_path / "run")
+    assert (tmp_path / "run").read_bytes() == b"somebody's work"
+
+
+@pytest.mark.parametrize("name", ["no/such/folder/run", "nul\0", "x" * 5000])
+def test_a_file_that_cannot_be_made_or_read(tmp_path: Path, name: str) -> None:
+    with pytest.raises(BadRecording, match="cannot write"):
+        RecordingWriter(tmp_path / name)
+    with pytest.raises(BadRecording, match="cannot read"):
+        Recording(tmp_path / name)
+
+
+def test_a_folder_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(BadRecording):
+        Recording(tmp_path)
+
+
+def test_used_after_close(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run")
+    writer.close()
+    writer.close()
+    with pytest.raises(Closed):
+        writer.write(Kind.BYTES, 0, Stamp(1, 1), b"late")
+    with pytest.raises(Closed):
+        writer.add_channel({"name": "late"})
+    assert [each.kind for each in Recording(tmp_path / "run")] == [Kind.END]
+
+
+def test_holds_256_channels(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run")
+    for number in range(256):
+        assert writer.add_channel({"name": str(number)}) == number
+    for _ in range(2):
+        with pytest.raises(BadValue, match="256"):
+            writer.add_channel({"name": "one too many"})
+    writer.close()
+    assert len(Recording(tmp_path / "run").channels) == 256
+
+
+class Disk:
+    """Stands between a writer and its file, and takes `room` bytes."""
+
+    def __init__(self, writer: RecordingWriter, room: int, error: int | None = None) -> None:
+        self.file = writer._file
+        self.room = room
+        self.error = error
+
+    @property
+    def closed(self) -> bool:
+        return self.file.closed
+
+    def write(self, data: bytes) -> int:
+        if self.error is not None and len(data) > self.room:
+            raise OSError(self.error, "No space left on device")
+        written = self.file.write(data[: self.room])
+        assert written is not None
+        self.room -= written
+        return written
+
+    def close(self) -> None:
+        self.file.close()
+
+
+@pytest.mark.parametrize("error", [None, errno.ENOSPC])
+def test_a_full_disk_ends_the_file_before_the_record_that_did_not_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int | None
+) -> None:
+    writer = RecordingWriter(tmp_path / "run")
+    writer.add_channel({"name": "left"})
+    disk = Disk(writer, 60, error)
+    monkeypatch.setattr(writer, "_file", disk)
+    writer.write(Kind.BYTES, 0, Stamp(1, 1), b"fits")
+    for _ in range(2):
+        with pytest.raises(BadRecording, match=r"disk full|No space"):
+            writer.write(Kind.BYTES, 0, Stamp(1, 1), b"does not fit" * 5)
+        disk.room = 1000  # room again: what came behind half a record could not be read
+    writer.close()
+    assert disk.closed
+    recording = Recording(tmp_path / "run")
+    assert [each.payload for each in recording if each.kind is Kind.BYTES] == [b"fits"]
+    assert not recording.is_complete
+    assert recording.left_out == (60 - 30 if error is None else 0)
+
+
+def test_a_disk_without_any_room_leaves_nothing_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RecordingWriter, "_append", lambda self, data: (_ for _ in ()).throw(BadRecording("full")))
+    with pytest.raises(BadRecording, match="full"):
+        RecordingWriter(tmp_path / "run")
+
+
+# -- damage -------------------------------------------------------------------------------------------
+
+
+def test_a_file_cut_anywhere_reads_as_what_came_before(tmp_path: Path) -> None:
+    data, records, ends = sample(tmp_path / "whole")
+    for cut in range(len(data)):
+        (tmp_path / "cut").write_bytes(data[:cut])
+        if cut < len(MAGIC):
+            with pytest.raises(BadRecording, match="not a recording"):
+                Recording(tmp_path / "cut")
+            continue
+        whole = sum(end <= cut for end in ends)
+        recording = Recording(tmp_path / "cut")
+        assert list(recording) == records[:whole], cut
+        assert recording.left_out == cut - ([len(MAGIC), *ends][whole]), cut
+        assert not recording.is_complete
+    assert Recording(tmp_path / "whole").is_complete
+
+
+def test_a_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
+    data, records, ends = sample(tmp_path / "whole")
+    for at in range(len(data)):
+        for mask in (0x01, 0x80, 0xFF):
+            damaged = bytearray(data)
+            damaged[at] ^= mask
+            (tmp_path / "damaged").write_bytes(damaged)
+            if at < len(MAGIC):
+                with pytest.raises(BadRecording, match="not a recording"):
+                    Recording(tmp_path / "damaged")
+                continue
+            whole = sum(end <= at for end in ends)
+            recording = Recording(tmp_path / "damaged")
+            assert list(recording) == records[:whole], (at, mask)
+            assert recording.left_out == len(data) - [len(MAGIC), *ends][whole], (at, mask)
+            assert not recording.is_complete
+
+
+@pytest.mark.property
+@given(st.binary(max_size=100), st.booleans())
+def test_arbitrary_bytes_are_no_recording_or_an_incomplete_one(data: bytes, with_magic: bool) -> None:
+    data = MAGIC + data if with_magic else data
+    begins_well = data.startswith(MAGIC)
+    with folder() as path:
+        (path / "run").write_bytes(data)
+        try:
+            recording = Recording(path / "run")
+        except BadRecording:
+            assert not begins_well
+        else:
+            assert begins_well
+            assert not recording.is_complete
+            assert recording.left_out == len(data) - len(MAGIC)
+            assert list(recording) == []
+
+
+@pytest.mark.property
+@given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=50) | st.text(max_size=50).map(str.encode))
+def test_arbitrary_records_are_read_or_refused(kind: int, channel: int, payload: bytes) -> None:
+    """Records whose checksum is right, so that what is in them is looked at."""
+    with folder() as path:
+        (path / "run").write_bytes(MAGIC + record(kind, channel, payload))
+        try:
+            recording = Recording(path / "run")
+        except BadRecording:
+            assert kind in (Kind.CHANNEL, Kind.EVENT)
+        else:
+            assert recording.left_out == 0
+            assert recording.is_complete == (kind == Kind.END)
+
+
+@pytest.mark.parametrize("kind", [Kind.CHANNEL, Kind.EVENT])
+@pytest.mark.parametrize("payload", [b"[" * 100_000, b"\xff", b"[]", b"{}", b"null", b'{"name": 5, "state": 5}'])
+def test_descriptions_that_are_none(tmp_path: Path, kind: Kind, payload: bytes) -> None:
+    (tmp_path / "run").write_bytes(MAGIC + record(kind, 0, payload))
+    with pytest.raises(BadRecording, match="channel 0"):
+        Recording(tmp_path / "run")
+
+
+def test_a_length_beyond_all_reason_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "run").write_bytes(MAGIC + struct.pack(">II", 0xFFFFFFFF, 0) + b"x" * 50)
+    assert Recording(tmp_path / "run").left_out == 58
+
+
+def test_a_file_that_goes_away_is_told(tmp_path: Path) -> None:
+    sample(tmp_path / "run")
+    recording = Recording(tmp_path / "run")
+    (tmp_path / "run").unlink()
+    with pytest.raises(BadRecording, match="cannot read"):
+        next(iter(recording))
+
+
+WRITE_FOREVER = """
+import itertools, sys
+from linkcore.recording.file import Kind, RecordingWriter
+from linkcore.stamp import Stamp
+writer = RecordingWriter(sys.argv[1])
+writer.add_channel({"name": "left"})
+for number in itertools.count():
+    writer.write(Kind.BYTES, 0, Stamp.now(), number.to_bytes(4, "big") * 50)
+    print(number, flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_program_loses_nothing_that_was_written(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITE_FOREVER, str(tmp_path / "run")], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    with process, process.stdout:
+        for _ in range(500):
+            process.stdout.readline()
+        process.kill()
+        # What it had said before it was killed counts too.
+        said = 499 + sum(1 for line in process.stdout if line.endswith("\n"))
+    recording = Recording(tmp_path / "run")
+    numbers = [int.from_bytes(each.payload[:4], "big") for each in recording if each.kind is Kind.BYTES]
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) > said
+    assert not recording.is_complete

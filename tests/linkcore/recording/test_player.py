@@ -1,0 +1,380 @@
+"""Replay: when each chunk comes, what is lost and comes back, and that nothing is left out."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import linkcore.recording.player
+from linkcore.errors import BadRecording, BadValue, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.transport import Finished
+from linkcore.recording.file import Kind, Recording, RecordingWriter
+from linkcore.recording.player import ReplayClock, ReplayTransport
+from linkcore.recording.recorder import Recorder
+from linkcore.stamp import Stamp
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.stream import Stream
+from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
+from tests.waiting import until
+
+AT_ONCE = Backoff(first=0, most=0)
+
+#: (seconds, bytes, or the state of an event)
+Line = tuple[float, bytes | str]
+
+
+def write(path: Path, *channels: Iterable[Line]) -> Recording:
+    """A recording of these channels, named "0", "1", ..., with monotonic stamps that begin at 5000."""
+    writer = RecordingWriter(path)
+    for number, lines in enumerate(channels):
+        writer.add_channel({"name": str(number)})
+        for seconds, what in lines:
+            stamp = Stamp(5000 + seconds, 1e9 + seconds)
+            if isinstance(what, bytes):
+                writer.write(Kind.BYTES, number, stamp, what)
+            else:
+                event = {"state": what, "error": f"at {seconds:g}" if what == "lost" else None}
+                writer.write(Kind.EVENT, number, stamp, json.dumps(event).encode())
+    writer.close()
+    return Recording(path)
+
+
+class FakeTime:
+    """A clock that goes on only when somebody waits, or is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+class FakeEvent(threading.Event):
+    """Waiting for it costs no time, and moves the clock."""
+
+    def __init__(self, clock: FakeTime) -> None:
+        super().__init__()
+        self.clock = clock
+        self.waits: list[float] = []
+
+    def wait(self, timeout: float | None = None) -> bool:
+        assert timeout is not None
+        self.waits.append(timeout)
+        self.clock.now += timeout
+        return self.is_set()
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
+    fake = FakeTime()
+    monkeypatch.setattr(linkcore.recording.player, "time", fake)
+    return fake
+
+
+def opened(recording: Recording, clock: FakeTime, rate: float = 1.0, channel: str = "0") -> ReplayTransport:
+    transport = ReplayTransport(recording, channel, ReplayClock(recording, rate))
+    transport._closed = FakeEvent(clock)
+    transport.open(5)
+    return transport
+
+
+# -- when ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 0.5, 20.0])
+def test_chunks_come_at_their_times(tmp_path: Path, clock: FakeTime, rate: float) -> None:
+    recording = write(tmp_path / "run", [(0, b"a"), (0.25, b"b"), (2, b"c")])
+    transport = opened(recording, clock, rate)
+    came = []
+    for expected in (b"a", b"b", b"c"):
+        data, stamp = transport.receive()
+        assert data == expected
+        assert stamp.monotonic == clock.now, "the stamp is of the present"
+        came.append(clock.now - 100)
+    assert came == pytest.approx([0, 0.25 / rate, 2 / rate])
+    with pytest.raises(Finished):
+        transport.receive()
+
+
+def test_stamps_say_the_recorded_wall_time(tmp_path: Path, clock: FakeTime) -> None:
+    transport = opened(write(tmp_path / "run", [(0, b"a"), (3, b"b")]), clock)
+    assert [transport.receive()[1].wall for _ in range(2)] == [1e9, 1e9 + 3]
+
+
+def test_deadlines_are_absolute(tmp_path: Path, clock: FakeTime) -> None:
+    """A consumer that takes its time makes no chunk after it later."""
+    recording = write(tmp_path / "run", [(n * 0.1, bytes([n])) for n in range(10)])
+    transport = opened(recording, clock)
+    came = []
+    for number in range(10):
+        transport.receive()
+        came.append(clock.now - 100)
+        clock.now += 0.25 if number == 2 else 0.03
+    # The third took a quarter of a second: two are late, and the next is on time again.
+    assert came == pytest.approx([0, 0.1, 0.2, 0.45, 0.48, 0.51, 0.6, 0.7, 0.8, 0.9])
+
+
+def test_as_fast_as_possible_never_waits(tmp_path: Path, clock: FakeTime) -> None:
+    recording = write(tmp_path / "run", [(0, b"a"), (5, "lost"), (50, "connected"), (1000, b"b")])
+    transport = opened(recording, clock, rate=0)
+    assert transport.receive()[0] == b"a"
+    with pytest.raises(ConnectionLost):
+        transport.receive()
+    transport.open(5)
+    assert transport.receive()[0] == b"b"
+    assert clock.now == 100
+
+
+def test_channels_share_one_time_line(tmp_path: Path, clock: FakeTime) -> None:
+    recording = write(tmp_path / "run", [(0, b"a"), (4, b"b")], [(1, b"c"), (3, b"d")])
+    shared = ReplayClock(recording)
+    left, right = (ReplayTransport(recording, name, shared) for name in "01")
+    for transport in (left, right):
+        transport._closed = FakeEvent(clock)
+    came: dict[bytes, float] = {}
+    left.open(5)
+    for transport in (left, right, right, left):
+        if transport is right and len(came) == 1:
+            clock.now += 0.5
+            right.open(5)  # later: it joins, and does not start anew
+        data = transport.receive()[0]
+        came[data] = clock.now - 100
+    assert came == pytest.approx({b"a": 0, b"c": 1, b"d": 3, b"b": 4})
+
+
+@pytest.mark.parametrize("rate", [-1, float("inf"), float("nan")])
+def test_a_rate_that_is_none(tmp_path: Path, rate: float) -> None:
+    with pytest.raises(BadValue, match="rate"):
+        ReplayClock(write(tmp_path / "run", []), rate)
+
+
+# -- lost and back ------------------------------------------------------------------------------------
+
+
+def test_a_connection_is_lost_and_comes_back_when_it_did(tmp_path: Path, clock: FakeTime) -> None:
+    recording = write(
+        tmp_path / "run",
+        [(0, b"a"), (2, "lost"), (2.1, "connecting"), (3, "lost"), (3.5, "connecting"), (4, "connected"), (4.5, b"b")],
+    )
+    transport = opened(recording, clock)
+    transport.receive()
+    with pytest.raises(ConnectionLost, match="as recorded: at 2"):
+        transport.receive()
+    assert clock.now == pytest.approx(102)
+    with pytest.raises(ConnectFailed, match="as recorded: at 3"):
+        transport.open(5)
+    assert clock.now == pytest.approx(103)
+    transport.open(5)
+    assert clock.now == pytest.approx(104)
+    assert transport.receive()[0] == b"b"
+    assert clock.now == pytest.approx(104.5)
+
+
+def test_a_long_absence_is_told_within_the_timeout(tmp_path: Path, clock: FakeTime) -> None:
+    transport = opened(write(tmp_path / "run", [(0, b"a"), (1, "lost"), (9, "connected"), (9, b"b")]), clock)
+    transport.receive()
+    with pytest.raises(ConnectionLost):
+        transport.receive()
+    with pytest.raises(LinkTimeout, match="within 5 s"):
+        transport.open(5)
+    assert clock.now == pytest.approx(106)
+    transport.open(5)
+    assert clock.now == pytest.approx(109)
+    assert transport.receive()[0] == b"b"
+
+
+def test_who_never_came_back_is_over(tmp_path: Path, clock: FakeTime) -> None:
+    transport = opened(write(tmp_path / "run", [(0, b"a"), (1, "lost"), (2, "connecting"), (3, "lost")]), clock)
+    transport.receive()
+    with pytest.raises(ConnectionLost):
+        transport.receive()
+    with pytest.raises(ConnectFailed):
+        transport.open(5)
+    with pytest.raises(Finished):
+        transport.open(5)
+
+
+def test_a_channel_that_was_recorded_late_opens_at_once(tmp_path: Path, clock: FakeTime) -> None:
+    lines: list[Line] = [(60, "connecting"), (61, "connected"), (62, b"c")]
+    transport = opened(write(tmp_path / "run", [(0, b"a")], lines), clock, channel="1")
+    assert clock.now == 100
+    assert transport.receive()[0] == b"c"
+    assert clock.now == pytest.approx(162)
+
+
+def test_a_connection_that_was_never_made_is_replayed_so(tmp_path: Path) -> None:
+    recording = write(tmp_path / "run", [(0, "connecting"), (1, "lost")])
+    transport = ReplayTransport(recording, "0", ReplayClock(recording))
+    with pytest.raises(ConnectFailed, match="as recorded: at 1"):
+        transport.open(5)
+
+
+def test_close_wakes_who_waits_for_a_chunk_and_none_is_lost(tmp_path: Path) -> None:
+    recording = write(tmp_path / "run", [(0, b"a"), (3600, b"b")])
+    clock = ReplayClock(recording)
+    transport = ReplayTransport(recording, "0", clock)
+    transport.open(5)
+    assert transport.receive()[0] == b"a"
+    outcome: list[Exception] = []
+
+    def receive() -> None:
+        try:
+            transport.receive()
+        except ConnectionLost as error:
+            outcome.append(error)
+
+    thread = threading.Thread(target=receive)
+    thread.start()
+    transport.close()
+    thread.join(10)
+    assert ["closed" in str(error) for error in outcome] == [True]
+    clock.rate = 0
+    transport.open(5)
+    assert transport.receive()[0] == b"b"
+
+
+def test_nothing_can_be_sent_to_a_recording(tmp_path: Path) -> None:
+    recording = write(tmp_path / "run", [(0, b"a")])
+    with pytest.raises(BadValue, match="is a recording"):
+        ReplayTransport(recording, "0", ReplayClock(recording)).send(b"stopj(1)\n", 1)
+
+
+def test_a_channel_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
+    recording = write(tmp_path / "run", [(0, b"a")])
+    with pytest.raises(BadRecording, match="holds no realtime; it holds 0"):
+        ReplayTransport(recording, "realtime", ReplayClock(recording))
+
+
+def test_an_empty_channel_is_over_at_once(tmp_path: Path) -> None:
+    recording = write(tmp_path / "run", [])
+    transport = ReplayTransport(recording, "0", ReplayClock(recording))
+    transport.open(5)
+    with pytest.raises(Finished):
+        transport.receive()
+
+
+# -- with a stream ------------------------------------------------------------------------------------
+
+
+def replaying(path: Path, rate: float = 0) -> Stream[Count]:
+    recording = Recording(path)
+    transport = ReplayTransport(recording, "0", ReplayClock(recording, rate))
+    lossless = rate == 0
+    return Stream("replay", transport, CountSession, Count, backoff=AT_ONCE, silence=None, lossless=lossless)
+
+
+@pytest.mark.parametrize("size", [1, 7, 500])
+def test_as_fast_as_possible_loses_nothing(tmp_path: Path, size: int) -> None:
+    """More than any queue holds, with what a plain `for` uses."""
+    numbers = range(1000, 4000)
+    write(tmp_path / "run", [(at, counts(*numbers[at : at + size])) for at in range(0, 3000, size)])
+    stream = replaying(tmp_path / "run")
+    assert [count.number for count in stream] == list(numbers)
+    assert (stream.stats.received, stream.stats.dropped) == (3000, 0)
+    stream.close()
+
+
+def test_a_slow_callback_loses_nothing_either(tmp_path: Path) -> None:
+    write(tmp_path / "run", [(n, counts(1000 + n)) for n in range(3000)])
+    stream = replaying(tmp_path / "run")
+    got: list[int] = []
+
+    def take(count: Count) -> None:
+        if not got:
+            # The queue fills up, and the replay waits.
+            until(lambda: stream.stats.received > 1000)
+        got.append(count.number)
+
+    stream.subscribe(take)
+    assert stream.join(30)
+    assert got == list(range(1000, 4000))
+    stream.close()
+
+
+def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> None:
+    """Recorded from a stream that loses its connection twice, the second time with a failed attempt."""
+    script = ScriptedTransport(None, None, ConnectFailed("refused"), None)
+    stream = Stream("script", script, CountSession, Count, backoff=AT_ONCE, silence=None)
+    with Recorder(tmp_path / "run") as recorder:
+        recorder.add(stream, {"name": "0"})
+        script.put(counts(1) + counts(9)[:2], ConnectionLost("cable"), counts(2), ConnectionLost("again"), counts(3))
+        script.put(Finished())
+        assert stream.join(10)
+    stream.close()
+    replayed = replaying(tmp_path / "run")
+    events: list[ConnectionEvent] = []
+    replayed.subscribe(events.append, ConnectionEvent)
+    # The first subscription has started the replay; whoever wants all of it is the first.
+    assert replayed.join(10)
+    states = [event.state.value for event in events]
+    assert states[:3] == ["connecting", "connected", "lost"]
+    assert states.count("lost") == 3
+    assert states.count("connected") == 3
+    assert states[-1] == "closed"
+    reasons = [str(event.error) for event in events if event.state is ConnectionState.LOST]
+    assert ["cable" in reasons[0], "again" in reasons[1], "refused" in reasons[2]] == [True, True, True]
+    assert (replayed.stats.received, replayed.stats.reconnects) == (3, 2)
+    assert replayed.stats.skipped == 2  # of the packet that the first loss cut off
+    again = replaying(tmp_path / "run")
+    assert [count.number for count in again] == [1, 2, 3]
+    again.close()
+    replayed.close()
+
+
+def test_a_recording_of_a_crash_replays_up_to_it(tmp_path: Path) -> None:
+    write(tmp_path / "whole", [(n, counts(n)) for n in range(20)])
+    data = (tmp_path / "whole").read_bytes()
+    (tmp_path / "run").write_bytes(data[: len(data) // 2])
+    stream = replaying(tmp_path / "run")
+    numbers = [count.number for count in stream]
+    assert numbers == list(range(len(numbers)))
+    assert 5 < len(numbers) < 15
+    stream.close()
+
+
+def test_closing_a_replay_that_waits_is_quick(tmp_path: Path) -> None:
+    write(tmp_path / "run", [(0, counts(1)), (3600, counts(2))])
+    stream = replaying(tmp_path / "run", rate=1)
+    assert stream.wait(10).number == 1
+    stream.close()
+    assert all("replay" not in thread.name for thread in threading.enumerate())
+
+
+@pytest.mark.property
+@given(st.lists(st.binary(min_size=1, max_size=30), max_size=20), st.data())
+def test_recorded_and_replayed_are_the_same(chunks: list[bytes], data: st.DataObject) -> None:
+    """Whatever bytes, however cut: a recorder of the replay writes what the recording holds."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        lost = data.draw(st.sets(st.integers(0, 19)))
+        lines: list[Line] = []
+        for number, chunk in enumerate(chunks):
+            lines.append((number, chunk))
+            if number in lost:
+                lines += [(number, "lost"), (number, "connecting"), (number, "connected")]
+        write(folder / "one", lines)
+        stream = replaying(folder / "one")
+        with Recorder(folder / "two") as recorder:
+            recorder.add(stream, {"name": "0"})
+            assert stream.join(30)
+        stream.close()
+        assert contents(folder / "two") == contents(folder / "one")
+
+
+def contents(path: Path) -> list[tuple[Kind, bytes]]:
+    """The chunks, and between which of them connections were lost."""
+    kept: list[tuple[Kind, bytes]] = []
+    for record in Recording(path):
+        if record.kind is Kind.BYTES:
+            kept.append((record.kind, record.payload))
+        elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "lost":
+            kept.append((record.kind, b"lost"))
+    return kept

@@ -1,0 +1,333 @@
+"""The recorder: every byte once, in order, also when connections break and disks fail."""
+
+from __future__ import annotations
+
+import errno
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from linkcore.errors import BadRecording, Closed, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.transport import Finished
+from linkcore.recording.file import Kind, Record, Recording, RecordingWriter
+from linkcore.recording.recorder import Recorder
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.policy import block
+from linkcore.streaming.stream import Stream
+from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
+from tests.waiting import until
+
+AT_ONCE = Backoff(first=0, most=0)
+SCRIPT = {"name": "script"}
+
+
+@pytest.fixture
+def make_stream() -> Iterator[Callable[[ScriptedTransport], Stream[Count]]]:
+    streams: list[Stream[Count]] = []
+
+    def make(transport: ScriptedTransport) -> Stream[Count]:
+        streams.append(Stream("script", transport, CountSession, Count, backoff=AT_ONCE, silence=None))
+        return streams[-1]
+
+    yield make
+    for stream in streams:
+        stream.close()
+
+
+@pytest.fixture
+def transport() -> ScriptedTransport:
+    return ScriptedTransport()
+
+
+@pytest.fixture
+def stream(transport: ScriptedTransport, make_stream: Callable[[ScriptedTransport], Stream[Count]]) -> Stream[Count]:
+    return make_stream(transport)
+
+
+def recorded(path: Path, channel: int = 0) -> bytes:
+    return b"".join(each.payload for each in Recording(path) if each.kind is Kind.BYTES and each.channel == channel)
+
+
+def events(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(each.payload) for each in Recording(path) if each.kind is Kind.EVENT]
+
+
+class Gate:
+    """Holds up the writer's thread, as a slow disk does."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.open = threading.Event()
+        self.waiting = threading.Event()
+        write = RecordingWriter.write
+
+        def slow(writer: RecordingWriter, kind: Kind, *rest: Any) -> None:
+            if kind is Kind.BYTES:
+                self.waiting.set()
+                assert self.open.wait(30)
+            write(writer, kind, *rest)
+
+        monkeypatch.setattr(RecordingWriter, "write", slow)
+
+
+# -- every byte once ----------------------------------------------------------------------------------
+
+
+def test_every_chunk_is_recorded_once_and_in_order(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
+) -> None:
+    whole = counts(*range(300))
+    chunks = [whole[at : at + size] for at, size in zip(range(0, 1500, 7), [7] * 215, strict=True)]
+    with Recorder(tmp_path / "run") as recorder:
+        subscription = recorder.add(stream, {"name": "script", "firmware": "5.11"})
+        transport.put(*chunks, Finished())
+        assert stream.join(10)
+        assert subscription.stats.dropped == subscription.stats.failed == subscription.stats.waiting == 0
+    recording = Recording(tmp_path / "run")
+    assert recording.is_complete
+    assert recording.channels == {0: {"name": "script", "firmware": "5.11"}}
+    # As they were cut, too.
+    assert [each.payload for each in recording if each.kind is Kind.BYTES] == chunks
+    assert recorded(tmp_path / "run") == whole
+
+
+def test_stamps_are_those_of_the_packets(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+    packets: list[Count] = []
+    with Recorder(tmp_path / "run") as recorder:
+        recorder.add(stream, SCRIPT)
+        stream.subscribe(packets.append, policy=block)
+        transport.put(*(counts(number) for number in range(20)), Finished())
+        assert stream.join(10)
+    written = [each for each in Recording(tmp_path / "run") if each.kind is Kind.BYTES]
+    assert len(packets) == 20
+    for packet, each in zip(packets, written, strict=True):
+        assert packet.received is not None
+        assert each.stamp.monotonic == pytest.approx(packet.received.monotonic, abs=1e-6)
+        assert each.stamp.wall == pytest.approx(packet.received.wall, abs=1e-6)
+
+
+def test_bytes_before_and_after_a_reconnect_are_all_there(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
+) -> None:
+    with Recorder(tmp_path / "run") as recorder:
+        recorder.add(stream, SCRIPT)
+        # The second connection begins anew, so the half packet is recorded once and never completed.
+        transport.put(counts(1), counts(2)[:3], ConnectionLost("cut"), counts(3), b"junk" + counts(4), Finished())
+        assert stream.join(10)
+    assert recorded(tmp_path / "run") == counts(1) + counts(2)[:3] + counts(3) + b"junk" + counts(4)
+    assert [(event["state"], event["error"]) for event in events(tmp_path / "run")] == [
+        ("connecting", None),
+        ("connected", None),
+        ("lost", "cut"),
+        ("connecting", None),
+        ("connected", None),
+        ("closed", None),
+    ]
+    kinds = [each.kind for each in Recording(tmp_path / "run")]
+    assert kinds[3:6] == [Kind.BYTES, Kind.BYTES, Kind.EVENT], "the loss stands where it happened"
+
+
+@pytest.mark.parametrize("cut", range(6))
+def test_started_in_the_middle_of_a_packet_it_holds_the_whole_packet(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, cut: int
+) -> None:
+    packet = counts(0x01020304)
+    transport.put(counts(1) + packet[:cut])
+    stream.start()
+    until(lambda: stream.stats.received == 1 + cut // 5)
+    with Recorder(tmp_path / "run") as recorder:
+        recorder.add(stream, SCRIPT)
+        transport.put(packet[cut:] + counts(2), counts(3), Finished())
+        assert stream.join(10)
+    # A packet that had come whole before the recorder was there is none of it.
+    assert recorded(tmp_path / "run") == (packet if cut < 5 else b"") + counts(2, 3)
+
+
+def test_two_streams_in_one_file_are_kept_apart(
+    make_stream: Callable[[ScriptedTransport], Stream[Count]], tmp_path: Path
+) -> None:
+    transports = [ScriptedTransport(), ScriptedTransport()]
+    streams = [make_stream(transport) for transport in transports]
+    with Recorder(tmp_path / "run") as recorder:
+        for name, stream in zip(("left", "right"), streams, strict=True):
+            recorder.add(stream, {"name": name})
+        for number in range(200):
+            transports[0].put(counts(number))
+            transports[1].put(counts(number + 1000))
+        for transport, stream in zip(transports, streams, strict=True):
+            transport.put(Finished())
+            assert stream.join(10)
+    recording = Recording(tmp_path / "run")
+    assert recorded(tmp_path / "run", recording.channel("left")) == counts(*range(200))
+    assert recorded(tmp_path / "run", recording.channel("right")) == counts(*range(1000, 1200))
+
+
+def test_two_recorders_of_one_stream_hold_the_same(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
+) -> None:
+    with Recorder(tmp_path / "one") as one, Recorder(tmp_path / "two") as two:
+        one.add(stream, SCRIPT)
+        two.add(stream, SCRIPT)
+        transport.put(*(counts(number) for number in range(50)), Finished())
+        assert stream.join(10)
+    assert recorded(tmp_path / "one") == recorded(tmp_path / "two") == counts(*range(50))
+
+
+def test_what_cannot_be_decoded_is_recorded_like_everything(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
+) -> None:
+    with Recorder(tmp_path / "run") as recorder:
+        recorder.add(stream, SCRIPT)
+        transport.put(b"junk", counts(666), b"\x00", Finished())
+        assert stream.join(10)
+    assert recorded(tmp_path / "run") == b"junk" + counts(666) + b"\x00"
+
+
+def test_a_slow_disk_makes_the_stream_wait_and_loses_nothing(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch)
+    with Recorder(tmp_path / "run") as recorder:
+        subscription = recorder.add(stream, SCRIPT)
+        transport.put(*(counts(number) for number in range(1500)), Finished())
+        assert gate.waiting.wait(10)
+        # One in the writer's hands, 1024 in the queue; the reader waits with the next.
+        until(lambda: subscription.stats.waiting >= 1025)
+        assert stream.stats.received <= 1025
+        gate.open.set()
+        assert stream.join(30)
+    assert recorded(tmp_path / "run") == counts(*range(1500))
+
+
+def test_closing_writes_what_still_waits(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch)
+    recorder = Recorder(tmp_path / "run")
+    recorder.add(stream, SCRIPT)
+    transport.put(*(counts(number) for number in range(100)))
+    until(lambda: stream.stats.received == 100)
+    closer = threading.Thread(target=recorder.close)
+    closer.start()
+    gate.open.set()
+    closer.join(10)
+    transport.put(counts(1000))  # comes after the end
+    until(lambda: stream.stats.received == 101)
+    assert recorded(tmp_path / "run") == counts(*range(100))
+    assert Recording(tmp_path / "run").is_complete
+
+
+def test_closing_the_stream_first_loses_nothing(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch)
+    recorder = Recorder(tmp_path / "run")
+    recorder.add(stream, SCRIPT)
+    transport.put(*(counts(number) for number in range(100)))
+    until(lambda: stream.stats.received == 100)
+    stream.close(timeout=0.1)
+    gate.open.set()
+    recorder.close()
+    assert recorded(tmp_path / "run") == counts(*range(100))
+
+
+# -- when it cannot be done ---------------------------------------------------------------------------
+
+
+def test_a_disk_too_slow_to_close_is_told_and_the_file_is_as_after_a_crash(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch)
+    recorder = Recorder(tmp_path / "run")
+    subscription = recorder.add(stream, SCRIPT)
+    transport.put(counts(1), counts(2))
+    assert gate.waiting.wait(10)
+    with pytest.raises(LinkTimeout, match="not everything was written"):
+        recorder.close(timeout=0.01)
+    recorder.close()  # idempotent: it was told
+    gate.open.set()
+    assert subscription.join(10)
+    recording = Recording(tmp_path / "run")
+    assert not recording.is_complete
+    assert recorded(tmp_path / "run") == b""
+
+
+def test_a_disk_that_fails_is_told_and_the_stream_goes_on(
+    stream: Stream[Count],
+    transport: ScriptedTransport,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    got: list[int] = []
+    recorder = Recorder(tmp_path / "run")
+    recorder.add(stream, SCRIPT)
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    transport.put(counts(1))
+    until(lambda: recorded(tmp_path / "run") == counts(1))
+    file = recorder._writer._file
+
+    class Full:
+        closed = False
+
+        def write(self, data: bytes) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self) -> None:
+            file.close()
+
+    monkeypatch.setattr(recorder._writer, "_file", Full())
+    transport.put(*(counts(number) for number in range(2, 20)), Finished())
+    assert stream.join(10)
+    assert got == list(range(1, 20))
+    with pytest.raises(BadRecording, match="No space left"):
+        recorder.close()
+    assert "No space left" in caplog.text
+    assert not Recording(tmp_path / "run").is_complete
+    assert recorded(tmp_path / "run") == counts(1)
+
+
+def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "run").write_bytes(b"mine")
+    with pytest.raises(BadRecording, match="never overwrites"):
+        Recorder(tmp_path / "run")
+    assert (tmp_path / "run").read_bytes() == b"mine"
+
+
+def test_a_stream_that_cannot_be_opened_is_told(
+    make_stream: Callable[[ScriptedTransport], Stream[Count]], tmp_path: Path
+) -> None:
+    stream = make_stream(ScriptedTransport(ConnectFailed("refused")))
+    with Recorder(tmp_path / "run") as recorder, pytest.raises(ConnectFailed, match="refused"):
+        recorder.add(stream, SCRIPT)
+
+
+def test_nothing_is_added_to_a_closed_recorder(stream: Stream[Count], tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run")
+    recorder.close()
+    with pytest.raises(Closed):
+        recorder.add(stream, SCRIPT)
+
+
+def test_a_recorder_leaves_no_thread(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+    before: set[threading.Thread] = set()
+    with Recorder(tmp_path / "run") as recorder:
+        stream.start()
+        before = set(threading.enumerate())
+        recorder.add(stream, SCRIPT)
+        assert set(threading.enumerate()) > before
+    assert set(threading.enumerate()) <= before
+
+
+def test_records_are_of_their_channel(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run") as recorder:
+        recorder.add(stream, SCRIPT)
+        transport.put(counts(1), Finished())
+        assert stream.join(10)
+    records: list[Record] = list(Recording(tmp_path / "run"))
+    assert records[0].kind is Kind.CHANNEL
+    assert records[-1].kind is Kind.END
+    assert {record.channel for record in records} == {0}

@@ -1,0 +1,69 @@
+"""Waiting before trying again: growing, bounded, and never in step."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue
+from linkcore.streaming.backoff import Backoff
+
+seconds = st.floats(0, 100)
+factors = st.floats(1, 10)
+shares = st.floats(0, 1)
+
+
+def first_waits(backoff: Backoff, count: int = 50) -> list[float]:
+    return list(itertools.islice(backoff.waits(), count))
+
+
+def test_grows_up_to_a_bound() -> None:
+    assert first_waits(Backoff(first=1, factor=2, most=10, jitter=0), 6) == [1, 2, 4, 8, 10, 10]
+
+
+@pytest.mark.property
+@given(seconds, factors, seconds)
+def test_without_jitter_it_never_shrinks_and_keeps_to_its_bound(first: float, factor: float, most: float) -> None:
+    waits = first_waits(Backoff(first, factor, most, jitter=0))
+    assert len(waits) == 50, "for ever"
+    assert waits == sorted(waits)
+    assert waits[0] == min(first, most)
+    assert all(0 <= wait <= most for wait in waits)
+
+
+@pytest.mark.property
+@given(seconds, factors, seconds, shares)
+def test_jitter_varies_each_wait_by_its_share(first: float, factor: float, most: float, jitter: float) -> None:
+    steady = first_waits(Backoff(first, factor, most, jitter=0))
+    varied = first_waits(Backoff(first, factor, most, jitter=jitter))
+    for wait, exact in zip(varied, steady, strict=True):
+        assert exact * (1 - jitter) - 1e-9 <= wait <= exact * (1 + jitter) + 1e-9
+
+
+def test_no_wait_exceeds_the_most_with_jitter_either() -> None:
+    assert max(first_waits(Backoff(first=1, factor=2, most=4, jitter=0.5), 200)) <= 4
+
+
+def test_two_clients_do_not_come_back_in_step() -> None:
+    assert first_waits(Backoff(jitter=0.2)) != first_waits(Backoff(jitter=0.2))
+
+
+@pytest.mark.parametrize("tries", [0, 1, 7])
+def test_ends_after_so_many_tries(tries: int) -> None:
+    assert len(first_waits(Backoff(tries=tries))) == tries
+
+
+def test_each_use_begins_anew() -> None:
+    backoff = Backoff(first=1, factor=10, most=1000, jitter=0)
+    assert first_waits(backoff, 3) == first_waits(backoff, 3) == [1, 10, 100]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"first": -1}, {"most": -0.1}, {"factor": 0.5}, {"jitter": -0.1}, {"jitter": 1.1}], ids=str
+)
+def test_what_cannot_be_waited_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(BadValue, match=f"{next(iter(wrong))}="):
+        Backoff(**wrong)  # type: ignore[arg-type]

@@ -1,0 +1,536 @@
+"""The reader thread, its subscribers, reconnecting, and counters that add up."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.transport import Finished
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import Chunk, ConnectionEvent, ConnectionState, Traffic
+from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.stream import Stream
+from tests.linkcore.script import BAD, Count, CountSession, ScriptedTransport, counts
+from tests.waiting import until
+
+AT_ONCE = Backoff(first=0, most=0)
+
+
+@pytest.fixture
+def transport() -> ScriptedTransport:
+    return ScriptedTransport()
+
+
+@pytest.fixture
+def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
+    stream = Stream("script", transport, CountSession, Count, backoff=AT_ONCE, silence=None)
+    yield stream
+    stream.close()
+    adds_up(stream)
+
+
+def own_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("script")]
+
+
+def adds_up(stream: Stream[Count]) -> None:
+    stats = stream.stats
+    assert stats.received == stats.delivered + stats.dropped + stats.failed
+
+
+def test_nothing_starts_before_it_is_used(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    assert transport.opened == 0
+    assert stream.connection is ConnectionState.IDLE
+    assert not own_threads()
+
+
+def test_delivers_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    got: list[int] = []
+    subscription = stream.subscribe(lambda count: got.append(count.number), policy=block)
+    transport.put(counts(1, 2), counts(3), Finished())
+    assert stream.join(10)
+    assert got == [1, 2, 3]
+    assert subscription.stats.delivered == subscription.stats.received == 3
+    assert (stream.stats.received, stream.stats.delivered) == (3, 3)
+    assert stream.stats.bytes == 15
+
+
+def test_stamps_say_when_the_bytes_came(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    before = time.monotonic()
+    transport.put(counts(1))
+    count = stream.wait(10)
+    assert count.received is not None
+    assert before <= count.received.monotonic <= time.monotonic()
+    assert count.received.age >= 0
+
+
+def test_a_raising_callback_harms_nobody(
+    stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture
+) -> None:
+    got: list[int] = []
+
+    def fail(count: Count) -> None:
+        raise RuntimeError("on purpose")
+
+    failing = stream.subscribe(fail, policy=block)
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    transport.put(counts(*range(9)), Finished())
+    assert stream.join(10)
+    assert got == list(range(9))
+    assert failing.stats.failed == 9
+    assert stream.stats.failed == 0
+    # Each power of two, not each packet: 1, 2, 4, 8.
+    assert sum("raised" in record.message for record in caplog.records) == 4
+
+
+def test_a_sleeping_callback_harms_nobody(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    wake, asleep = threading.Event(), threading.Event()
+    got: list[int] = []
+
+    def sleep(count: Count) -> None:
+        asleep.set()
+        assert wake.wait(10)
+
+    sleeping = stream.subscribe(sleep, policy=drop_oldest(4))
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    transport.put(counts(0))
+    assert asleep.wait(10)
+    transport.put(counts(*range(1, 100)))
+    until(lambda: len(got) == 100)
+    assert sleeping.stats.dropped == 95
+    assert sleeping.stats.waiting == 5  # four in the queue, one in the callback
+    wake.set()
+    transport.put(Finished())
+    assert stream.join(10)
+    assert sleeping.stats.delivered == 5
+    assert (stream.stats.delivered, stream.stats.dropped) == (5, 95)
+
+
+def test_a_packet_that_two_subscribers_drop_counts_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    wake = threading.Event()
+    asleep = [threading.Event(), threading.Event()]
+
+    def sleeper(number: int) -> Callable[[Count], None]:
+        def sleep(count: Count) -> None:
+            asleep[number].set()
+            assert wake.wait(10)
+
+        return sleep
+
+    subscriptions = [
+        stream.subscribe(sleeper(0), policy=latest),
+        stream.subscribe(sleeper(1), policy=drop_oldest(2)),
+    ]
+    transport.put(counts(0))
+    assert all(event.wait(10) for event in asleep)
+    transport.put(counts(1, 2, 3, 4))
+    until(lambda: stream.stats.received == 5 and sum(each.stats.dropped for each in subscriptions) == 5)
+    assert (stream.stats.delivered, stream.stats.dropped) == (2, 3)
+    wake.set()
+
+
+def test_latest_policy_keeps_the_newest(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    wake, asleep = threading.Event(), threading.Event()
+    got: list[int] = []
+
+    def keep(count: Count) -> None:
+        got.append(count.number)
+        asleep.set()
+        assert wake.wait(10)
+
+    stream.subscribe(keep, policy=latest)
+    transport.put(counts(0))
+    assert asleep.wait(10)
+    transport.put(*(counts(number) for number in range(1, 50)))
+    until(lambda: stream.stats.received == 50)
+    wake.set()
+    transport.put(Finished())
+    assert stream.join(10)
+    assert got == [0, 49]
+
+
+def test_block_makes_the_reader_wait_and_loses_nothing(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    gate = threading.Semaphore(0)
+    got: list[int] = []
+
+    def slow(count: Count) -> None:
+        assert gate.acquire(timeout=10)
+        got.append(count.number)
+
+    stream.subscribe(slow, policy=Policy(3, evicts=False))
+    transport.put(counts(*range(20)), counts(20), Finished())
+    for _ in range(21):
+        gate.release()
+    assert stream.join(10)
+    assert got == list(range(21))
+    assert stream.stats.dropped == 0
+
+
+def test_close_frees_a_reader_that_waits_for_room(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    wake, asleep = threading.Event(), threading.Event()
+
+    def sleep(count: Count) -> None:
+        asleep.set()
+        wake.wait(10)
+
+    stream.subscribe(sleep, policy=Policy(1, evicts=False))
+    transport.put(counts(*range(50)))
+    assert asleep.wait(10)
+    began = time.monotonic()
+    stream.close(timeout=0.5)
+    assert time.monotonic() - began < 5
+    wake.set()
+    until(lambda: not own_threads())
+    adds_up(stream)
+
+
+def test_close_from_the_callback(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    closed = threading.Event()
+
+    def close(count: Count) -> None:
+        stream.close()
+        stream.close()
+        closed.set()
+
+    stream.subscribe(close)
+    transport.put(counts(1, 2, 3))
+    assert closed.wait(10)
+    until(lambda: not own_threads())
+    assert stream.connection is ConnectionState.CLOSED
+
+
+def test_a_subscription_closes_itself_from_its_callback(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    got: list[int] = []
+
+    def once(count: Count) -> None:
+        got.append(count.number)
+        subscription.close()
+
+    ready = threading.Event()
+
+    def wait_until_ready(count: Count) -> None:
+        assert ready.wait(10)
+        once(count)
+
+    subscription = stream.subscribe(wait_until_ready, policy=block)
+    ready.set()
+    transport.put(counts(1, 2, 3), Finished())
+    assert stream.join(10)
+    assert got == [1]
+    stats = subscription.stats
+    assert stats.received == stats.delivered + stats.dropped
+    assert stats.waiting == 0
+
+
+def test_bad_packets_are_counted_and_end_nothing(
+    stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture
+) -> None:
+    got: list[int] = []
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    transport.put(counts(1, BAD, 2), counts(BAD), counts(3), Finished())
+    assert stream.join(10)
+    assert got == [1, 2, 3]
+    assert (stream.stats.received, stream.stats.failed, stream.stats.delivered) == (5, 2, 3)
+    assert "bad on purpose" in caplog.text
+
+
+def test_skipped_bytes_are_counted_across_connections(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    got: list[int] = []
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    transport.put(b"xxx" + counts(1) + b"\x05\x00", ConnectionLost("cut"), b"yy" + counts(2), Finished())
+    assert stream.join(10)
+    assert got == [1, 2]
+    # Three before, the two of the packet that the cut ended, two after.
+    assert stream.stats.skipped == 7
+    assert stream.stats.resyncs == 2
+    assert stream.stats.reconnects == 1
+
+
+def test_subscriptions_survive_a_reconnect(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    got: list[int] = []
+    events: list[ConnectionEvent] = []
+    stream.subscribe(events.append, ConnectionEvent)
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    cause = ConnectionLost("cable")
+    transport.put(counts(1), cause, counts(2), Finished())
+    assert stream.join(10)
+    assert got == [1, 2]
+    assert stream.stats.reconnects == 1
+    states = [event.state for event in events]
+    assert states[-5:] == [
+        ConnectionState.CONNECTED,
+        ConnectionState.LOST,
+        ConnectionState.CONNECTING,
+        ConnectionState.CONNECTED,
+        ConnectionState.CLOSED,
+    ]
+    assert [event.error for event in events if event.state is ConnectionState.LOST] == [cause]
+
+
+def test_old_data_is_not_shown_as_fresh() -> None:
+    transport = ScriptedTransport()
+    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(first=60, most=60), silence=None)
+    transport.put(counts(7))
+    assert stream.wait(10).number == 7
+    assert [stream.latest] == [Count(number=7)]
+    transport.put(ConnectionLost("cut"))
+    until(lambda: stream.connection is ConnectionState.LOST)
+    assert [stream.latest] == [None]
+    assert stream.stats.age is not None
+    stream.close()
+
+
+def test_latest_does_not_wait_for_a_connection() -> None:
+    release = threading.Event()
+
+    class Slow(ScriptedTransport):
+        def open(self, timeout: float) -> None:
+            assert release.wait(10)
+            super().open(timeout)
+
+    transport = Slow()
+    stream = Stream("script", transport, CountSession, Count, silence=None)
+    assert stream.latest is None
+    release.set()
+    transport.put(counts(3))
+    until(lambda: stream.latest is not None)
+    stream.close()
+    assert stream.latest is None
+
+
+def test_a_first_connection_that_fails_is_told_at_once() -> None:
+    transport = ScriptedTransport(ConnectFailed("refused"), ConnectFailed("refused"))
+    stream = Stream("script", transport, CountSession, Count, backoff=AT_ONCE, silence=None)
+    with pytest.raises(ConnectFailed, match="refused"):
+        stream.subscribe(print)
+    with pytest.raises(ConnectFailed, match="refused"):
+        stream.wait(1)
+    # The third time there is somebody: nothing of the failures remains.
+    transport.put(counts(1))
+    assert stream.wait(10).number == 1
+    stream.close()
+
+
+def test_gives_up_when_the_backoff_says_so() -> None:
+    gone = ConnectFailed("gone")
+    transport = ScriptedTransport(None, gone, gone, gone)
+    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(0, 1, 0, 0, tries=3), silence=None)
+    transport.put(counts(1), ConnectionLost("cut"))
+    iterator = iter(stream)
+    assert next(iterator).number == 1
+    with pytest.raises(ConnectFailed, match="gone"):
+        next(iterator)
+    assert transport.opened == 4
+    stream.close()
+
+
+def test_the_backoff_is_reset_by_packets_only() -> None:
+    """Connections that bring no packet use the tries up; one that does gives them back."""
+    transport = ScriptedTransport()
+    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(0, 1, 0, 0, tries=2), silence=None)
+    cut = ConnectionLost("cut")
+    transport.put(counts(1), cut, cut, counts(2), cut, cut, counts(3), cut, cut, cut)
+    got: list[int] = []
+    stream.subscribe(lambda count: got.append(count.number), policy=block)
+    stream.join(10)
+    assert got == [1, 2, 3]
+    assert stream.failure is cut
+    stream.close()
+
+
+def test_a_silent_peer_is_noticed_by_the_deadline(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    late = threading.Event()
+    ages: list[float] = []
+
+    def on_deadline(age: float) -> None:
+        ages.append(age)
+        late.set()
+
+    subscription = stream.subscribe(lambda count: None, deadline=0.02, on_deadline=on_deadline)
+    assert late.wait(10)
+    late.clear()
+    # Once for each silence: only a packet arms it again.
+    transport.put(counts(1))
+    assert late.wait(10)
+    assert subscription.stats.missed_deadlines == len(ages) == 2
+    assert all(age >= 0.02 for age in ages)
+
+
+def test_a_deadline_callback_that_raises_is_only_logged(
+    stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture
+) -> None:
+    got = threading.Event()
+
+    def fail(age: float) -> None:
+        raise RuntimeError("on purpose")
+
+    subscription = stream.subscribe(lambda count: got.set(), deadline=0.01, on_deadline=fail)
+    until(lambda: subscription.stats.missed_deadlines == 1)
+    transport.put(counts(1))
+    assert got.wait(10)
+    assert "on_deadline" in caplog.text
+
+
+def test_a_missed_deadline_without_a_callback_is_logged(
+    stream: Stream[Count], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        subscription = stream.subscribe(lambda count: None, deadline=0.01)
+        until(lambda: subscription.stats.missed_deadlines == 1)
+    assert "nothing came for" in caplog.text
+
+
+def test_bytes_without_packets_count_as_silence() -> None:
+    transport = ScriptedTransport()
+    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(tries=0), silence=0.02)
+    stop = threading.Event()
+
+    def babble() -> None:
+        while not stop.wait(0.002):
+            transport.put(b"x")
+
+    babbler = threading.Thread(target=babble)
+    babbler.start()
+    with pytest.raises(LinkTimeout, match="no packet"):
+        next(iter(stream))
+    stop.set()
+    babbler.join()
+    stream.close()
+
+
+def test_iteration_ends_when_closed(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(1))
+    seen = []
+    for count in stream:
+        seen.append(count.number)
+        stream.close()
+    assert seen == [1]
+    with pytest.raises(Closed):
+        next(iter(stream))
+
+
+def test_iteration_that_is_left_takes_its_queue_away(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(1))
+    iterator = stream.iterate(drop_oldest(8))
+    assert next(iterator).number == 1
+    iterator.close()  # type: ignore[attr-defined]
+    transport.put(counts(*range(20)))
+    until(lambda: stream.stats.received == 21)
+    assert stream.stats.dropped == 0
+
+
+def test_an_ended_stream_ends_new_users_at_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(1), Finished())
+    assert [count.number for count in stream.iterate(block)] == [1]
+    assert list(stream) == []
+    with pytest.raises(Closed):
+        stream.wait(5)
+
+
+def test_wait_times_out(stream: Stream[Count]) -> None:
+    with pytest.raises(LinkTimeout, match=r"no Count from script within 0\.01 s"):
+        stream.wait(0.01)
+    with pytest.raises(TimeoutError):
+        stream.wait(0.01)
+
+
+def test_wait_takes_only_what_comes_after(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(1))
+    assert stream.wait(10).number == 1
+    with pytest.raises(LinkTimeout):
+        stream.wait(0.01)
+
+
+def test_traffic_is_every_byte_and_event_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    seen: list[Chunk | ConnectionEvent] = []
+    stream.subscribe(seen.append, Traffic, policy=block)
+    pieces = [counts(1)[:3], counts(1)[3:] + counts(2), b"junk"]
+    transport.put(*pieces, ConnectionLost("cut"), counts(3), Finished())
+    assert stream.join(10)
+    assert [item.data for item in seen if isinstance(item, Chunk)] == [*pieces, counts(3)]
+    lost = next(n for n, item in enumerate(seen) if isinstance(item, ConnectionEvent) and item.state.value == "lost")
+    assert [item.data for item in seen[:lost] if isinstance(item, Chunk)] == pieces
+
+
+def test_traffic_that_begins_inside_a_packet_has_its_head(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    packet = counts(0x01020304)
+    transport.put(counts(1) + packet[:2])
+    assert stream.wait(10).number == 1
+    seen: list[Chunk | ConnectionEvent] = []
+    stream.subscribe(seen.append, Traffic, policy=block)
+    transport.put(packet[2:], Finished())
+    assert stream.join(10)
+    assert b"".join(item.data for item in seen if isinstance(item, Chunk)) == packet
+
+
+def test_finish_delivers_what_waits(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    wake, asleep = threading.Event(), threading.Event()
+    got: list[int] = []
+
+    def keep(count: Count) -> None:
+        asleep.set()
+        assert wake.wait(10)
+        got.append(count.number)
+
+    subscription = stream.subscribe(keep, policy=block)
+    transport.put(counts(1, 2, 3))
+    assert asleep.wait(10)
+    until(lambda: stream.stats.received == 3)
+    assert not subscription.finish(timeout=0.01)
+    wake.set()
+    assert subscription.join(10)
+    assert got == [1, 2, 3]
+
+
+def test_bad_arguments_are_told_before_anything_starts(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    with pytest.raises(BadValue, match="deadline"):
+        stream.subscribe(print, deadline=0)
+    with pytest.raises(BadValue, match="without a deadline"):
+        stream.subscribe(print, on_deadline=print)
+    with pytest.raises(BadValue):
+        drop_oldest(0)
+    assert transport.opened == 0
+
+
+def test_used_after_close(stream: Stream[Count]) -> None:
+    stream.close()
+    with pytest.raises(Closed):
+        stream.subscribe(print)
+    with pytest.raises(Closed):
+        stream.wait(1)
+
+
+@pytest.mark.slow
+def test_counters_add_up_under_load(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """Many chunks, subscribers of every policy that come and go, bad packets among them."""
+    total = 0
+    delivered = []
+
+    def collect(count: Count) -> None:
+        delivered.append(count.number)
+
+    lossless = stream.subscribe(collect, policy=block)
+    others = [stream.subscribe(lambda count: None, policy=drop_oldest(2)) for _ in range(3)]
+    for round_ in range(300):
+        numbers = [BAD if number % 50 == 7 else number for number in range(round_, round_ + 40)]
+        total += len(numbers)
+        transport.put(counts(*numbers))
+        if round_ % 20 == 0:
+            others.pop(0).close()
+            others.append(stream.subscribe(lambda count: None, policy=latest))
+        adds_up(stream)
+    transport.put(Finished())
+    assert stream.join(30)
+    stats = stream.stats
+    assert stats.received == total
+    assert stats.failed == total - len(delivered)
+    assert lossless.stats.dropped == 0
+    for subscription in others:
+        own = subscription.stats
+        assert own.waiting == 0
+        assert own.received == own.delivered + own.dropped

@@ -1,0 +1,135 @@
+"""Inputs and outputs: what is sent, and what is read back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from linkcore.errors import BadValue, LinkTimeout
+from tests.urlink.stand_in import StandIn
+from tests.waiting import until
+from urlink.commanding import io as module
+from urlink.commanding.io import IO, Analog
+from urlink.errors import NotRunning
+from urlink.interfaces.enums import AnalogDomain, RobotMode, SafetyMode
+
+
+def io_of(robot: StandIn) -> IO:
+    return IO(robot.outlet, lambda: robot.primary, lambda: robot.firmware)
+
+
+@pytest.fixture
+def robot() -> Iterator[StandIn]:
+    with StandIn() as robot:
+        robot.clear()
+        yield robot
+
+
+@pytest.mark.parametrize(
+    ("act", "statement"),
+    [
+        (lambda io: io.set_digital_out(7, True), "set_standard_digital_out(7, True)"),
+        (lambda io: io.set_configurable_digital_out(7, False), "set_configurable_digital_out(7, False)"),
+        (lambda io: io.set_tool_digital_out(1, True), "set_tool_digital_out(1, True)"),
+        (lambda io: io.set_analog_out(1, 0.5), "set_standard_analog_out(1, 0.5)"),
+        (lambda io: io.set_tool_voltage(12), "set_tool_voltage(12)"),
+        (lambda io: io.set_flag(3, True), "set_flag(3, True)"),
+    ],
+)
+def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], None], statement: str) -> None:
+    act(io_of(robot))
+    assert robot.sent == [f"sec urlink_command():\n  {statement}\nend\n"]
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda io: io.set_digital_out(8, True),
+        lambda io: io.set_digital_out(0, "on"),
+        lambda io: io.set_configurable_digital_out(-1, True),
+        lambda io: io.set_tool_digital_out(2, True),
+        lambda io: io.set_analog_out(0, 5.0),
+        lambda io: io.set_tool_voltage(48),
+        lambda io: io.set_flag(99, True),
+        lambda io: io.digital_in(8),
+        lambda io: io.digital_out(1.5),
+        lambda io: io.configurable_digital_in(8),
+        lambda io: io.tool_digital_out(2),
+        lambda io: io.analog_in(2),
+        lambda io: io.analog_out(-1),
+        lambda io: io.tool_analog_in(2),
+    ],
+)
+def test_what_is_not_there(robot: StandIn, act: Callable[[IO], object]) -> None:
+    with pytest.raises(BadValue):
+        act(io_of(robot))
+    assert robot.sent == []
+
+
+def test_reading(robot: StandIn) -> None:
+    io = io_of(robot)
+    board = {
+        "digital_input_bits": 1 << 3 | 1 << 8 | 1 << 17,
+        "digital_output_bits": 1 << 7 | 1 << 15 | 1 << 16,
+        "analog_input_0": 1.5,
+        "analog_input_range_0": AnalogDomain.VOLTAGE,
+        "analog_input_1": 0.004,
+        "analog_output_1": 0.02,
+        "analog_output_domain_0": AnalogDomain.VOLTAGE,
+    }
+    tool = {"analog_input_2": 2.5, "analog_input_range_2": 1, "analog_input_3": 3.5, "tool_output_voltage": 24}
+    robot.state(board=board, tool=tool)
+    until(lambda: io.tool_voltage == 24)
+    assert [io.digital_in(number) for number in range(8)] == [number == 3 for number in range(8)]
+    assert [io.digital_out(number) for number in range(8)] == [number == 7 for number in range(8)]
+    assert [io.configurable_digital_in(number) for number in range(8)] == [number == 0 for number in range(8)]
+    assert [io.configurable_digital_out(number) for number in range(8)] == [number == 7 for number in range(8)]
+    assert [io.tool_digital_in(number) for number in range(2)] == [False, True]
+    assert [io.tool_digital_out(number) for number in range(2)] == [True, False]
+    assert io.analog_in(0) == Analog(1.5, AnalogDomain.VOLTAGE)
+    assert io.analog_in(1) == Analog(0.004, AnalogDomain.CURRENT)
+    assert io.analog_out(0) == Analog(0.0, AnalogDomain.VOLTAGE)
+    assert io.analog_out(1) == Analog(0.02, AnalogDomain.CURRENT)
+    assert io.tool_analog_in(0) == Analog(2.5, AnalogDomain.VOLTAGE)
+    assert io.tool_analog_in(1) == Analog(3.5, AnalogDomain.CURRENT)
+    assert io.tool_voltage == 24
+
+
+def test_cb2() -> None:
+    with StandIn("1.8") as robot:
+        robot.clear(board={"digital_input_bits": 1 << 9, "digital_output_bits": 1 << 8})
+        io = io_of(robot)
+        assert [io.tool_digital_in(number) for number in range(2)] == [False, True]
+        assert [io.tool_digital_out(number) for number in range(2)] == [True, False]
+        io.set_tool_digital_out(0, True)
+        io.set_analog_out(0, 1)
+        assert [text.splitlines()[1] for text in robot.sent] == [
+            "  set_digital_out(8, True)",
+            "  set_analog_out(0, 1.0)",
+        ]
+        for act in (
+            lambda: io.set_configurable_digital_out(0, True),
+            lambda: io.configurable_digital_in(0),
+            lambda: io.configurable_digital_out(0),
+        ):
+            with pytest.raises(BadValue, match="no configurable"):
+                act()
+
+
+def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: StandIn) -> None:
+    io = io_of(robot)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause == "protective stop")
+    io.set_tool_voltage(0)
+    robot.state(RobotMode.POWER_OFF)
+    until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
+    with pytest.raises(NotRunning):
+        io.set_tool_voltage(0)
+    assert len(robot.sent) == 1
+
+
+def test_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_PATIENCE", 0.05)
+    with StandIn() as robot, pytest.raises(LinkTimeout):
+        io_of(robot).digital_in(0)

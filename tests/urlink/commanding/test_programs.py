@@ -1,0 +1,132 @@
+"""Programs on the simulated controller, end to end: sent, run, ended and told of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import urlink
+from tests.waiting import until
+from urlink.commanding.handle import ProgramPhase
+from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+
+FIRMWARES = ("sim://ur5?firmware=1.8", "sim://ur5?firmware=3.4", "sim://ur5e?firmware=5.11")
+
+LONG = "while True:\n  sync()\nend"
+
+
+@pytest.fixture
+def robot() -> Iterator[urlink.Robot]:
+    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+        yield robot
+
+
+@pytest.mark.parametrize("address", FIRMWARES)
+def test_runs_to_its_end(address: str) -> None:
+    with urlink.connect(address) as robot:
+        program = robot.script.run('def job():\n  textmsg("one")\n  sleep(0.05)\n  textmsg("two")\nend', wait=20.0)
+        assert program.phase is ProgramPhase.FINISHED
+        assert program.texts == ("one", "two")
+
+
+def test_a_return_is_an_end_and_a_halt_is_none(robot: urlink.Robot) -> None:
+    robot.script.run("def job():\n  return 1\n  halt\nend", wait=20.0)
+    program = robot.script.run("def job():\n  halt\nend")
+    with pytest.raises(ProgramStopped, match="before its end"):
+        program.wait(20)
+
+
+def test_the_arm_moves(robot: urlink.Robot) -> None:
+    q = robot.realtime.wait(5).q_actual.copy()
+    robot.script.run(
+        f"def job():\n  q = {q.round(6).tolist()}\n  movej(q)\n  q[5] = q[5] + 0.1\n  movej(q)\nend", wait=30.0
+    )
+    until(lambda: np.abs(robot.realtime.wait(5).q_actual - q - [0, 0, 0, 0, 0, 0.1]).max() < 0.01)
+
+
+def test_compile_errors(robot: urlink.Robot) -> None:
+    program = robot.script.run('def job():\n  a = 1\n  txtmsg("one")\nend')
+    with pytest.raises(CompileError, match="compile_error_name_not_found:txtmsg") as caught:
+        program.wait(20)
+    assert caught.value.line == 3
+    program = robot.script.run("a = 1\nb = = 2")
+    with pytest.raises(CompileError, match="syntax_error_on_line:2") as caught:
+        program.wait(20)
+    assert caught.value.line == 2
+
+
+def test_runtime_errors(robot: urlink.Robot) -> None:
+    program = robot.script.run("a = [1, 2]\nsync()\nb = a[5]")
+    with pytest.raises(ScriptFailed) as caught:
+        program.wait(20)
+    assert caught.value.line == 3
+    assert program.phase is ProgramPhase.FAILED
+
+
+def test_the_next_stops_the_one_that_runs(robot: urlink.Robot) -> None:
+    one = robot.script.run(LONG)
+    until(lambda: one.phase is ProgramPhase.RUNNING)
+    two = robot.script.run("sleep(0.02)", wait=20.0)
+    assert two.phase is ProgramPhase.FINISHED
+    with pytest.raises(ProgramStopped):
+        one.wait(20)
+
+
+def test_secondary_runs_beside(robot: urlink.Robot) -> None:
+    long = robot.script.run(LONG)
+    until(lambda: long.phase is ProgramPhase.RUNNING)
+    robot.script.run("sec lamp():\n  set_standard_digital_out(2, True)\nend", wait=20.0)
+    until(lambda: robot.io.digital_out(2))
+    robot.io.set_digital_out(2, False)
+    robot.io.set_tool_voltage(24)
+    until(lambda: not robot.io.digital_out(2) and robot.io.tool_voltage == 24)
+    assert long.phase is ProgramPhase.RUNNING
+    long.stop()
+    with pytest.raises(ProgramStopped, match="as asked"):
+        long.wait(20)
+
+
+def test_payload_tcp_and_popup(robot: urlink.Robot) -> None:
+    messages: list[urlink.PopupMessage] = []
+    robot.primary.subscribe(messages.append, urlink.PopupMessage)
+    robot.set_payload(1.5, (0, 0, 0.1))
+    robot.set_tcp((0, 0, 0.2, 0, 0, 0))
+    robot.popup("mind the gap")
+    until(lambda: messages)
+    assert messages[0].text == "mind the gap"
+    controller = robot.controller
+    assert controller is not None
+    until(lambda: controller.arm.payload == 1.5)
+    until(lambda: controller.arm.tcp[2] == pytest.approx(0.2))
+
+
+def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
+    controller = robot.controller
+    assert controller is not None
+    program = robot.script.run(LONG)
+    until(lambda: program.phase is ProgramPhase.RUNNING)
+    controller.faults.emergency_stop()
+    with pytest.raises((SafetyStop, NotRunning)) as caught:
+        program.wait(20)
+    assert "emergency" in str(caught.value)
+    with pytest.raises(SafetyStop):
+        robot.script.run("movej(q)")
+    controller.faults.clear()
+    until(lambda: robot.safety.cause is None)
+    controller.faults.power_on()
+    robot.safety.wait_enabled(20)
+    robot.script.run("sleep(0.02)", wait=20.0)
+
+
+def test_a_cut_connection_is_told_and_a_person_can_go_on(robot: urlink.Robot) -> None:
+    controller = robot.controller
+    assert controller is not None
+    program = robot.script.run(LONG)
+    until(lambda: program.phase is ProgramPhase.RUNNING)
+    controller.faults.cut("primary")
+    with pytest.raises(urlink.ConnectionLost, match="may still run"):
+        program.wait(20)
+    robot.safety.wait_enabled(20)
+    robot.script.run("sleep(0.02)", wait=20.0)

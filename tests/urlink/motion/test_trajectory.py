@@ -1,0 +1,331 @@
+"""Trajectories: what they refuse, and the curve through their points."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue
+from urlink.models import model
+from urlink.motion.trajectory import Trajectory, TrajectoryPoint
+from urlink.vectors import FloatArray
+
+UR5E = model("UR5e")
+
+
+def tool(*angles: float, time: list[float] | None = None) -> Trajectory:
+    """Only wrist 3 turns; a second between points if not said otherwise."""
+    q = np.zeros((len(angles), 6))
+    q[:, 5] = angles
+    return Trajectory.from_arrays(range(len(angles)) if time is None else time, q)
+
+
+# -- points and arrays ---------------------------------------------------------------------------------
+
+
+def test_from_points_and_from_arrays_are_the_same() -> None:
+    q, qd, qdd = (np.random.default_rng(i).uniform(-1, 1, (3, 6)) for i in range(3))
+    arrays = Trajectory.from_arrays([0, 1, 2.5], q, qd, qdd)
+    points = Trajectory([TrajectoryPoint(q[i], t, qd[i], qdd[i]) for i, t in enumerate((0, 1, 2.5))])
+    for one, other in ((arrays, points), (arrays, Trajectory(arrays.points))):
+        assert (one.time == other.time).all()
+        assert (one.q == other.q).all()
+        assert (one.qd == other.qd).all()
+        assert one.qdd is not None
+        assert other.qdd is not None
+        assert (one.qdd == other.qdd).all()
+    assert arrays.duration == 2.5
+    assert len(arrays) == 3
+    assert arrays.is_quintic
+    assert repr(arrays) == "<Trajectory of 3 points in 2.5 s>"
+
+
+def test_nothing_can_be_changed() -> None:
+    source = np.zeros((2, 6))
+    trajectory = Trajectory.from_arrays([0, 1], source)
+    source[1, 0] = 7
+    assert trajectory.q[1, 0] == 0
+    for array in (trajectory.time, trajectory.q, trajectory.qd, TrajectoryPoint([0] * 6, 0).q):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    with pytest.raises(AttributeError):
+        TrajectoryPoint([0] * 6, 0).time = 3  # type: ignore[misc]
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0, 0, 0, 0, 0], 0), "shape"),
+        (([0, 0, 0, 0, 0, NAN], 0), r"q\[5\] is not finite"),
+        ((["a"] * 6, 0), "expected numbers"),
+        (([[0], [0, 1]], 0), "expected numbers"),
+        (([0] * 6, "soon"), "time"),
+        (([0] * 6, [1, 2]), "not one number"),
+        (([0] * 6, 0, [1, 2]), "qd has the shape"),
+    ],
+)
+def test_points_that_are_none(arguments: tuple[object, ...], message: str) -> None:
+    with pytest.raises(BadValue, match=message):
+        TrajectoryPoint(*arguments)  # type: ignore[arg-type]
+
+
+REST = np.zeros((3, 6))
+
+
+@pytest.mark.parametrize(
+    ("time", "q", "qd", "qdd", "message"),
+    [
+        ([0], [[0] * 6], None, None, "at least two points"),
+        ([0, 1, 1], REST, None, None, "point 2: time 1 s after 1 s"),
+        ([0, 2, 1], REST, None, None, "point 2"),
+        ([0, 1e-9, 1], REST, None, None, "point 1"),
+        ([1, 2, 3], REST, None, None, "begins at 0"),
+        ([0, 1, NAN], REST, None, None, "point 2: time is nan"),
+        ([0, 1], REST, None, None, r"q has the shape \(3, 6\); expected \(2, 6\)"),
+        ([0, 1, 2], np.where(np.arange(18).reshape(3, 6) == 8, NAN, 0.0), None, None, r"point 1: q\[2\] \(elbow\)"),
+        ([0, 1, 2], REST, REST[:2], None, "qd has the shape"),
+        ([0, 1, 2], REST, None, REST, "accelerations without velocities"),
+        ([0, 1, 2], REST, REST + 1e300, None, r"point 0: qd\[0\]"),
+    ],
+)
+def test_arrays_that_are_no_trajectory(time: object, q: object, qd: object, qdd: object, message: str) -> None:
+    with pytest.raises(BadValue, match=message):
+        Trajectory.from_arrays(time, q, qd, qdd)  # type: ignore[arg-type]
+
+
+def test_points_that_do_not_go_together() -> None:
+    still = TrajectoryPoint([0] * 6, 0)
+    with pytest.raises(BadValue, match="point 1: either all points have velocities or none"):
+        Trajectory([still, TrajectoryPoint([0] * 6, 1, qd=[0] * 6)])
+    with pytest.raises(BadValue, match="point 1 is 3"):
+        Trajectory([still, 3])  # type: ignore[list-item]
+
+
+# -- the curve -----------------------------------------------------------------------------------------
+
+
+def test_stands_still_before_and_after() -> None:
+    trajectory = Trajectory.from_arrays([0, 1], [[0] * 6, [1] * 6], [[0.5] * 6, [0.5] * 6])
+    for t, q in ((-1.0, 0.0), (5.0, 1.0), (float("inf"), 1.0)):
+        position, speed, acceleration = trajectory.at(t)
+        assert position.tolist() == [q] * 6
+        assert not speed.any()
+        assert not acceleration.any()
+    with pytest.raises(BadValue):
+        trajectory.at(NAN)
+
+
+def test_without_velocities_it_turns_without_overshoot_and_rests_at_the_ends() -> None:
+    trajectory = tool(1, 0, 1, 0, time=[0, 1, 4, 8])
+    q, qd, _ = trajectory.at(np.linspace(0, 8, 4001))
+    assert q[:, 5].min() >= 0.0
+    assert q[:, 5].max() <= 1.0
+    assert not qd[[0, -1]].any()
+    assert not trajectory.has_velocities
+
+
+times = st.lists(st.floats(0.01, 5.0), min_size=1, max_size=5).map(lambda steps: np.cumsum([0.0, *steps]))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def some(time: FloatArray, seed: int, quantities: int) -> Trajectory:
+    """A trajectory of arbitrary points; seeds shrink better than 90 floats and are as arbitrary."""
+    generator = np.random.default_rng(seed)
+    arrays = [generator.normal(0, 2, (time.size, 6)) * generator.integers(0, 2, (time.size, 1)) for _ in range(3)]
+    return Trajectory.from_arrays(time, *arrays[:quantities])
+
+
+@pytest.mark.property
+@given(times, seeds, st.integers(1, 3))
+def test_passes_through_every_point_as_it_says(time: FloatArray, seed: int, quantities: int) -> None:
+    trajectory = some(time, seed, quantities)
+    q, qd, qdd = trajectory.at(time)
+    assert np.allclose(q, trajectory.q, rtol=0, atol=1e-9)
+    assert np.allclose(qd, trajectory.qd, rtol=0, atol=1e-7)
+    if trajectory.qdd is not None:
+        assert np.allclose(qdd, trajectory.qdd, rtol=0, atol=1e-3)
+
+
+@pytest.mark.property
+@given(times, seeds, st.integers(1, 3))
+def test_is_continuous_with_its_velocity_and_what_it_prescribes(time: FloatArray, seed: int, quantities: int) -> None:
+    trajectory = some(time, seed, quantities)
+    inner = time[1:-1]
+    before = trajectory.at(np.nextafter(inner, 0.0))
+    after = trajectory.at(inner)
+    assert np.allclose(before[0], after[0], rtol=0, atol=1e-9)
+    assert np.allclose(before[1], after[1], rtol=0, atol=1e-6)
+    if trajectory.is_quintic:
+        assert np.allclose(before[2], after[2], rtol=0, atol=1e-2)
+
+
+@pytest.mark.property
+@given(times, seeds, st.integers(1, 3), st.lists(st.floats(-1, 30), min_size=1, max_size=10))
+def test_one_time_is_as_many_times(time: FloatArray, seed: int, quantities: int, at: list[float]) -> None:
+    trajectory = some(time, seed, quantities)
+    many = trajectory.at([*at, *time])
+    for row, t in enumerate([*at, *time]):
+        for one, all_ in zip(trajectory.at(float(t)), many, strict=True):
+            assert one.tolist() == all_[row].tolist()
+
+
+@pytest.mark.property
+@given(times, seeds)
+def test_chosen_velocities_keep_between_neighbours(time: FloatArray, seed: int) -> None:
+    trajectory = some(time, seed, 1)
+    for i in range(len(trajectory) - 1):
+        q = trajectory.at(np.linspace(time[i], time[i + 1], 50))[0]
+        low, high = np.sort(trajectory.q[i : i + 2], axis=0)
+        assert (q >= low - 1e-9).all()
+        assert (q <= high + 1e-9).all()
+
+
+@pytest.mark.property
+@given(times, seeds, st.integers(1, 3))
+def test_velocity_is_the_derivative(time: FloatArray, seed: int, quantities: int) -> None:
+    trajectory = some(time, seed, quantities)
+    middle = 0.5 * (time[:-1] + time[1:])
+    h = 1e-4 * np.diff(time)[:, None]
+    ahead, behind = trajectory.at(middle + h[:, 0]), trajectory.at(middle - h[:, 0])
+    _, qd, qdd = trajectory.at(middle)
+    scale = 1.0 + np.abs(qdd).max() + np.abs(qd).max()
+    assert np.allclose((ahead[0] - behind[0]) / (2 * h), qd, rtol=0, atol=1e-4 * scale)
+    assert np.allclose((ahead[1] - behind[1]) / (2 * h), qdd, rtol=0, atol=1e-3 * scale)
+
+
+# -- limits --------------------------------------------------------------------------------------------
+
+
+def test_within_limits() -> None:
+    tool(1, 0, 1, 0, time=[0, 1, 4, 8]).check(UR5E, near=[0, 0, 0, 0, 0, 1])
+
+
+def test_position_beyond_the_limit() -> None:
+    with pytest.raises(
+        BadValue, match=r"between points 0 and 1 .*position of wrist 3 \(joint 5\) is 6\.\d+ rad; .*UR5e is 6\.2832"
+    ):
+        tool(0, 7, 0, time=[0, 20, 40]).check(UR5E)
+
+
+def test_velocity_between_points() -> None:
+    # 4 rad in 1.5 s with rest at both ends: at the middle 1.5 times the mean speed.
+    with pytest.raises(BadValue, match=r"between points 0 and 1 .*velocity of wrist 3 .* rad/s; the limit .* 3\.1416"):
+        tool(0, 4, time=[0, 1.5]).check(UR5E)
+    tool(0, 4, time=[0, 1.95]).check(UR5E)
+
+
+def test_acceleration_at_a_point() -> None:
+    with pytest.raises(BadValue, match=r"point 0 \(t = 0\.0000 s\): acceleration of wrist 3 .* is 600\.0000 rad/s²"):
+        tool(0, 1, time=[0, 0.1]).check(UR5E.__class__(**{**vars(UR5E), "max_speed": [99] * 6}))
+
+
+def test_a_long_trajectory_is_looked_at_to_its_end() -> None:
+    time = np.arange(10_000) * 0.01
+    q = np.zeros((10_000, 6))
+    q[9_990:, 1] = 9.0
+    with pytest.raises(BadValue, match="points 9989 and 9990"):
+        Trajectory.from_arrays(time, q).check(UR5E)
+
+
+def test_first_point_is_near() -> None:
+    with pytest.raises(BadValue, match=r"shoulder \(joint 1\) at 0\.2000 rad, to begin at 0\.0000 rad; at most 0\.05"):
+        tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0])
+    tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0], within=0.3)
+
+
+def test_begins_and_ends_at_rest() -> None:
+    moving = np.zeros((2, 6))
+    moving[1, 2] = 0.4
+    trajectory = Trajectory.from_arrays([0, 1], np.zeros((2, 6)), moving)
+    trajectory.check(UR5E)
+    with pytest.raises(BadValue, match=r"point 1: elbow \(joint 2\) moves at 0\.4000 rad/s"):
+        trajectory.check(near=[0] * 6)
+
+
+# -- files ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("trajectory") / "path.csv"
+
+
+@pytest.mark.property
+@given(times, seeds, st.integers(1, 3))
+def test_a_file_keeps_every_digit(file: Path, time: FloatArray, seed: int, quantities: int) -> None:
+    written = some(time, seed, quantities)
+    written.to_csv(file)
+    read = Trajectory.from_csv(file)
+    assert read.has_velocities == written.has_velocities
+    assert (read.time == written.time).all()
+    assert (read.q == written.q).all()
+    assert (read.qd == written.qd).all()
+    assert (read.qdd is None) == (written.qdd is None)
+    if read.qdd is not None and written.qdd is not None:
+        assert (read.qdd == written.qdd).all()
+
+
+HEADER = "time,q0,q1,q2,q3,q4,q5\n"
+cells = st.sampled_from(["0", "1", "2.5", "nan", "-inf", "", "1e999", "x", '"', "0x1", "١", "1_0", " 3 ", "\x00", "\r"])
+tables = st.builds(
+    lambda head, rows, end: head + end.join(",".join(row) for row in rows),
+    st.sampled_from(["", HEADER, "\ufeff" + HEADER, "q5,q4,q3,q2,q1,q0,time\r\n"]),
+    st.lists(st.lists(cells, min_size=6, max_size=8), max_size=5),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+)
+
+
+@pytest.mark.property
+@given(st.one_of(st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")), st.binary(max_size=100)))
+def test_any_file_is_a_trajectory_or_an_error(file: Path, content: bytes) -> None:
+    file.write_bytes(content)
+    with pytest.raises(BadValue, match=r"path\.csv"):
+        Trajectory.from_csv(file)
+
+
+@pytest.mark.property
+@given(tables)
+def test_any_table_is_a_trajectory_or_an_error(file: Path, content: str) -> None:
+    file.write_bytes(content.encode())
+    with contextlib.suppress(BadValue):
+        assert len(Trajectory.from_csv(file)) >= 2
+
+
+def test_columns_in_any_order_and_blank_lines(file: Path) -> None:
+    file.write_text("q5, q4, q3, q2, q1, q0, time\n\n5,4,3,2,1,0,0\n\n5,4,3,2,1,0,2\n")
+    trajectory = Trajectory.from_csv(file)
+    assert trajectory.q.tolist() == [[0, 1, 2, 3, 4, 5]] * 2
+    assert trajectory.duration == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "0 points"),
+        ("time,q0\n", "line 1: the columns are time,q0; expected time,q0,...,q5"),
+        (HEADER, "0 points"),
+        (HEADER + "0,0,0,0,0,0,0\n", "1 points"),
+        (HEADER + "0,0,0,0,0,0,0\n1,0,0,0,0,0\n", "line 3: 6 values; expected 7"),
+        (HEADER + "0,0,0,0,0,0,0\n\n1,0,0,x,0,0,0\n", "line 4, column q2: 'x' is not a finite number"),
+        (HEADER + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", r"point 0 is line 2\): point 1: time 0 s after 0 s"),
+    ],
+)
+def test_files_that_are_no_trajectory(file: Path, content: str, message: str) -> None:
+    file.write_text(content)
+    with pytest.raises(BadValue, match=message):
+        Trajectory.from_csv(file)
+
+
+def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
+    with pytest.raises(BadValue, match="No such file"):
+        Trajectory.from_csv(tmp_path / "none.csv")
+    with pytest.raises(BadValue, match="No such file"):
+        tool(0, 1).to_csv(tmp_path / "none" / "path.csv")
