@@ -28,6 +28,7 @@ from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeProtocol
+from .models import MODELS
 from .source import Origin, networked, recorded
 from .urscript import commands
 
@@ -37,6 +38,11 @@ if TYPE_CHECKING:
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
+
+#: Factor by which a mass may exceed the payload of the arm. Software updates have raised that of some arms by a quarter
+#: (UR10e from 10 to 12.5 kg, UR20 from 20 to 25 kg); `urlink.models` has the latest figures, this leaves room for the
+#: next.
+_PAYLOAD_MARGIN = 1.25
 
 
 def connect(
@@ -227,15 +233,19 @@ class Robot:
         """Tell what the arm carries; motion goes on.
 
         Args:
-            mass: kg.
-            cog: centre of gravity in the flange's frame, (3,), m; not on CB2.
+            mass: kg; no more than a quarter above what the arm carries by its data sheet.
+            cog: centre of gravity in the flange's frame, (3,), m, each within 1 m; not on CB2.
             inertia: about it: xx, yy, zz, xy, xz, yz, kg m²; from 5.10 on.
 
         Raises:
             BadValue: a number out of range, or what this firmware cannot be told; nothing was sent.
             NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
         """
-        self._command(commands.payload(self.firmware, mass, cog, inertia))
+        statement = commands.payload(self.firmware, mass, cog, inertia)
+        arm = None if self.model is None else MODELS.get(self.model)
+        if arm is not None and mass > arm.payload * _PAYLOAD_MARGIN:
+            raise BadValue(f"payload mass is {mass:g} kg; a {arm.name} carries {arm.payload:g} kg")
+        self._command(statement)
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Put the tool centre point at a pose in the flange's frame: m, and rotation vector in rad.

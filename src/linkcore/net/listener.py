@@ -11,7 +11,7 @@ import socket
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from .transport import TcpTransport, mapped
 
-__all__ = ["TcpListener", "local_address"]
+__all__ = ["TcpListener", "addresses", "local_address"]
 
 #: Seconds without a byte after which a connection that was accepted counts as silent, where nobody says otherwise.
 _SILENCE = 2.0
@@ -94,6 +94,19 @@ class TcpListener:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+def addresses(host: str) -> frozenset[str]:
+    """The numeric addresses of a host, as `TcpListener.accept` names a peer that connects from there.
+
+    Raises:
+        ConnectFailed: no such host.
+    """
+    try:
+        places = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, ValueError) as error:
+        raise mapped(error, f"cannot find {host}", 0.0, ConnectFailed) from error
+    return frozenset(str(place[4][0]) for place in places)
 
 
 def local_address(host: str) -> str:

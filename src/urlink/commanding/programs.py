@@ -182,7 +182,7 @@ class Scripts:
             try:
                 self._outlet.motion(wrapped.text, brakes=brakes)
             except BaseException:
-                with self._lock:
+                with self._lock, contextlib.suppress(ValueError):  # the connection may have been lost meanwhile
                     self._runs.remove(run)
                 raise
         if wait:

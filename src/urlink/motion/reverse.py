@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
-from linkcore.net.listener import TcpListener, local_address
+from linkcore.net.listener import TcpListener, addresses, local_address
 from linkcore.net.transport import TcpTransport
 
 __all__ = ["ReverseLink"]
+
+_log = logging.getLogger(__name__)
 
 #: Seconds that the robot may take to accept what is sent; the gate is held meanwhile, so a stop waits for it.
 _SEND_TIMEOUT = 0.05
@@ -16,6 +19,8 @@ _SEND_TIMEOUT = 0.05
 
 class ReverseLink:
     """A port that waits for one program on the robot, and then its connection.
+
+    Whoever connects from an address that is not the robot's is refused, and the port goes on listening.
 
     Args:
         robot: where the controller is.
@@ -33,6 +38,7 @@ class ReverseLink:
     def __init__(self, robot: str, host: str | None = None, port: int = 0) -> None:
         here = local_address(robot) if host is None else host
         # An address that was given may be one that something in between translates, so it is not one to listen on.
+        self._peers = addresses(robot)
         self._listener = TcpListener(here if host is None else "", port)
         self.address = (here, self._listener.address[1])
         self._connection: TcpTransport | None = None
@@ -50,6 +56,14 @@ class ReverseLink:
             try:
                 connection = self._listener.accept(0)
             except (LinkTimeout, ConnectionLost):
+                return False
+            if connection.host not in self._peers:
+                _log.warning(
+                    "%s connected to the port that waits for a program on the robot, and was refused: the robot is at %s",
+                    connection.name,
+                    ", ".join(sorted(self._peers)),
+                )
+                connection.close()
                 return False
             with self._closing:
                 if self._is_closed:  # by another thread, in the meantime

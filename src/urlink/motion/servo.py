@@ -21,6 +21,7 @@ from .equipment import Equipment
 from .linked import CONNECT_TIMEOUT, LinkedMotion
 from .reverse import ReverseLink
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
+from .speed_limit import SpeedLimit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,8 +34,6 @@ __all__ = ["Servo", "ServoStatistics"]
 _REMEMBERED = 50_000
 #: rad that the first set-point may be away from where the arm is led.
 _NEAR = 0.05
-#: Seconds more than have gone by that a step may take: the clocks of a loop and of the controller are not the same.
-_LENIENCE = 0.01
 #: Seconds that the reason of a lost connection has to arrive.
 _REASON = 1.5
 #: Seconds that the program has to end when the block is left.
@@ -89,14 +88,12 @@ class Servo(LinkedMotion):
         self._began = 0.0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
         model = equipment.model
-        self._limits: list[tuple[float, float, float]] = (
-            [(-math.inf, math.inf, math.inf)] * 6
+        self._positions: list[tuple[float, float]] = (
+            [(-math.inf, math.inf)] * 6
             if model is None
-            else [
-                (low, high, speed)
-                for (low, high), speed in zip(model.position_limits.tolist(), model.max_speed.tolist(), strict=True)
-            ]
+            else [(low, high) for low, high in model.position_limits.tolist()]
         )
+        self._speed_limit = SpeedLimit(model, 1.0 / rate)
 
     def __enter__(self) -> Self:
         """Upload the program and wait until it has connected.
@@ -129,8 +126,9 @@ class Servo(LinkedMotion):
         """Send one set-point.
 
         Args:
-            q: (6,) joint positions, rad: not further from the last one than the arm gets in the time since, the first
-                not further than 0.05 rad from where the arm is.
+            q: (6,) joint positions, rad. The first is no further than 0.05 rad from where the arm is. After that no
+                joint is led faster than it can move; what is refused, and how uneven a loop may be, says
+                `urlink.motion.speed_limit`.
 
         Raises:
             BadValue: not six finite numbers, out of reach in that time, or beyond a limit of the arm; nothing was sent.
@@ -142,7 +140,7 @@ class Servo(LinkedMotion):
         if self.done or self._last_word is not None:
             raise self._error or Closed("the block of the servo was left")
         now = time.monotonic()
-        values = self._checked(q, now)
+        values = self._checked(q)
         try:
             self._say(setpoint(values))
         except LinkError as error:
@@ -150,6 +148,7 @@ class Servo(LinkedMotion):
         if self._last is None:
             self._began = now
         else:
+            self._speed_limit.take(self._last, values)
             interval = now - self._sent_at
             self._intervals.append(interval)
             if interval * self.rate > 1.5:
@@ -170,23 +169,25 @@ class Servo(LinkedMotion):
 
     # ----------------------------------------------------------------------------------------------------
 
-    def _checked(self, q: ArrayLike, now: float) -> list[float]:
+    def _checked(self, q: ArrayLike) -> list[float]:
         values: list[float] = six(q, "q").tolist()
-        if self._last is None:
-            last, seconds = self._here, None
-            if last is None:
-                last = self._equipment.state().q_target.tolist()
-        else:
-            last, seconds = self._last, now - self._sent_at + _LENIENCE
-        for joint, (value, before, (low, high, speed)) in enumerate(zip(values, last, self._limits, strict=True)):
-            most = _NEAR if seconds is None else speed * seconds
-            if abs(value - before) > most:
-                raise BadValue(
-                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from "
-                    f"{'where the arm is' if seconds is None else 'the last set-point'}; at most {most:.4f} rad"
-                )
+        for joint, (value, (low, high)) in enumerate(zip(values, self._positions, strict=True)):
             if not low <= value <= high:
                 raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; expected {low:.4f} to {high:.4f}")
+        if self._last is not None:
+            excess = self._speed_limit.excess(self._last, values)
+            if excess is not None:
+                raise BadValue(excess)
+            return values
+        here = self._here
+        if here is None:
+            here = self._equipment.state().q_target.tolist()
+        for joint, (value, before) in enumerate(zip(values, here, strict=True)):
+            if abs(value - before) > _NEAR:
+                raise BadValue(
+                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from where the arm "
+                    f"is; at most {_NEAR:.4f} rad"
+                )
         return values
 
     def _reason(self, error: LinkError) -> Exception:

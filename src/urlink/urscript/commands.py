@@ -37,6 +37,8 @@ _TARGET_PAYLOAD = Since("5.10")
 
 #: kg. No arm lifts it; it tells kilograms from grams.
 _HEAVIEST = 100.0
+#: m; a centre of gravity further from the flange than this is one in millimetres.
+_FURTHEST = 1.0
 #: m. No tool is as long as the longest arm reaches, but for a mistaken unit.
 _LONGEST = 5.0
 
@@ -113,6 +115,9 @@ def payload(
     if firmware.is_cb2:
         raise BadValue(f"firmware {firmware} takes the mass of a payload only")
     centre = vector((0.0, 0.0, 0.0) if cog is None else cog, 3, "payload cog")
+    for index, metres in enumerate(() if cog is None else cog):
+        if abs(metres) > _FURTHEST:
+            raise BadValue(f"payload cog[{index}] is {metres:g}; expected metres, {_FURTHEST:g} m at most")
     if inertia is None:
         return f"set_payload({weight}, {centre})"
     if firmware not in _TARGET_PAYLOAD:

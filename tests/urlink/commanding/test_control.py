@@ -53,6 +53,20 @@ def test_commands(controller: Controller, robot: urlink.Robot, act: Callable[[ur
     assert lines(controller, 3) == ["sec urlink_command():", text, "end"]
 
 
+@pytest.mark.parametrize(("mass", "is_carried"), [(6.25, True), (6.3, False), (50.0, False)])
+def test_no_payload_that_the_arm_cannot_carry(
+    controller: Controller, robot: urlink.Robot, mass: float, is_carried: bool
+) -> None:
+    """A UR5e carries 5 kg, and a quarter is left for later software."""
+    if is_carried:
+        robot.set_payload(mass)
+        assert len(lines(controller, 3)) == 3
+    else:
+        with pytest.raises(BadValue, match=r"a UR5e carries 5 kg"):
+            robot.set_payload(mass)
+        assert not controller.received
+
+
 def test_speed_slider(controller: Controller, robot: urlink.Robot) -> None:
     robot.set_speed_slider(0.42)
     assert lines(controller, 1) == ["set speed 0.42"]

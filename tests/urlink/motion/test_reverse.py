@@ -91,3 +91,16 @@ def test_where_nobody_can_listen(link: ReverseLink) -> None:
         ReverseLink("127.0.0.1", None, link.address[1])
     with pytest.raises(ConnectFailed):
         ReverseLink("no-such-host.invalid")
+
+
+def test_a_stranger_is_refused_and_the_robot_still_served(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
+    stranger = socket.create_connection(link.address, PATIENCE, source_address=("127.0.0.77", 0))
+    with stranger:
+        until(lambda: link.poll() or caplog.records)
+        assert not link.is_up
+        assert "127.0.0.77" in caplog.text
+        assert stranger.recv(100) == b""
+        with socket.create_connection(link.address, PATIENCE) as program:
+            until(link.poll)
+            link.send(b"set-point")
+            assert program.recv(100) == b"set-point"
