@@ -59,7 +59,7 @@ class ReverseLink:
                 return False
             if connection.host not in self._peers:
                 _log.warning(
-                    "%s connected to the port that waits for a program on the robot, and was refused: the robot is at %s",
+                    "%s connected to the port for a program on the robot and was refused; the robot is at %s",
                     connection.name,
                     ", ".join(sorted(self._peers)),
                 )

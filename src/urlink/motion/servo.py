@@ -185,8 +185,8 @@ class Servo(LinkedMotion):
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(
-                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from where the arm "
-                    f"is; at most {_NEAR:.4f} rad"
+                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from where the "
+                    f"arm is; at most {_NEAR:.4f} rad"
                 )
         return values
 
