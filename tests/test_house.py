@@ -14,9 +14,8 @@ SRC = Path(__file__).resolve().parents[1] / "src"
 SOCKETS = {
     "linkcore.net.transport",
     "linkcore.net.listener",
-    "urlink.simulator.connections",
-    "urlink.simulator.server",
-    "urlink.simulator.sockets",
+    "linkcore.net.loop",
+    "linkcore.net.polled",
     "rhdlink.server",
 }
 

@@ -1,6 +1,13 @@
-"""Waiting for a peer to connect to this side, and the address at which it can.
+"""Listening sockets, the one place where they are made, and `TcpListener`, which waits for a single peer.
 
-What a controller needs whose program talks back: the program is told `local_address` and the port of a `TcpListener`.
+A server of many clients takes its listening sockets from `linkcore.net.loop`, which makes them here too.
+
+Host names are decided once, for every port that this project opens:
+
+- `""` is every IPv4 address of this computer. The peers are robots and their tools, whose programs open sockets to
+  IPv4 addresses only.
+- `"::"` is every address of either family (dual stack), where the system has IPv6.
+- A name or an address is that one; a name with addresses of both families is its IPv4 address.
 """
 
 from __future__ import annotations
@@ -11,17 +18,64 @@ import socket
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from .transport import TcpTransport, mapped
 
-__all__ = ["TcpListener", "addresses", "local_address"]
+__all__ = ["TcpListener", "addresses", "bound_socket", "local_address", "numeric_host"]
 
 #: Seconds without a byte after which a connection that was accepted counts as silent, where nobody says otherwise.
 _SILENCE = 2.0
 
 
-class TcpListener:
-    """A port that takes connections. A context manager that closes itself.
+def bound_socket(host: str, port: int, *, purpose: str = "") -> socket.socket:
+    """A non-blocking TCP socket that is bound and does not listen yet, so that connections are refused.
 
     Args:
-        host: address of this computer to listen on; "" for all of them.
+        host: address of this computer; see the module's description for `""` and `"::"`.
+        port: 0 for one that is free.
+        purpose: what the port is for; stands in the error's text.
+
+    Raises:
+        BadAddress: taken, not an address of this computer, or no such port.
+    """
+    where = f"{host or '*'}:{port}" + (f" for {purpose}" if purpose else "")
+    if not 0 <= port <= 65535:  # getaddrinfo takes a number modulo 65536
+        raise BadAddress(f"cannot listen on {where}: expected a port from 0 to 65535")
+    bound = None
+    try:
+        places = socket.getaddrinfo(host or "0.0.0.0", port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, kind, protocol, _, address = min(places, key=lambda place: place[0] != socket.AF_INET)
+        bound = socket.socket(family, kind, protocol)
+        bound.setblocking(False)
+        if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
+            # Windows, where SO_REUSEADDR would let another program take the port while it is in use.
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            # Elsewhere without it a port cannot be bound again for minutes after it had connections (TIME_WAIT).
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            # Whether "::" takes IPv4 as well is a setting of the system otherwise.
+            bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, int(host != "::"))
+        bound.bind(address)
+    except (OSError, ValueError, OverflowError) as error:
+        if bound is not None:
+            bound.close()
+        reason = getattr(error, "strerror", None) or error
+        raise BadAddress(f"cannot listen on {where}: {reason}") from error
+    return bound
+
+
+def numeric_host(address: str) -> str:
+    """The address of a peer as it is compared and printed: IPv4 seen through a dual-stack socket is IPv4 again.
+
+    >>> numeric_host("::ffff:192.168.1.2"), numeric_host("fe80::1%eth0")
+    ('192.168.1.2', 'fe80::1%eth0')
+    """
+    return address.removeprefix("::ffff:") if "." in address else address
+
+
+class TcpListener:
+    """A port that takes connections one at a time. A context manager that closes itself.
+
+    Args:
+        host: address of this computer to listen on; see the module's description for `""` and `"::"`.
         port: 0 for one that is free.
 
     Attributes:
@@ -32,25 +86,12 @@ class TcpListener:
     """
 
     def __init__(self, host: str, port: int = 0) -> None:
-        if not 0 <= port <= 65535:  # which getaddrinfo would take modulo 65536
-            raise BadAddress(f"cannot listen on {host or '*'}:{port}: expected a port from 0 to 65535")
-        listener = None
+        listener = bound_socket(host, port)
         try:
-            places = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-            # Without a host the robot is expected on IPv4, which is all that its programs can open a socket to.
-            family, kind, protocol, _, address = min(places, key=lambda place: place[0] != socket.AF_INET)
-            listener = socket.socket(family, kind, protocol)
-            if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):  # Windows, where SO_REUSEADDR would let others take the port
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
-            else:
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(address)
             listener.listen(1)
-        except (OSError, ValueError) as error:
-            if listener is not None:
-                listener.close()
-            reason = getattr(error, "strerror", None) or error
-            raise BadAddress(f"cannot listen on {host or '*'}:{port}: {reason}") from error
+        except OSError as error:  # another socket that was bound to this port as well listens already
+            listener.close()
+            raise BadAddress(f"cannot listen on {host or '*'}:{port}: {error.strerror}") from error
         self._socket: socket.socket | None = listener
         bound = listener.getsockname()
         self.address: tuple[str, int] = (bound[0], bound[1])
@@ -78,7 +119,7 @@ class TcpListener:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
-        return TcpTransport.accepted(connection, peer[0], peer[1], silence=silence)
+        return TcpTransport.accepted(connection, numeric_host(peer[0]), peer[1], silence=silence)
 
     def close(self) -> None:
         """Listen no longer, and wake whoever waits in `accept`. Idempotent; what was accepted stays."""
@@ -106,7 +147,7 @@ def addresses(host: str) -> frozenset[str]:
         places = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, ValueError) as error:
         raise mapped(error, f"cannot find {host}", 0.0, ConnectFailed) from error
-    return frozenset(str(place[4][0]) for place in places)
+    return frozenset(numeric_host(str(place[4][0])) for place in places)
 
 
 def local_address(host: str) -> str:

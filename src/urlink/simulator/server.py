@@ -7,26 +7,21 @@ worth sending and are counted instead.
 
 from __future__ import annotations
 
-import contextlib
-import select
-import selectors
-import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from typing import TYPE_CHECKING
 
-from linkcore.errors import LinkTimeout
+from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 
-from .connections import Client, Port
+from ..ports import interface
+from .assembly import Assembler
 from .controller import STATE_RATE
 from .intake import Intake
 
 if TYPE_CHECKING:
     from .controller import Controller
+    from .tampering import Segmenter
 
 __all__ = ["Server"]
 
@@ -39,11 +34,71 @@ ASLEEP = 5.0
 LONGEST_CATCH_UP = 0.05
 #: Bytes taken from a client at once: each line of them may be a program.
 RECEIVED_AT_ONCE = 1 << 12
+#: Bytes of a line from a client; longer ones are thrown away.
+LONGEST_LINE = 1 << 16
 #: Seconds that other threads wait for the server's.
 PATIENCE = 5.0
+#: Seconds that a dashboard client has to take the last reply before its connection is closed.
+LAST_REPLY = 2.0
 
-# Descriptors that select takes.
-_SELECTABLE = 1024
+
+class Client(Handler):
+    """One connection, and the line that is being received.
+
+    Attributes:
+        port: name of the port.
+        kind: name of the interface that it speaks.
+        connection: what its bytes go to.
+        assembler: makes programs of its lines.
+        segmenter: of what is sent, or None where packets are sent as they are.
+    """
+
+    def __init__(self, server: Server, port: str, connection: Connection) -> None:
+        self.port = port
+        self.kind = interface(port)
+        self.connection = connection
+        self.assembler = Assembler()
+        self.segmenter: Segmenter | None = None
+        self._server = server
+        self._line = bytearray()
+        self._is_too_long = False
+
+    def data_received(self, data: bytes) -> None:
+        server = self._server
+        if self.port != self.kind:
+            # Text to a read-only port has no effect.
+            server.refuse(len(data))
+            return
+        # What a line does begins in the next cycle, not in one after that at which the clock was looked at last.
+        server.catch_up()
+        *lines, rest = data.split(b"\n")
+        for line in lines:
+            if not self.connection.is_open:
+                return
+            self._extend(line)
+            text = self._end()
+            if text is not None:
+                server.take(self, text)
+        self._extend(rest)
+
+    def connection_lost(self, reason: str, *, by_peer: bool) -> None:
+        self._server.clients.discard(self)
+
+    def _extend(self, part: bytes) -> None:
+        """More of the line that is being received; thrown away where it gets too long."""
+        if self._is_too_long or len(self._line) + len(part) > LONGEST_LINE:
+            self._server.refuse(len(self._line) + len(part))
+            self._line.clear()
+            self._is_too_long = True
+        else:
+            self._line += part
+
+    def _end(self) -> str | None:
+        """The line, now that it is whole; None if it was too long."""
+        text = None if self._is_too_long else self._line.decode("utf-8", "backslashreplace").removesuffix("\r")
+        self._line.clear()
+        self._is_too_long = False
+        return text
 
 
 class Server:
@@ -54,56 +109,58 @@ class Server:
         host: address to listen on.
         ports: name -> number, 0 for a free one.
 
+    Attributes:
+        clients: connected at present.
+
     Raises:
         BadAddress: a port cannot be listened on.
     """
 
     def __init__(self, controller: Controller, host: str, ports: Mapping[str, int]) -> None:
+        self.clients: set[Client] = set()
         self._controller = controller
         self._counters = controller.counters
         self._faults = controller.faults
-        self._intake = Intake(controller, self._wake)
-        self._ports: list[Port] = []
-        self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
+        self._loop = SelectorLoop()
+        self._intake = Intake(controller, self._loop.wake)
         self._is_closing = False
+        self._is_called = False
         self._rate = controller.firmware.rate
         #: time of cycle 0 on the monotonic clock, and the cycles that are over
         self._epoch = 0.0
         self._done = 0
         self._segments_seen = self._faults.segments_changed
-        self._waker, self._woken = socket.socketpair()
-        self._selector = selectors.DefaultSelector()
-        # The selector of Linux waits in whole milliseconds, too coarse for a cycle of two. But it is a descriptor
-        # itself, and select, which can be told microseconds, waits for it; unless it has a number too high for select.
-        fileno = getattr(self._selector, "fileno", int)()
-        self._select_from = (fileno,) if 0 < fileno < _SELECTABLE else None
+        self._ports: dict[str, ListeningPort] = {}
         try:
             for name, number in ports.items():
-                self._ports.append(Port(name, host, number))
-            for port in self._ports:
+                self._ports[name] = self._listen(name, host, number)
+            for port in self._ports.values():
                 port.listen()
-                self._selector.register(port.socket, selectors.EVENT_READ, port)
         except BaseException:
-            self._release()
+            self._loop.close()
             raise
-        self._waker.setblocking(False)
-        self._woken.setblocking(False)
-        self._selector.register(self._woken, selectors.EVENT_READ, None)
-        self._of_kind = {
-            kind: [port for port in self._ports if port.kind == kind]
-            for kind in ("primary", "secondary", "realtime", "dashboard")
-        }
         self._thread = threading.Thread(target=self._run, name=f"urlink sim {controller.model.name}", daemon=True)
+
+    def _listen(self, name: str, host: str, number: int) -> ListeningPort:
+        return self._loop.listen(
+            host,
+            number,
+            lambda connection: self._accept(name, connection),
+            purpose=name,
+            output_limit=self._controller.output_limit,
+            chunk=RECEIVED_AT_ONCE,
+            is_listening=False,
+        )
 
     @property
     def ports(self) -> dict[str, int]:
         """Name of each port -> its number."""
-        return {port.name: port.number for port in self._ports}
+        return {name: port.number for name, port in self._ports.items()}
 
     @property
     def peers(self) -> set[str]:
         """Numeric addresses of the clients."""
-        return {client.peer for port in self._ports for client in port.clients}
+        return {client.connection.peer[0] for client in self.clients}
 
     # -- from other threads ------------------------------------------------------------------------
 
@@ -114,7 +171,7 @@ class Server:
     def close(self) -> None:
         """End the thread and all connections. Returns within `PATIENCE`."""
         self._is_closing = True
-        self._wake()
+        self._loop.wake()
         if self._thread is not threading.current_thread():
             self._thread.join(PATIENCE)
 
@@ -125,30 +182,18 @@ class Server:
             LinkTimeout: it was not done within `PATIENCE`.
             Exception: whatever `change` raises.
         """
-        if self._thread is threading.current_thread() or not self._thread.is_alive():
-            change()
-            return
-        done: Future[None] = Future()
-        self._calls.append((change, done))
-        self._wake()
-        deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline:
-            try:
-                done.result(0.1)
-            except FutureTimeout:
-                if done.done():
-                    raise
-                if not self._thread.is_alive():
-                    # It ended after it was asked.
-                    self._do_calls()
-            else:
-                return
-        raise LinkTimeout("the simulated controller does not answer")
 
-    def _wake(self) -> None:
-        # A full pipe wakes as well; a closed one belongs to a thread that has ended.
-        with contextlib.suppress(OSError):
-            self._waker.send(b"\0")
+        def call() -> None:
+            self.catch_up()
+            change()
+            self._settle()
+            # What was changed shows in the very next cycle.
+            self._is_called = True
+
+        if self._thread is threading.current_thread():
+            change()
+        else:
+            self._loop.call(call, PATIENCE)
 
     # -- the thread --------------------------------------------------------------------------------
 
@@ -158,19 +203,18 @@ class Server:
         finally:
             self._is_closing = True
             self._intake.close()
-            self._release()
-            self._do_calls()
+            self._loop.close()
 
     def _serve(self) -> None:
         self._epoch = time.monotonic()
         while not self._is_closing:
-            self._catch_up()
+            self.catch_up()
             self._intake.advance()
-            # What a call has changed shows in the very next cycle.
-            wake = self._done + 1 if self._do_calls() else self._next(self._done)
-            self._wait(self._epoch + wake / self._rate)
+            wake = self._done + 1 if self._is_called else self._next(self._done)
+            self._is_called = False
+            self._loop.serve_once(self._epoch + wake / self._rate)
 
-    def _catch_up(self) -> None:
+    def catch_up(self) -> None:
         """Advance the controller to the present, and send what that brings."""
         rate = self._rate
         due = int((time.monotonic() - self._epoch) * rate)
@@ -210,9 +254,7 @@ class Server:
         self._open_or_refuse()
         cuts = faults.take_cuts()
         if cuts:
-            for port in self._ports:
-                if port.name in cuts:
-                    self._end(port, reset=True)
+            self._reset(cuts)
         if faults.segments_changed != self._segments_seen:
             self._segments_seen = faults.segments_changed
             self._segment_anew()
@@ -235,159 +277,62 @@ class Server:
             self._broadcast("secondary", state)
 
     def _is_watched(self, kind: str) -> bool:
-        return any(port.clients for port in self._of_kind[kind])
+        return any(client.kind == kind for client in self.clients)
 
     def _broadcast(self, kind: str, packet: bytes) -> None:
-        for port in self._of_kind[kind]:
-            if port.clients and not self._faults.is_stalled(port.name):
-                data = self._faults.on_the_wire(port.name, packet)
-                for client in list(port.clients):
+        for port in (kind, f"{kind}_readonly"):
+            clients = [client for client in self.clients if client.port == port and client.connection.is_open]
+            if clients and not self._faults.is_stalled(port):
+                data = self._faults.on_the_wire(port, packet)
+                for client in clients:
                     self._put(client, data)
 
     def _put(self, client: Client, data: bytes) -> None:
         self._counters.sent += 1
         for segment in [data] if client.segmenter is None else client.segmenter.put(data):
-            self._send(client, segment)
+            self._write(client, segment)
 
-    def _send(self, client: Client, data: bytes) -> None:
-        if not client.is_open:
-            return
-        if not client.pending:
-            try:
-                sent = client.link.send(data)
-            except BlockingIOError:
-                sent = 0
-            except OSError:
-                self._drop(client)
-                return
-            if sent == len(data):
-                return
-            data = data[sent:]
-            self._selector.modify(client.link, selectors.EVENT_READ | selectors.EVENT_WRITE, client)
-        client.pending += data
-        if len(client.pending) > self._controller.output_limit:
-            self._counters.dropped += 1
-            self._drop(client, reset=True)
+    def _write(self, client: Client, data: bytes) -> None:
+        overflowed = client.connection.port.overflowed
+        client.connection.write(data)
+        self._counters.dropped += client.connection.port.overflowed - overflowed
 
-    # -- events --------------------------------------------------------------------------------------
+    # -- clients -------------------------------------------------------------------------------------
 
-    def _wait(self, deadline: float) -> None:
-        """Serve sockets until the deadline, or until something was served."""
-        remaining = deadline - time.monotonic()
-        if self._select_from is None:
-            # Whole milliseconds, rounded down: the selector would round up. The last part is slept.
-            whole = int(remaining * 1e3)
-            if whole >= 1:
-                events = self._selector.select(whole * 1e-3)
-            else:
-                events = self._selector.select(0)
-                if not events and remaining > 0.0:
-                    time.sleep(remaining)
-        elif select.select(self._select_from, (), (), max(remaining, 0.0))[0]:
-            events = self._selector.select(0)
-        else:
-            return
-        for key, mask in events:
-            what = key.data
-            if what is None:
-                with contextlib.suppress(BlockingIOError):
-                    self._woken.recv(4096)
-            elif isinstance(what, Port):
-                self._accept(what)
-            else:
-                if mask & selectors.EVENT_WRITE and what.is_open:
-                    self._flush(what)
-                if mask & selectors.EVENT_READ and what.is_open:
-                    self._receive(what)
-
-    def _do_calls(self) -> bool:
-        """What other threads want done. True if there was anything."""
-        if not self._calls:
-            return False
-        while self._calls:
-            change, done = self._calls.popleft()
-            try:
-                change()
-                self._settle()
-            except Exception as error:
-                done.set_exception(error)
-            else:
-                done.set_result(None)
-        return True
-
-    def _accept(self, port: Port) -> None:
+    def _accept(self, port: str, connection: Connection) -> Client | None:
+        if self._is_closing:
+            return None
         # The clock may be waiting for its next appointment: who comes now is to see nothing of the past.
-        self._catch_up()
-        if not port.is_listening or port.is_paused:
-            return
-        if self._faults.is_stalled(port.name):
-            # Connected but silent: the kernel has made the connection, and there it waits.
-            self._selector.unregister(port.socket)
-            port.is_paused = True
-            return
-        client = port.accept()
-        if client is None:
-            return
-        client.segmenter = self._faults.segmenter(port.name)
+        self.catch_up()
+        client = Client(self, port, connection)
+        client.segmenter = self._faults.segmenter(port)
         self._counters.connections += 1
-        self._selector.register(client.link, selectors.EVENT_READ, client)
-        for package in self._controller.greeting(port.name):
-            self._put(client, self._faults.lasting(port.name, package))
+        self.clients.add(client)
+        for package in self._controller.greeting(port):
+            self._put(client, self._faults.lasting(port, package))
+        return client
 
-    def _flush(self, client: Client) -> None:
-        try:
-            sent = client.link.send(client.pending)
-        except BlockingIOError:
-            return
-        except OSError:
-            self._drop(client)
-            return
-        del client.pending[:sent]
-        if not client.pending:
-            self._selector.modify(client.link, selectors.EVENT_READ, client)
+    def refuse(self, count: int) -> None:
+        """So many bytes from clients are thrown away."""
+        self._counters.refused_bytes += count
 
-    def _receive(self, client: Client) -> None:
-        try:
-            data = client.link.recv(RECEIVED_AT_ONCE)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-        elif client.port.name != client.port.kind:
-            # Text to a read-only port has no effect.
-            self._counters.refused_bytes += len(data)
-        else:
-            # What a line does begins in the next cycle, not in one after that at which the clock was looked at last.
-            self._catch_up()
-            *lines, rest = data.split(b"\n")
-            for line in lines:
-                if not client.is_open:
-                    return
-                self._counters.refused_bytes += client.extend_line(line)
-                text = client.end_line()
-                if text is not None:
-                    self._take(client, text)
-            self._counters.refused_bytes += client.extend_line(rest)
-
-    def _take(self, client: Client, text: str) -> None:
+    def take(self, client: Client, text: str) -> None:
         """A line that a client has sent."""
         controller = self._controller
-        if client.port.kind == "dashboard":
+        if client.kind == "dashboard":
             reply = controller.dashboard.reply(text)
-            if not self._faults.is_stalled(client.port.name):
+            if not self._faults.is_stalled(client.port):
                 data = b"Disconnected\n" if reply is None else f"{reply}\n".encode()
-                self._put(client, self._faults.on_the_wire(client.port.name, data))
-            if reply is None and client.is_open:
-                self._drop(client)
+                self._put(client, self._faults.on_the_wire(client.port, data))
+            if reply is None:
+                client.connection.finish(LAST_REPLY)
             return
-        controller.received.append((client.port.name, text))
+        controller.received.append((client.port, text))
         refused = client.assembler.refused
         program = client.assembler.feed(text)
-        self._counters.refused_bytes += client.assembler.refused - refused
+        self.refuse(client.assembler.refused - refused)
         if program is not None and not self._intake.put(program):
-            self._counters.refused_bytes += len(program)
+            self.refuse(len(program))
 
     # -- connections come and go ---------------------------------------------------------------------
 
@@ -395,40 +340,26 @@ class Server:
         is_up = self._controller.is_up
         if not is_up:
             self._intake.clear()
-        for port in self._ports:
-            if port.is_listening != is_up:
-                if is_up:
-                    port.listen()
-                    self._selector.register(port.socket, selectors.EVENT_READ, port)
+        for name, port in self._ports.items():
+            if port.is_listening and not is_up:
+                port.refuse()
+                self._reset({name})
+            elif is_up:
+                port.listen()
+                # Connected but silent: the kernel has made the connection, and there it waits.
+                if self._faults.is_stalled(name):
+                    port.pause()
                 else:
-                    self._end(port, reset=True)
-                    if not port.is_paused:
-                        self._selector.unregister(port.socket)
-                    port.refuse()
-            elif port.is_paused and not self._faults.is_stalled(port.name):
-                port.is_paused = False
-                self._selector.register(port.socket, selectors.EVENT_READ, port)
+                    port.resume()
 
     def _segment_anew(self) -> None:
-        for port in self._ports:
-            for client in list(port.clients):
-                held = b"" if client.segmenter is None else client.segmenter.rest()
-                client.segmenter = self._faults.segmenter(port.name)
-                if held:
-                    self._send(client, held)
+        for client in self.clients:
+            held = b"" if client.segmenter is None else client.segmenter.rest()
+            client.segmenter = self._faults.segmenter(client.port)
+            if held:
+                self._write(client, held)
 
-    def _drop(self, client: Client, reset: bool = False) -> None:
-        self._selector.unregister(client.link)
-        client.close(reset)
-
-    def _end(self, port: Port, reset: bool) -> None:
-        for client in list(port.clients):
-            self._drop(client, reset)
-
-    def _release(self) -> None:
-        for port in self._ports:
-            self._end(port, reset=False)
-            port.socket.close()
-        self._selector.close()
-        self._waker.close()
-        self._woken.close()
+    def _reset(self, ports: set[str]) -> None:
+        for client in list(self.clients):
+            if client.port in ports:
+                client.connection.close(reset=True)

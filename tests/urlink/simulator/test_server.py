@@ -16,7 +16,7 @@ from linkcore.errors import BadAddress, BadValue, LocalError
 from urlink.interfaces.primary.robot_message import VersionMessage
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller
-from urlink.simulator.connections import LONGEST_LINE
+from urlink.simulator.server import LONGEST_LINE
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]

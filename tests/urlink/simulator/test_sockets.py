@@ -222,9 +222,9 @@ def test_no_descriptor_is_left(
     def none_left(*arguments: object) -> socket.socket:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    monkeypatch.setattr("urlink.simulator.sockets.socket.socket", none_left)
+    monkeypatch.setattr("linkcore.net.polled.socket.socket", none_left)
     sockets.open("s", "127.0.0.1", port(listener))
-    assert sockets.state("s") == "closed"
+    assert sockets.state("s") == "failed"
 
 
 def test_who_is_connected_to_the_controller_is_allowed() -> None:

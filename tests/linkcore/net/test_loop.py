@@ -1,0 +1,832 @@
+"""Many clients of one loop, over real sockets. Times are those of a clock that the test sets."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import gc
+import logging
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from linkcore.errors import BadAddress, BadValue, LinkTimeout
+from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from tests.waiting import until
+
+PATIENCE = 10.0
+
+
+class Clock:
+    """Stands still until it is told otherwise."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Recorder(Handler):
+    """Writes down what happens to a connection, and does what the test says with the bytes."""
+
+    def __init__(self, connection: Connection, on_data: Callable[[Connection, bytes], object] | None = None) -> None:
+        self.connection = connection
+        self.data = b""
+        self.drains = 0
+        self.losses: list[tuple[str, bool]] = []
+        self._on_data = on_data
+
+    def data_received(self, data: bytes) -> None:
+        assert not self.losses
+        self.data += data
+        if self._on_data is not None:
+            self._on_data(self.connection, data)
+
+    def drained(self) -> None:
+        assert self.connection.pending == 0
+        self.drains += 1
+
+    def connection_lost(self, reason: str, *, by_peer: bool) -> None:
+        assert not self.connection.is_open
+        self.losses.append((reason, by_peer))
+
+
+class Bench:
+    """A loop with one port, served in the test's own thread."""
+
+    def __init__(self, **options: int | float | bool) -> None:
+        self.clock = Clock()
+        self.loop = SelectorLoop(self.clock)
+        self.handlers: list[Recorder] = []
+        self.on_data: Callable[[Connection, bytes], object] | None = None
+        self.port = self.loop.listen("127.0.0.1", 0, self.accept, **options)  # type: ignore[arg-type]
+        self._clients = contextlib.ExitStack()
+
+    def accept(self, connection: Connection) -> Handler | None:
+        handler = Recorder(connection, self.on_data)
+        self.handlers.append(handler)
+        return handler
+
+    def connect(self) -> socket.socket:
+        link = socket.create_connection(("127.0.0.1", self.port.number), timeout=PATIENCE)
+        return self._clients.enter_context(link)
+
+    def client(self) -> tuple[socket.socket, Recorder]:
+        """A client, and the handler of its connection."""
+        count = len(self.handlers)
+        link = self.connect()
+        self.serve(lambda: len(self.handlers) > count)
+        return link, self.handlers[-1]
+
+    def serve(self, condition: Callable[[], object]) -> None:
+        """Serve until it is so. The clock stands still meanwhile."""
+
+        def is_so() -> object:
+            self.loop.serve_once(self.clock.now)
+            return condition()
+
+        until(is_so)
+
+    def close(self) -> None:
+        self._clients.close()
+        self.loop.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+    gc.collect()  # a socket that nobody closed warns here, rather than in some later test
+
+
+@contextlib.contextmanager
+def bench_with(**options: int | float | bool) -> Iterator[Bench]:
+    bench = Bench(**options)
+    try:
+        yield bench
+    finally:
+        bench.close()
+
+
+def is_reset(link: socket.socket) -> bool:
+    """Read to the end. True if that is a reset."""
+    try:
+        while link.recv(65536):
+            pass
+    except ConnectionResetError:
+        return True
+    return False
+
+
+# -- bytes -------------------------------------------------------------------------------------------
+
+
+def test_there_and_back(bench: Bench) -> None:
+    bench.on_data = lambda connection, data: connection.write(data.upper())
+    first, _ = bench.client()
+    second, _ = bench.client()
+    first.sendall(b"one")
+    second.sendall(b"two")
+    bench.serve(lambda: all(handler.data for handler in bench.handlers))
+    assert first.recv(100) == b"ONE"
+    assert second.recv(100) == b"TWO"
+    assert bench.port.accepted == 2
+    assert [handler.connection for handler in bench.handlers] == sorted(
+        bench.port.connections, key=lambda connection: connection.peer != first.getsockname()
+    )
+
+
+def test_a_connection_knows_its_peer(bench: Bench) -> None:
+    link, handler = bench.client()
+    assert handler.connection.peer == link.getsockname()
+    assert handler.connection.name == "{}:{}".format(*link.getsockname())
+
+
+def test_what_the_kernel_does_not_take_is_sent_later_and_in_order() -> None:
+    with bench_with(output_limit=100_000_000) as bench:
+        link, handler = bench.client()
+        sent = b"".join(number.to_bytes(4, "big") for number in range(2_000_000))
+        for at in range(0, len(sent), 1_000_000):
+            handler.connection.write(sent[at : at + 1_000_000])
+        assert handler.connection.pending > 0
+        assert handler.drains == 0
+        received = bytearray()
+
+        def read() -> bool:
+            received.extend(link.recv(1 << 20))
+            return len(received) == len(sent)
+
+        bench.serve(read)
+        bench.serve(lambda: handler.drains)
+        assert received == sent
+        assert handler.drains == 1
+        assert not handler.losses
+
+
+def test_a_client_that_does_not_read_is_reset_and_the_others_are_not() -> None:
+    with bench_with(output_limit=100_000) as bench:
+        sleeper, lost = bench.client()
+        reader, kept = bench.client()
+        count = 0
+        while not lost.losses:
+            lost.connection.write(b"x" * 10_000)
+            kept.connection.write(b"y" * 10_000)
+            assert lost.connection.pending <= 100_000
+            count += 10_000
+            assert count < 100_000_000
+            received = 0
+            while received < 10_000:
+                received += len(reader.recv(10_000 - received))
+            bench.loop.serve_once(bench.clock.now)
+        assert [by_peer for _, by_peer in lost.losses] == [False]
+        assert "did not read" in lost.losses[0][0]
+        assert bench.port.overflowed == 1
+        assert is_reset(sleeper)
+        assert kept.connection.is_open
+        assert not kept.losses
+        # Without effect on a connection that is over.
+        lost.connection.write(b"x" * 200_000)
+        assert bench.port.overflowed == 1
+
+
+def test_no_more_than_a_chunk_of_one_client_at_a_time() -> None:
+    with bench_with(chunk=100) as bench:
+        sizes: list[int] = []
+        bench.on_data = lambda connection, data: sizes.append(len(data))
+        link, handler = bench.client()
+        link.sendall(b"x" * 250)
+        bench.serve(lambda: len(handler.data) == 250)
+        assert max(sizes) <= 100
+
+
+def test_a_handler_can_make_its_client_wait(bench: Bench) -> None:
+    link, handler = bench.client()
+    handler.connection.pause_reading()
+    link.sendall(b"later")
+    other, witness = bench.client()
+    other.sendall(b"now")
+    bench.serve(lambda: witness.data == b"now")
+    assert handler.data == b""
+    handler.connection.resume_reading()
+    bench.serve(lambda: handler.data == b"later")
+
+
+def test_one_that_paused_itself_gets_no_more_of_what_came_together(bench: Bench) -> None:
+    """Events of one look may be about a connection that an earlier one of them has paused or closed."""
+    links = [bench.client() for _ in range(4)]
+    closed: list[Connection] = []
+
+    def close_the_others(connection: Connection, data: bytes) -> None:
+        for _, handler in links:
+            if handler.connection is not connection:
+                handler.connection.close()
+                closed.append(handler.connection)
+
+    for link, handler in links:
+        handler._on_data = close_the_others
+        link.sendall(b"x")
+    bench.serve(lambda: sum(len(handler.data) for _, handler in links))
+    assert len(closed) == 3
+    assert sum(len(handler.data) for _, handler in links) == 1
+
+
+# -- ends --------------------------------------------------------------------------------------------
+
+
+def test_a_peer_that_closes_or_resets(bench: Bench) -> None:
+    closing, closed = bench.client()
+    resetting, reset = bench.client()
+    resetting.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    closing.close()
+    resetting.close()
+    bench.serve(lambda: closed.losses and reset.losses)
+    assert closed.losses == [("closed by the peer", True)]
+    assert [by_peer for _, by_peer in reset.losses] == [True]
+    assert not bench.port.connections
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_closing_on_this_side(bench: Bench, reset: bool) -> None:
+    link, handler = bench.client()
+    handler.connection.close(reset=reset, reason="enough")
+    handler.connection.close()
+    assert not handler.connection.is_open
+    assert handler.losses == []  # told later, not in the middle of what closed it
+    bench.serve(lambda: handler.losses)
+    assert handler.losses == [("enough", False)]
+    assert is_reset(link) == reset
+
+
+def test_the_last_reply_arrives_though_more_was_asked(bench: Bench) -> None:
+    def answer(connection: Connection, data: bytes) -> None:
+        connection.write(b"bye " * 100_000)
+        connection.finish(within=5.0)
+        connection.write(b"too late")
+
+    bench.on_data = answer
+    link, handler = bench.client()
+    link.sendall(b"quit")
+    bench.serve(lambda: handler.data)
+    assert not handler.connection.is_open
+    # Unread input at the time of a plain close would reset the connection.
+    link.sendall(b"more" * 1000)
+    received = bytearray()
+
+    def read() -> bool:
+        data = link.recv(65536)
+        received.extend(data)
+        return not data
+
+    bench.serve(read)
+    assert received == b"bye " * 100_000
+    assert handler.data == b"quit"
+    assert handler.losses == []
+    link.close()
+    bench.serve(lambda: handler.losses)
+    assert handler.losses == [("closed by the peer", True)]
+
+
+def test_a_client_that_does_not_end_is_not_waited_for(bench: Bench) -> None:
+    with socket.socket() as link:
+        # Most of what is written stays on this side: in the kernel, which has taken all of it.
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        link.settimeout(PATIENCE)
+        link.connect(("127.0.0.1", bench.port.number))
+        bench.serve(lambda: bench.handlers)
+        (handler,) = bench.handlers
+        handler.connection.write(b"x" * 100_000)
+        assert handler.connection.pending == 0
+        finish_and_wait_too_long(bench, handler)
+        received = bytearray()
+        while data := link.recv(65536):
+            received.extend(data)
+    assert len(received) == 100_000
+
+
+def finish_and_wait_too_long(bench: Bench, handler: Recorder) -> None:
+    handler.connection.finish(within=5.0)
+    bench.clock.now += 4.9
+    bench.loop.serve_once(bench.clock.now)
+    assert handler.losses == []
+    bench.clock.now += 0.2
+    bench.serve(lambda: handler.losses)
+    assert handler.losses == [("closed by this side", False)]
+
+
+def test_deadlines(bench: Bench) -> None:
+    link, late = bench.client()
+    _, moved = bench.client()
+    _, cleared = bench.client()
+    for handler in (late, moved, cleared):
+        handler.connection.set_deadline(bench.clock.now + 1.0, "sent half a request and no more")
+    moved.connection.set_deadline(bench.clock.now + 3.0, "moved")
+    cleared.connection.clear_deadline()
+    bench.clock.now += 0.999
+    bench.loop.serve_once(bench.clock.now)
+    assert not late.losses
+    bench.clock.now += 0.001
+    bench.loop.serve_once(bench.clock.now)
+    assert late.losses == [("sent half a request and no more", False)]
+    assert is_reset(link)
+    bench.clock.now += 1.999
+    bench.loop.serve_once(bench.clock.now)
+    assert not moved.losses
+    bench.clock.now += 0.001
+    bench.loop.serve_once(bench.clock.now)
+    assert moved.losses == [("moved", False)]
+    bench.clock.now += 100.0
+    bench.loop.serve_once(bench.clock.now)
+    assert not cleared.losses
+
+
+def test_a_deadline_ends_a_wait_that_has_none() -> None:
+    loop = SelectorLoop()
+    handlers: list[Recorder] = []
+
+    def accept(connection: Connection) -> Handler:
+        connection.set_deadline(loop.time() + 0.02, "silent")
+        handlers.append(Recorder(connection))
+        return handlers[-1]
+
+    port = loop.listen("127.0.0.1", 0, accept)
+    with contextlib.closing(loop), socket.create_connection(("127.0.0.1", port.number)):
+        until(lambda: (loop.serve_once(None), handlers and handlers[0].losses)[1])
+    assert handlers[0].losses == [("silent", False)]
+
+
+@pytest.mark.parametrize("method", ["data_received", "drained", "connection_lost"])
+def test_a_handler_that_raises_harms_itself_only(
+    bench: Bench, method: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, bad = bench.client()
+    other, good = bench.client()
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise BadValue("a mistake in the handler")
+
+    monkeypatch.setattr(bad, method, fail)
+    if method == "drained":
+        while not bad.connection.pending:
+            bad.connection.write(b"x" * 100_000)
+        link.settimeout(0.001)
+        with contextlib.suppress(TimeoutError):
+            bench.serve(lambda: bench.loop.failures or not link.recv(1 << 20))
+    elif method == "connection_lost":
+        link.close()
+    else:
+        link.sendall(b"x")
+    with caplog.at_level(logging.ERROR):
+        bench.serve(lambda: bench.loop.failures)
+    assert bench.loop.failures == 1
+    assert any(record.exc_info for record in caplog.records) or method == "drained"
+    assert not bad.connection.is_open
+    if method != "connection_lost":
+        assert bad.losses == [("BadValue in its handler", False)]
+    other.sendall(b"still here")
+    bench.serve(lambda: good.data == b"still here")
+
+
+def test_the_end_of_the_loop_ends_everything() -> None:
+    before = descriptors()
+    bench = Bench()
+    links = [bench.client() for _ in range(3)]
+    bench.close()
+    bench.loop.close()
+    assert all(handler.losses == [("the server ends", False)] for _, handler in links)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", bench.port.number), timeout=PATIENCE)
+    assert descriptors() == before
+
+
+def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
+    loop = SelectorLoop()
+    handlers: list[Recorder] = []
+
+    def accept(connection: Connection) -> Handler:
+        handlers.append(Recorder(connection))
+        return handlers[-1]
+
+    port = loop.listen("127.0.0.1", 0, accept, output_limit=1 << 30)
+    received = bytearray()
+    with socket.create_connection(("127.0.0.1", port.number), timeout=PATIENCE) as link:
+        until(lambda: (loop.serve_once(loop.time()), handlers)[1])
+        handlers[0].connection.write(b"z" * 20_000_000)
+        assert handlers[0].connection.pending
+
+        def read() -> None:
+            while data := link.recv(1 << 20):
+                received.extend(data)
+            link.close()
+
+        thread = threading.Thread(target=read)
+        thread.start()
+        loop.close(within=PATIENCE)
+        thread.join(PATIENCE)
+    assert len(received) == 20_000_000
+    assert handlers[0].losses == [("closed by the peer", True)]
+
+
+def test_a_loop_that_ends_in_order_has_a_deadline() -> None:
+    loop = SelectorLoop()
+    port = loop.listen("127.0.0.1", 0, Recorder, output_limit=1 << 30)
+    with socket.create_connection(("127.0.0.1", port.number), timeout=PATIENCE):
+        until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
+        (connection,) = port.connections
+        connection.write(b"z" * 20_000_000)
+        begun = time.monotonic()
+        loop.close(within=0.1)
+        assert 0.05 < time.monotonic() - begun < PATIENCE
+    assert not connection.is_open
+
+
+# -- clients come ------------------------------------------------------------------------------------
+
+
+def test_slots() -> None:
+    with bench_with(limit=2, idle=10.0) as bench:
+        active, first = bench.client()
+        bench.clock.now += 1.0
+        _, second = bench.client()
+        bench.clock.now += 8.0
+        with bench.connect() as third:
+            bench.serve(lambda: bench.port.refused)
+            assert third.recv(10) == b""
+        assert bench.port.refused == 1
+        # A byte in either direction counts.
+        active.sendall(b"x")
+        bench.serve(lambda: first.data)
+        bench.clock.now += 2.0
+        bench.client()
+        bench.loop.serve_once(bench.clock.now)
+        assert second.losses == [("idle for 10 s, and its slot is needed", False)]
+        assert not first.losses
+        assert (bench.port.accepted, bench.port.evicted) == (3, 1)
+        bench.clock.now += 7.0
+        first.connection.write(b"y")
+        assert active.recv(10) == b"y"
+        bench.clock.now += 3.0
+        bench.client()
+        assert not first.losses
+        assert len(bench.handlers[2].losses) == 1
+        assert len(bench.port.connections) == 2
+
+
+def test_who_may_not_come_is_closed_at_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = descriptors()
+
+    def refuse(connection: Connection) -> None:
+        connection.write(b"go away")
+
+    monkeypatch.setattr(bench.port, "_accept", refuse)
+    link = bench.connect()
+    bench.serve(lambda: bench.port.refused)
+    assert link.recv(100) == b"go away"
+    assert link.recv(100) == b""
+    link.close()
+    assert not bench.port.connections
+    assert descriptors() == before
+
+
+def test_a_mistake_in_accepting_harms_nobody(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    _, kept = bench.client()
+
+    def fail(connection: Connection) -> None:
+        connection.write(b"x")
+        raise BadValue("a mistake")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(bench.port, "_accept", fail)
+        link = bench.connect()
+        bench.serve(lambda: bench.loop.failures)
+    assert is_reset(link) is False
+    assert any(record.exc_info for record in caplog.records)
+    assert kept.connection.is_open
+    bench.client()
+
+
+def test_who_is_gone_before_being_accepted(bench: Bench) -> None:
+    gone = bench.connect()
+    gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    gone.close()
+    bench.client()
+
+
+def test_a_greeting_that_cannot_be_sent(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    handlers: list[Recorder] = []
+
+    def greet(connection: Connection) -> Handler:
+        connection.write(b"x" * (1 << 24))
+        handlers.append(Recorder(connection))
+        return handlers[-1]
+
+    monkeypatch.setattr(bench.port, "_accept", greet)
+    bench.connect()
+    bench.serve(lambda: handlers and handlers[0].losses)
+    assert not bench.port.connections
+
+
+def test_a_process_without_descriptors_waits_for_some(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    attempts: list[float] = []
+    real = bench.port._socket
+
+    class Exhausted:
+        def accept(self) -> tuple[socket.socket, object]:
+            attempts.append(bench.clock.now)
+            raise OSError(errno.EMFILE, "Too many open files")
+
+        def fileno(self) -> int:
+            return real.fileno()
+
+        def close(self) -> None:
+            real.close()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(bench.port, "_socket", Exhausted())
+        link = bench.connect()
+        bench.serve(lambda: attempts)
+        for _ in range(10):
+            bench.loop.serve_once(bench.clock.now)
+        assert len(attempts) == 1  # the kernel reports the connection that waits again and again
+    bench.clock.now += 1.0
+    bench.serve(lambda: bench.handlers)
+    link.sendall(b"x")
+    bench.serve(lambda: bench.handlers[0].data)
+
+
+def test_refusing_and_listening_again(bench: Bench) -> None:
+    _, kept = bench.client()
+    number = bench.port.number
+    bench.port.refuse()
+    bench.port.refuse()
+    assert not bench.port.is_listening
+    with pytest.raises(ConnectionRefusedError):
+        bench.connect()
+    bench.port.listen()
+    bench.port.listen()
+    assert bench.port.number == number
+    bench.client()
+    assert kept.connection.is_open
+
+
+def test_pausing_lets_clients_wait(bench: Bench) -> None:
+    bench.port.pause()
+    waiting = bench.connect()
+    waiting.sendall(b"x")
+    for _ in range(5):
+        bench.loop.serve_once(bench.clock.now)
+    assert not bench.handlers
+    bench.port.resume()
+    bench.serve(lambda: bench.handlers and bench.handlers[0].data == b"x")
+
+
+@pytest.mark.parametrize(
+    ("host", "reached"),
+    [("127.0.0.1", "127.0.0.1"), ("localhost", "127.0.0.1"), ("", "127.0.0.1"), ("", "127.1.2.3"), ("::1", "::1")],
+)
+def test_hosts(host: str, reached: str) -> None:
+    if ":" in host and not has_ipv6():
+        pytest.skip("this computer has no IPv6")
+    loop = SelectorLoop()
+    with contextlib.closing(loop):
+        port = loop.listen(host, 0, Recorder)
+        with socket.create_connection((reached, port.number), timeout=PATIENCE) as link:
+            until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
+            (connection,) = port.connections
+            assert connection.peer == link.getsockname()[:2]
+            assert connection.name.startswith("[::1]:" if ":" in host else f"{connection.peer[0]}:")
+
+
+def test_both_families_at_once() -> None:
+    if not has_ipv6():
+        pytest.skip("this computer has no IPv6")
+    loop = SelectorLoop()
+    with contextlib.closing(loop):
+        port = loop.listen("::", 0, Recorder)
+        for host in ("127.0.0.1", "::1"):
+            with socket.create_connection((host, port.number), timeout=PATIENCE):
+                until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
+                (connection,) = port.connections
+                assert connection.peer[0] == host
+            until(lambda: (loop.serve_once(loop.time()), not port.connections)[1])
+
+
+def has_ipv6() -> bool:
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6):
+            return True
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("host", "number"), [("192.0.2.1", 0), ("no-such-host.invalid", 0), ("127.0.0.1", 70000), ("nul\0", 0)]
+)
+def test_where_nobody_can_listen(host: str, number: int) -> None:
+    before = descriptors()
+    loop = SelectorLoop()
+    with contextlib.closing(loop), pytest.raises(BadAddress, match=f"cannot listen on .*:{number} for tests"):
+        loop.listen(host, number, Recorder, purpose="tests")
+    assert descriptors() == before
+
+
+def test_a_port_that_is_taken(bench: Bench) -> None:
+    with pytest.raises(BadAddress, match=f":{bench.port.number}: "):
+        bench.loop.listen("127.0.0.1", bench.port.number, Recorder)
+
+
+def test_the_same_port_again_at_once() -> None:
+    """Though connections of the one before are not forgotten by the kernel yet."""
+    for _ in range(2):
+        with bench_with() as bench:
+            _, handler = bench.client()
+            handler.connection.close()
+            number = bench.port.number
+    loop = SelectorLoop()
+    with contextlib.closing(loop):
+        assert loop.listen("127.0.0.1", number, Recorder).number == number
+
+
+# -- time and threads --------------------------------------------------------------------------------
+
+
+def test_a_wait_ends_at_its_time_and_not_before() -> None:
+    loop = SelectorLoop()
+    with contextlib.closing(loop):
+        for seconds in (0.0, 0.0004, 0.002, 0.0153):
+            begun = loop.time()
+            assert not loop.serve_once(begun + seconds)
+            assert loop.time() >= begun + seconds - 1e-6
+
+
+def test_where_select_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The selector of a process with more than a thousand descriptors; its waits are of whole milliseconds."""
+    bench = Bench()
+    monkeypatch.setattr(bench.loop, "_select_from", None)
+    bench.loop.time = time.monotonic
+    with contextlib.closing(bench):
+        for seconds in (0.0004, 0.0153):
+            end = time.monotonic() + seconds
+            until(lambda end=end: (bench.loop.serve_once(end), time.monotonic() >= end)[1])  # type: ignore[misc]
+        link = bench.connect()
+        link.sendall(b"x")
+        until(lambda: (bench.loop.serve_once(time.monotonic() + 0.01), bench.handlers and bench.handlers[0].data)[1])
+
+
+def test_an_owner_that_is_late_does_not_starve_its_clients(bench: Bench) -> None:
+    """All of the events at hand are served if they take no longer than a millisecond, though the time is over."""
+    links = [bench.client() for _ in range(20)]
+    for link, _ in links:
+        link.sendall(b"x")
+    until(lambda: all(readable(handler.connection) for _, handler in links))
+    bench.loop.serve_once(bench.clock.now - 10.0)
+    assert all(handler.data for _, handler in links)
+
+
+def test_clients_do_not_make_their_owner_late(bench: Bench) -> None:
+    links = [bench.client() for _ in range(20)]
+
+    def take_long(connection: Connection, data: bytes) -> None:
+        bench.clock.now += 0.1
+
+    for link, handler in links:
+        handler._on_data = take_long
+        link.sendall(b"x")
+    until(lambda: all(readable(handler.connection) for _, handler in links))
+    bench.loop.serve_once(bench.clock.now + 0.25)
+    assert sum(len(handler.data) for _, handler in links) == 3
+    bench.serve(lambda: all(handler.data for _, handler in links))
+
+
+def readable(connection: Connection) -> bool:
+    try:
+        return bool(connection._socket.recv(1, socket.MSG_PEEK))
+    except BlockingIOError:
+        return False
+
+
+class Served:
+    """A loop that is served by a thread of its own."""
+
+    def __init__(self) -> None:
+        self.loop = SelectorLoop()
+        self._is_over = False
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        while not self._is_over:
+            self.loop.serve_once(None)
+        self.loop.close()
+
+    def close(self) -> None:
+        self._is_over = True
+        self.loop.wake()
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    served = Served()
+    yield served
+    served.close()
+
+
+def test_calls_are_made_in_the_thread_of_the_loop(served: Served) -> None:
+    seen: list[threading.Thread] = []
+
+    def note() -> None:
+        seen.append(threading.current_thread())
+        served.loop.call(lambda: seen.append(threading.current_thread()), PATIENCE)
+
+    served.loop.call(note, PATIENCE)
+    assert seen == [served.thread, served.thread]
+
+
+@pytest.mark.parametrize("kind", [BadValue, SystemExit, TimeoutError])
+def test_what_a_call_raises_comes_back(served: Served, kind: type[BaseException]) -> None:
+    def fail() -> None:
+        raise kind("no")
+
+    with pytest.raises(kind, match="no"):
+        served.loop.call(fail, PATIENCE)
+    served.loop.call(lambda: None, PATIENCE)
+
+
+def test_a_call_that_is_not_answered() -> None:
+    loop = SelectorLoop()
+    done: list[int] = []
+    with contextlib.closing(loop):
+        with pytest.raises(LinkTimeout, match=r"within 0\.01 s"):
+            loop.call(lambda: done.append(1), 0.01)
+        loop.serve_once(loop.time())
+        # Who asked was told that it did not happen, so it does not.
+        assert done == []
+
+
+def test_calls_to_a_loop_that_is_over(served: Served) -> None:
+    served.close()
+    done: list[int] = []
+    served.loop.call(lambda: done.append(1), PATIENCE)
+    assert done == [1]
+
+
+def test_a_call_that_waits_when_the_loop_ends_is_made() -> None:
+    loop = SelectorLoop()
+    done: list[int] = []
+    caller = threading.Thread(target=lambda: loop.call(lambda: done.append(1), PATIENCE))
+    caller.start()
+    until(lambda: loop._calls)
+    loop.close()
+    caller.join(PATIENCE)
+    assert done == [1]
+
+
+def test_no_call_is_lost_when_the_loop_ends(served: Served) -> None:
+    """Each is made once, by the loop's thread or by the caller's."""
+    done: list[int] = []
+
+    def call(first: int) -> None:
+        for number in range(first, first + 50):
+            served.loop.call(lambda number=number: done.append(number), PATIENCE)  # type: ignore[misc]
+
+    callers = [threading.Thread(target=call, args=(first,)) for first in range(0, 400, 50)]
+    for caller in callers:
+        caller.start()
+    until(lambda: len(done) > 20)
+    served.close()
+    for caller in callers:
+        caller.join(PATIENCE)
+    assert sorted(done) == list(range(400))
+
+
+def test_waking(served: Served) -> None:
+    served.loop.wake()
+    served.loop.call(lambda: None, PATIENCE)
+    served.close()
+    served.loop.wake()
+
+
+def descriptors() -> int:
+    if not sys.platform.startswith("linux"):
+        pytest.skip("descriptors are counted on Linux only")
+    gc.collect()
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_ports_are_told_apart(bench: Bench) -> None:
+    other: ListeningPort = bench.loop.listen("127.0.0.1", 0, bench.accept)
+    with socket.create_connection(("127.0.0.1", other.number)):
+        bench.serve(lambda: bench.handlers)
+    assert bench.handlers[0].connection.port is other
+    assert (bench.port.accepted, other.accepted) == (0, 1)
