@@ -12,6 +12,10 @@ ROOT = Path(__file__).parent
 PROJECT = nox.project.load_toml(ROOT / "pyproject.toml")
 EXTRAS = "[cli,plot]"
 
+# Processes that run tests side by side: one for each processor, but no more than four, because the simulators and the
+# streams of a process start threads of their own, and tests of periods want some of a processor left.
+PARALLEL = ("-n", "auto", "--maxprocesses=4", "--dist=worksteal")
+
 
 def group(*names: str) -> tuple[str, ...]:
     """The requirements of the named dependency groups."""
@@ -29,6 +33,8 @@ def tests(session: nox.Session) -> None:
     session.install("-e", f".{EXTRAS}", *group("tests"))
     # One pytest run, so that its last line is the verdict on everything.
     everything = [
+        *PARALLEL,
+        "--durations=10",
         "--doctest-modules",
         "--doctest-glob=*.md",
         "--ignore=docs/conf.py",
@@ -96,6 +102,7 @@ def fuzz(session: nox.Session) -> None:
     session.install("-e", f".{EXTRAS}", *group("tests"))
     session.run(
         "pytest",
+        *PARALLEL,
         "-m",
         "property",
         "--timeout=1800",
@@ -125,4 +132,4 @@ def wheel(session: nox.Session) -> None:
         *packages,
     )
     config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
-    session.run("pytest", *config, *(session.posargs or [str(ROOT / "tests")]))
+    session.run("pytest", *config, *(session.posargs or [*PARALLEL, str(ROOT / "tests")]))

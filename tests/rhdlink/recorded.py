@@ -1,32 +1,22 @@
-"""Connections of the original RHD programs: bytes of both directions, and what the original client printed."""
+"""Connections of the original RHD programs: bytes of both directions, and what the original client printed.
+
+For tests marked ``captures("rhd")``.
+"""
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
-_FOLDER = Path("shared") / "captures" / "rhd"
-#: It stands beside the repository, and not everybody has it.
-_PLACES = [parent / _FOLDER for parent in Path(__file__).resolve().parents]
-
-
-def folder() -> Path:
-    """The folder of captures; the test is skipped where it is not."""
-    for place in _PLACES:
-        if place.is_dir():
-            return place
-    pytest.skip("the captures of the original RHD (../shared/captures/rhd beside the repository) are not here")
+from tests.real_captures import folder
 
 
 def from_server(name: str) -> bytes:
-    return (folder() / f"{name}.s2c.bin").read_bytes()
+    return (folder("rhd") / f"{name}.s2c.bin").read_bytes()
 
 
 def from_client(name: str) -> bytes:
-    return (folder() / f"{name}.c2s.bin").read_bytes()
+    return (folder("rhd") / f"{name}.c2s.bin").read_bytes()
 
 
 class Line(NamedTuple):
@@ -49,7 +39,7 @@ _LINE = re.compile(r"([rw]) (\d+) (\S+) len=(\d+) upd=(\d+) chg=(\d+) ts=(\d+)\.
 def printed(name: str) -> list[list[Line]]:
     """The tables after the handshake, and after each sync."""
     tables: list[list[Line]] = []
-    for text in (folder() / f"{name}.client.txt").read_text().splitlines():
+    for text in (folder("rhd") / f"{name}.client.txt").read_text().splitlines():
         match = _LINE.fullmatch(text.strip())
         if match is not None:
             direction, identity, variable, length, updated, changed, seconds, micros, values = match.groups()

@@ -11,6 +11,8 @@ from rhdlink.entries import Layout
 from rhdlink.wire import Batch, ClientStream, Handshake, Request, ServerStream, encode_access, encode_data, encode_ready
 from tests.rhdlink import recorded
 
+pytestmark = pytest.mark.captures("rhd")
+
 #: name -> words of a time stamp, batches after the handshake, access granted
 STREAMS: dict[str, tuple[int, int, str | None]] = {
     "reader64": (2, 50, "r"),

@@ -109,6 +109,7 @@ def leaves_no_thread() -> Iterator[None]:
 # -- recorded servers --------------------------------------------------------------------------
 
 
+@pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["reader64", "reader64naive", "reader32", "reader_orig2014", "reader64_with_master"])
 def test_a_recorded_server_is_read_as_the_original_client_read_it(name: str) -> None:
     recording, tables = Recording(name), recorded.printed(name)
@@ -136,6 +137,7 @@ def test_a_recorded_server_is_read_as_the_original_client_read_it(name: str) -> 
         assert robot.fresh("tick")
 
 
+@pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["writer64", "writer64naive", "writer32", "writer_orig2014"])
 def test_a_writer_says_what_the_original_client_said(name: str) -> None:
     recording = Recording(name)
@@ -168,6 +170,7 @@ def test_a_writer_says_what_the_original_client_said(name: str) -> None:
             assert not robot.updated("speedl")
 
 
+@pytest.mark.captures("rhd")
 def test_a_second_writer_is_denied_access() -> None:
     def script(peer: Peer) -> None:
         peer.hear(b"aw")
@@ -178,6 +181,7 @@ def test_a_second_writer_is_denied_access() -> None:
         rhdlink.connect(server.address, access="w")
 
 
+@pytest.mark.captures("rhd")
 def test_a_second_writer_can_make_do_with_reading() -> None:
     recording = Recording("reader64")
 
@@ -216,6 +220,7 @@ def test_a_server_that_grants_less_is_taken_at_its_word() -> None:
             rhdlink.connect(server.address, access="w")
 
 
+@pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["late_first_sync64", "late_first_sync_orig2014"])
 def test_a_late_first_sync_is_in_step(name: str) -> None:
     """The unasked batch has come before the first request: it is applied, and each sync gets its own answer."""
@@ -249,6 +254,7 @@ def test_a_late_first_sync_is_in_step(name: str) -> None:
     assert ticks == expected
 
 
+@pytest.mark.captures("rhd")
 def test_the_corrupted_reader_goes_on() -> None:
     """The server's threads mixed another client's tables into the last answer: they say nothing new."""
     recording = Recording("race_corrupted_reader64")

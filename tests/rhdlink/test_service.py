@@ -15,15 +15,14 @@ import pytest
 from rhdlink.database import Database
 from rhdlink.service import Guest, Service
 from rhdlink.wire import Batch, ClientStream, Handshake, ServerStream, encode_data
+from tests.real_captures import folder
+
+pytestmark = pytest.mark.captures("rhd")
 
 
-@pytest.fixture(scope="session")
-def recorded(pytestconfig: pytest.Config) -> Path:
-    for root in (pytestconfig.rootpath, Path(__file__).resolve().parents[2]):
-        folder = root.parent / "shared" / "captures" / "rhd"
-        if folder.is_dir():
-            return folder
-    pytest.skip("the captures of the original RHD (../shared/captures/rhd beside the repository) are not here")
+@pytest.fixture
+def recorded() -> Path:
+    return folder("rhd")
 
 
 class Connection(NamedTuple):

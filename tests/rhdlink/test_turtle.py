@@ -16,16 +16,13 @@ from rhdlink.plugin import Plugin
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.wire import ClientStream
 from rhdlink.world import World
+from tests.real_captures import folder
 from tests.rhdlink.party import Party
 
 
-@pytest.fixture(scope="session")
-def drives(pytestconfig: pytest.Config) -> Path:
-    for root in (pytestconfig.rootpath, Path(__file__).resolve().parents[2]):
-        folder = root.parent / "shared" / "captures" / "mrc"
-        if folder.is_dir():
-            return folder
-    pytest.skip("the drives of the original MRC (../shared/captures/mrc beside the repository) are not here")
+@pytest.fixture
+def drives() -> Path:
+    return folder("mrc")
 
 
 class Watched(Plugin):
@@ -50,6 +47,7 @@ LOCKSTEP = (
 )
 
 
+@pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", [f"{kind}_{name}" for kind in ("vw", "smr") for name in LOCKSTEP])
 def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> None:
     with (drives / f"{drive}.csv").open() as file:
@@ -72,6 +70,7 @@ def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> 
     assert len(rows) > 600
 
 
+@pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", ["vw_arc", "vw_spiral", "smr_arc", "smr_spiral"])
 def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
     """MRC's own bytes, sent as fast as replies come, move the robot as they moved that of the original server."""

@@ -164,6 +164,7 @@ def test_an_arm_that_is_not_a_nominal_one_is_refused(field: str, value: np.ndarr
         Model(**{**vars(MODELS["UR5e"]), field: value})
 
 
+@pytest.mark.captures("ur")
 @pytest.mark.parametrize(
     ("capture", "size", "name", "e_series"),
     [

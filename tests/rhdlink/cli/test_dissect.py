@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from rhdlink import Database
 from rhdlink.cli.anatomy import Piece, dissect, guess_sender, tables_in
 from rhdlink.wire import END, encode_ready
+from tests import real_captures
 from tests.harm import assert_harmless, strict
-from tests.rhdlink import recorded
 
 from .conftest import Run
 
@@ -67,9 +67,10 @@ def test_both_directions(width: int) -> None:
     assert [piece.error for piece in [*pieces, *asked]] == [None] * 12
 
 
+@pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", SERVERS)
 def test_recorded_connections_have_no_byte_without_a_meaning(run: Run, name: str) -> None:
-    path = recorded.folder() / f"{name}.s2c.bin"
+    path = real_captures.folder("rhd") / f"{name}.s2c.bin"
     status, out, err = run("dissect", str(path), "--json")
     assert (status, err) == (0, "")
     pieces = [strict(line) for line in out.splitlines()]
@@ -78,9 +79,10 @@ def test_recorded_connections_have_no_byte_without_a_meaning(run: Run, name: str
     assert pieces[-1]["package"] == "ee"
 
 
+@pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["writer64", "writer64naive", "writer_orig2014"])
 def test_recorded_clients_beside_their_servers(run: Run, name: str) -> None:
-    folder = recorded.folder()
+    folder = real_captures.folder("rhd")
     path = str(folder / f"{name}.c2s.bin")
     status, out, _ = run("dissect", path, "--tables", str(folder / f"{name}.s2c.bin"), "--json")
     assert status == 0

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
+from tests import real_captures
 from tests.harm import HOSTILE, assert_harmless, strict
 from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.cli.dissect import Piece, dissect
@@ -21,8 +22,7 @@ from urlink.simulator import Controller
 
 from .conftest import Run
 
-_CAPTURES = Path(__file__).parents[4] / "shared" / "captures" / "ur"
-_OF_THESE_INTERFACES = sorted(path for path in _CAPTURES.glob("*.bin") if "rtde" not in path.name)
+_CAPTURES = sorted(path.name for path in (real_captures.ROOT / "ur").glob("*.bin") if "rtde" not in path.name)
 
 
 def rebuilt(pieces: list[dict[str, Any]]) -> bytes:
@@ -277,8 +277,10 @@ _STEPPED = Controller("UR5e", "5.11")
 _STEPPED.step()
 
 
-@pytest.mark.parametrize("path", _OF_THESE_INTERFACES, ids=lambda path: path.stem)
-def test_captures(run: Run, path: Path) -> None:
+@pytest.mark.captures("ur")
+@pytest.mark.parametrize("name", _CAPTURES)
+def test_captures(run: Run, captures: Path, name: str) -> None:
+    path = captures / name
     status, out, err = run("dissect", str(path), "--json", "--interface", _interface(path))
     pieces = list(map(strict, out.splitlines()))
     assert rebuilt(pieces) == path.read_bytes()
@@ -292,10 +294,9 @@ def _interface(path: Path) -> str:
     return "realtime" if "_rt_" in path.name else "primary"
 
 
+@pytest.mark.captures("ur")
 def test_captures_are_there() -> None:
-    if not _CAPTURES.is_dir():
-        pytest.skip("no folder of real captures beside this repository")
-    assert _OF_THESE_INTERFACES
+    assert _CAPTURES
 
 
 def test_library_is_what_decodes() -> None:

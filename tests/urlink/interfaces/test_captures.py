@@ -19,7 +19,6 @@ import urlink
 from linkcore.errors import PacketError
 from linkcore.wire.packet import State
 from urlink import (
-    AdditionalInfo,
     KeyMessage,
     OtherPackage,
     PackageType,
@@ -38,6 +37,8 @@ from urlink.decode import Interface
 from urlink.firmware import Firmware, infer
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
+
+pytestmark = pytest.mark.captures("ur")
 
 NO_TIME = 0xFFFFFFFFFFFFFFFF
 PI = math.pi
@@ -515,14 +516,6 @@ def test_checksums_of_the_captures_agree(captures: Path) -> None:
         assert state.masterboard_data is not None
         assert state.safety_data is not None
         assert state.masterboard_data.reserved_checksum == state.safety_data.checksum != 0
-
-
-def test_the_buttons_of_1_7_and_early_1_8() -> None:
-    """The payload ``00 01 40 07 01`` of a 510-byte state, quoted in the reference without the rest of it."""
-    data = bytes.fromhex("0000000a08 0001400701")
-    for version in (None, Firmware(1, 7), Firmware(1, 8)):
-        info = AdditionalInfo.LAYOUTS.decode(data, version)
-        assert (info.ctrl_bits, info.teach_button, info.freedrive_button_pressed) == (0x00014007, 1, None)
 
 
 @pytest.mark.parametrize(

@@ -591,3 +591,11 @@ def test_a_robot_state_is_dissected_to_the_last_byte() -> None:
         assert row.offset == at
         at += len(row.data)
     assert [row.name for row in rows[:3]] == ["size", "type", "robot_mode_data.size"]
+
+
+def test_the_buttons_of_1_7_and_early_1_8() -> None:
+    """The payload ``00 01 40 07 01`` of a 510-byte state, known without the rest of it."""
+    data = bytes.fromhex("0000000a08 0001400701")
+    for version in (None, Firmware(1, 7), Firmware(1, 8)):
+        info = AdditionalInfo.LAYOUTS.decode(data, version)
+        assert (info.ctrl_bits, info.teach_button, info.freedrive_button_pressed) == (0x00014007, 1, None)

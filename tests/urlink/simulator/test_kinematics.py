@@ -480,6 +480,7 @@ REAL = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.captures("ur")
 @REAL
 def test_pose_that_a_controller_reports_for_its_joints(captures: Path, name: str, arm: Model) -> None:
     found = subpackages(captures / name)
@@ -493,6 +494,7 @@ def test_pose_that_a_controller_reports_for_its_joints(captures: Path, name: str
     np.testing.assert_allclose(ours, reported, rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.captures("ur")
 @REAL
 def test_joints_that_a_controller_reports_for_its_pose(captures: Path, name: str, arm: Model) -> None:
     found = subpackages(captures / name)
@@ -501,6 +503,7 @@ def test_joints_that_a_controller_reports_for_its_pose(captures: Path, name: str
     np.testing.assert_allclose(inverse(arm, reported, tcp, near=q)[0], q, rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.captures("ur")
 def test_the_oldest_package_has_a_tcp_that_it_does_not_tell(captures: Path) -> None:
     found = subpackages(captures / "cb2_old_state_465.bin")
     q, _ = joint_data(found)
@@ -512,6 +515,7 @@ def test_the_oldest_package_has_a_tcp_that_it_does_not_tell(captures: Path) -> N
     assert np.linalg.norm(error[3:]) < 1e-4
 
 
+@pytest.mark.captures("ur")
 @pytest.mark.parametrize(
     ("name", "arm", "alike"),
     [
@@ -531,6 +535,7 @@ def test_currents_of_a_simulated_controller_are_proportional_to_the_torques(
         assert torques[one] / currents[one] == pytest.approx(torques[other] / currents[other], rel=1e-5)
 
 
+@pytest.mark.captures("ur")
 def test_target_torques_of_a_real_arm(captures: Path) -> None:
     # A CB2 UR5 standing still; its payload is not in the packet.
     packet = (captures / "cb2_rt_812.bin").read_bytes()

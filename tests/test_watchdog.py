@@ -1,0 +1,80 @@
+"""A test that hangs ends the run with its stacks, whatever it hangs in."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+FORGETFUL = """
+    import ctypes, signal, threading, time
+    import pytest
+
+    def test_keeps_the_interpreter_lock():
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})  # the alarm would interrupt the sleep
+        ctypes.PyDLL(None).sleep(1000)
+
+    @pytest.fixture
+    def joins_a_blocked_thread():
+        thread = threading.Thread(target=threading.Event().wait, daemon=True)
+        thread.start()
+        yield
+        thread.join()
+
+    def test_fails_and_then_blocks_again(joins_a_blocked_thread):
+        assert False
+
+    def test_leaves_a_thread():
+        threading.Thread(target=threading.Event().wait).start()
+
+    def test_is_in_order():
+        pass
+"""
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """pytest over these tests, with the watchdog and without what else is installed: it starts faster."""
+    (folder / "test_forgetful.py").write_text("\n".join(line[4:] for line in FORGETFUL.splitlines()))
+    (folder / "pytest.ini").write_text("[pytest]\n")
+    plugins = ("-p", "pytest_timeout", "-p", "xdist", "-p", "tests.watchdog", "-p", "no:cacheprovider")
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", *plugins, *arguments, str(folder)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
+        capture_output=True,
+        text=True,
+        timeout=50,
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are blocked as POSIX systems do")
+@pytest.mark.parametrize(
+    ("name", "stack"),
+    [
+        ("keeps_the_interpreter_lock", "in test_keeps_the_interpreter_lock"),
+        ("fails_and_then_blocks_again", "in joins_a_blocked_thread"),
+        ("leaves_a_thread", "in _shutdown"),
+    ],
+)
+def test_a_run_with_a_hanging_test_ends_and_shows_where(tmp_path: Path, name: str, stack: str) -> None:
+    result = run(tmp_path, "--timeout=0.5", "-k", name)
+    assert result.returncode == 1
+    assert "Timeout" in result.stderr
+    assert stack in result.stderr
+
+
+def test_nothing_is_written_of_a_test_that_ends(tmp_path: Path) -> None:
+    result = run(tmp_path, "--timeout=20", "-k", "is_in_order")
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+def test_with_workers_the_other_tests_still_run(tmp_path: Path) -> None:
+    result = run(tmp_path, "--timeout=2", "-n", "1", "-k", "blocks_again or is_in_order")
+    assert result.returncode == 1
+    assert "crashed while running 'test_forgetful.py::test_fails_and_then_blocks_again'" in result.stdout
+    assert "1 passed" in result.stdout
