@@ -56,7 +56,7 @@ class PacedTransport:
     def open(self, timeout: float) -> None:
         pass
 
-    def receive(self) -> tuple[bytes, Stamp]:
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         now = time.perf_counter()
         if self._given is not None:
             self.costs.append(now - self._given)
@@ -76,10 +76,13 @@ class PacedTransport:
     def send(self, data: bytes, timeout: float) -> None:
         raise NotImplementedError
 
-    def close(self) -> None:
+    def abort(self) -> None:
         with self._go:
             self._closed = True
             self._go.notify_all()
+
+    def close(self) -> None:
+        self.abort()
 
 
 def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:

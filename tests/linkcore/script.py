@@ -102,7 +102,7 @@ class ScriptedTransport:
         with self._changed:
             self._closed = False
 
-    def receive(self) -> tuple[bytes, Stamp]:
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         with self._changed:
             assert self._changed.wait_for(lambda: self._items or self._closed, timeout=30)
             if self._closed:
@@ -118,7 +118,10 @@ class ScriptedTransport:
             raise refusal
         self.sent.append(data)
 
-    def close(self) -> None:
+    def abort(self) -> None:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+
+    def close(self) -> None:
+        self.abort()

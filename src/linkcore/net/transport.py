@@ -1,27 +1,54 @@
 """Where bytes come from: TCP with deadlines. Beside it only `linkcore.net.listener` imports `socket`.
 
-A transport is opened, asked for chunks until it raises, closed, and opened again. What it raises is
-always of this library's error tree: operating-system errors are mapped here and nowhere else.
+A transport is opened, asked for bytes until it raises, closed, and opened again. What it raises is always of this
+library's error tree: errors of the operating system are mapped here and nowhere else.
+
+What has been given up must not arrive later. TCP by itself does the opposite: what `send` handed to the kernel is
+retransmitted for minutes, also after `close` and after the end of the process (Linux: `tcp_retries2`, some 15 minutes),
+and arrives when the network is back. A robot would then carry out a motion whose caller was told long ago that it had
+failed. Three settings prevent that:
+
+- `SO_LINGER` of 0 s from the first moment on: whatever ends the connection, `abort`, a lost process or the garbage
+  collector, the kernel discards what it holds and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
+- `close` is the orderly way: it first waits, for a bounded time, until the peer's kernel has acknowledged everything.
+- `TCP_USER_TIMEOUT` (RFC 5482; Linux): the kernel ends the connection by itself where nothing is acknowledged for as
+  long as the peer may be silent. It works while this process is suspended or held up, when nobody could call `abort`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import select
 import socket
 import struct
 import sys
 import time
+import weakref
 from typing import Protocol
 
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from ..stamp import Stamp
 
+if sys.platform == "linux":
+    import fcntl
+    import termios
+
 __all__ = ["Finished", "TcpTransport", "Transport"]
 
 #: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
 _CHUNK = 65536
+
+#: Seconds that `close` waits for acknowledgements. Linux delays one by up to 40 ms, and a round trip is short beside
+#: that; the rest is for one retransmission, which Linux makes after 200 ms at the earliest.
+_DRAIN = 0.25
+
+#: Seconds after which a sender that waits for room looks whether it was closed here: not every system's poll can tell.
+_SLICE = 0.05
+
+#: A NamedTuple made without its own `__new__`, which is a call of Python code for each packet.
+_new_stamp = tuple.__new__
 
 
 class Finished(Exception):
@@ -37,14 +64,20 @@ class Transport(Protocol):
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds; raises `RemoteError`."""
 
-    def receive(self) -> tuple[bytes, Stamp]:
-        """Wait for bytes; with the moment they came. Raises `LinkTimeout`, `ConnectionLost` or `Finished`."""
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        """Wait for bytes, at most `timeout` seconds; with the moment they came.
+
+        Raises `LinkTimeout`, `ConnectionLost` or `Finished`.
+        """
 
     def send(self, data: bytes, timeout: float) -> None:
         """Send all of `data` within `timeout` seconds; raises `RemoteError`."""
 
+    def abort(self) -> None:
+        """Disconnect at once, discard what was not delivered, and wake whoever waits. Idempotent, from any thread."""
+
     def close(self) -> None:
-        """Disconnect, and wake whoever waits in `receive`. Idempotent, from any thread."""
+        """Disconnect once what was sent is delivered, in bounded time; then as `abort`."""
 
 
 class TcpTransport:
@@ -53,7 +86,8 @@ class TcpTransport:
     Args:
         host: name or address.
         port: TCP port.
-        silence: seconds without a byte after which `receive` raises `LinkTimeout`.
+        silence: seconds without a byte after which `receive` raises `LinkTimeout`, and without an acknowledgement after
+            which the kernel gives the connection up.
     """
 
     def __init__(self, host: str, port: int, *, silence: float) -> None:
@@ -62,7 +96,7 @@ class TcpTransport:
         self.silence = silence
         self.name = f"{host}:{port}"
         self._socket: socket.socket | None = None
-        self._patience = silence  # what the socket has been told
+        self._receive_timeout = silence  # what the socket has been told
 
     @classmethod
     def accepted(cls, connection: socket.socket, host: str, port: int, *, silence: float) -> TcpTransport:
@@ -77,7 +111,7 @@ class TcpTransport:
         except OSError as error:
             connection.close()
             raise mapped(error, transport.name, silence, ConnectionLost) from error
-        transport._socket = connection
+        transport._adopt(connection)
         return transport
 
     def open(self, timeout: float) -> None:
@@ -87,12 +121,17 @@ class TcpTransport:
             ConnectFailed: refused, unreachable, or no such host.
             LinkTimeout: nobody answered in time.
         """
-        self.close()
+        self.abort()
         try:
-            self._socket = _connected(self.host, self.port, timeout, self.silence)
-            self._patience = self.silence
+            connection = _connected(self.host, self.port, timeout, self.silence)
         except (OSError, ValueError) as error:
             raise mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
+        self._adopt(connection)
+
+    def _adopt(self, connection: socket.socket) -> None:
+        self._receive_timeout = self.silence
+        self._socket = connection
+        _connections.add(self)
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """Wait for bytes; with the moment they came.
@@ -101,30 +140,32 @@ class TcpTransport:
             timeout: seconds to wait for the first of them; by default `silence`.
 
         Raises:
-            LinkTimeout: silent for too long.
-            ConnectionLost: the peer closed or reset the connection, or `close` was called.
+            LinkTimeout: nothing came in that time, although this thread was there to receive it: the kernel waited.
+            ConnectionLost: the peer closed or reset the connection, `close` or `abort` was called, or the kernel gave
+                it up because nothing was acknowledged.
         """
         connection = self._socket
         if connection is None:
             raise ConnectionLost(f"{self.name} is not connected")
-        patience = self.silence if timeout is None else max(timeout, 0.0)
+        if timeout is None:
+            timeout = self.silence
         try:
-            # A hundredth more is not worth a system call for each packet, where the timeout is what a deadline leaves.
-            if not 0.99 * self._patience <= patience <= self._patience:
-                _set_receive_timeout(connection, patience)
-                self._patience = patience
+            if timeout != self._receive_timeout:
+                self._set_receive_timeout(connection, max(timeout, 0.0))
             data = connection.recv(_CHUNK)
         except BlockingIOError:
-            raise LinkTimeout(f"{self.name}: nothing within {patience:g} s") from None
+            raise LinkTimeout(f"{self.name}: nothing within {max(timeout, 0.0):g} s") from None
         except OSError as error:
-            raise mapped(error, f"{self.name}", patience, ConnectionLost) from error
-        return self._arrived(connection, data)
+            raise mapped(error, self.name, timeout, ConnectionLost) from error
+        if not data:
+            raise self._ended(connection)
+        return data, _new_stamp(Stamp, (time.monotonic(), time.time()))
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
         """The bytes that have come already, or None; never waits.
 
         Raises:
-            ConnectionLost: the peer closed or reset the connection, or `close` was called.
+            ConnectionLost: the peer closed or reset the connection, or it was closed here.
         """
         connection = self._socket
         if connection is None:
@@ -132,54 +173,122 @@ class TcpTransport:
         try:
             if sys.platform == "win32":
                 connection.settimeout(0)
-                self._patience = 0.0
+                self._receive_timeout = 0.0
             data = connection.recv(_CHUNK, getattr(socket, "MSG_DONTWAIT", 0))
         except BlockingIOError:
             return None
         except OSError as error:
-            raise mapped(error, f"{self.name}", 0.0, ConnectionLost) from error
-        return self._arrived(connection, data)
-
-    def _arrived(self, connection: socket.socket, data: bytes) -> tuple[bytes, Stamp]:
+            raise mapped(error, self.name, 0.0, ConnectionLost) from error
         if not data:
-            by = "closed the connection" if self._socket is connection else "was closed here"
-            raise ConnectionLost(f"{self.name} {by}")
-        return data, Stamp(time.monotonic(), time.time())
+            raise self._ended(connection)
+        return data, Stamp.now()
+
+    def _set_receive_timeout(self, connection: socket.socket, timeout: float) -> None:
+        # One percent more is not worth a system call for each packet, where the timeout is what a deadline leaves.
+        if not 0.99 * self._receive_timeout <= timeout <= self._receive_timeout:
+            _set_receive_timeout(connection, timeout)
+            self._receive_timeout = timeout
+
+    def _ended(self, connection: socket.socket) -> ConnectionLost:
+        by = "closed the connection" if self._socket is connection else "was closed here"
+        return ConnectionLost(f"{self.name} {by}")
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Send all of `data` within `timeout` seconds.
+        """Send all of `data` within `timeout` seconds: hand it to the kernel.
 
         Raises:
             LinkTimeout: the peer did not take it in time; part of it may have been sent.
             ConnectionLost: the connection is gone.
         """
+        until = time.monotonic() + timeout
+        rest = memoryview(data)
+        while rest:
+            sent = self.send_some(rest)
+            rest = rest[sent:]
+            if not sent and not self.wait_for_room(until - time.monotonic()):
+                raise LinkTimeout(f"sending to {self.name}: nothing within {timeout:g} s")
+
+    def send_some(self, data: bytes | memoryview) -> int:
+        """Hand as much of `data` to the kernel as it takes at once, and say how many bytes that is; never waits.
+
+        Raises:
+            ConnectionLost: the connection is gone.
+        """
         connection = self._socket
         if connection is None:
             raise ConnectionLost(f"{self.name} is not connected")
-        until = time.monotonic() + timeout
-        rest = memoryview(data)
         # The socket blocks, for the sake of `receive`: where a send cannot be told not to, ask for room first.
         flags = getattr(socket, "MSG_DONTWAIT", 0)
-        ask = not flags
         try:
-            while rest:
-                if ask and not _has_room(connection, max(until - time.monotonic(), 0.0)):
-                    raise TimeoutError
-                try:
-                    rest = rest[connection.send(rest, flags) :]
-                except BlockingIOError:  # there is no room, or another thread has just taken it
-                    ask = True
+            if not flags and not _has_room(connection, 0.0):
+                return 0
+            return connection.send(data, flags)
+        except BlockingIOError:  # there is no room, or another thread has just taken it
+            return 0
         except OSError as error:
-            raise mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
+            raise mapped(error, f"sending to {self.name}", 0.0, ConnectionLost) from error
 
-    def close(self) -> None:
-        """Disconnect, and wake whoever waits in `receive`."""
+    def wait_for_room(self, timeout: float) -> bool:
+        """Wait until `send_some` can send something; False when time is up.
+
+        Raises:
+            ConnectionLost: the connection is gone.
+        """
+        until = time.monotonic() + timeout
+        while (connection := self._socket) is not None:
+            left = max(until - time.monotonic(), 0.0)
+            try:
+                if _has_room(connection, min(left, _SLICE)):
+                    return True
+            except OSError as error:
+                raise mapped(error, f"sending to {self.name}", timeout, ConnectionLost) from error
+            if left <= _SLICE:
+                return False
+        raise ConnectionLost(f"sending to {self.name}: closed here")
+
+    def abort(self) -> None:
+        """Disconnect at once: the kernel discards what the peer has not acknowledged. Wakes who receives or sends."""
         connection, self._socket = self._socket, None
         if connection is None:
             return
+        # Not SHUT_RDWR: that would put the end of the stream behind the bytes to be discarded, and have both delivered.
         with contextlib.suppress(OSError):  # already gone: nobody is waiting on it then
-            connection.shutdown(socket.SHUT_RDWR)
+            connection.shutdown(socket.SHUT_RD)
         connection.close()
+
+    def close(self, timeout: float = _DRAIN) -> None:
+        """Disconnect when the peer's kernel has acknowledged all that was sent; after `timeout` seconds as `abort`.
+
+        `receive` goes on meanwhile. Where the operating system does not say what is acknowledged (Linux and macOS do,
+        Windows does not), it closes at once and the kernel goes on delivering: `abort` what must not arrive any more.
+        """
+        connection = self._socket
+        if connection is None:
+            return
+        with contextlib.suppress(OSError, ValueError):  # ended by the peer, or by `abort` in another thread
+            connection.shutdown(socket.SHUT_WR)  # whoever still sends is refused from now on
+            if _is_delivered(connection, timeout):
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))
+        self.abort()
+
+
+#: The transports that are connected.
+_connections: weakref.WeakSet[TcpTransport] = weakref.WeakSet()
+
+
+def _leave_to_parent() -> None:
+    """Run in a forked child: close its copies of the sockets, so that nothing it calls ends the parent's connections.
+
+    A copy that stayed open would also keep the kernel from ending a connection that the parent closes.
+    """
+    for transport in list(_connections):
+        connection, transport._socket = transport._socket, None
+        if connection is not None:
+            connection.close()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 def _connected(host: str, port: int, timeout: float, silence: float) -> socket.socket:
@@ -208,24 +317,70 @@ def _connected(host: str, port: int, timeout: float, silence: float) -> socket.s
     raise failure or OSError(f"{host} has no address")
 
 
+#: struct linger: is it on, seconds. Two ints, but two shorts on Windows (winsock2.h).
+_LINGER = struct.Struct("hh" if sys.platform == "win32" else "ii")
+
+
 def _prepare(connection: socket.socket, silence: float) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(1, 0))
     # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        # In ms, and 0 is the system's default. `silence`, since after that this side calls the connection lost too.
+        milliseconds = min(max(round(silence * 1e3), 1), 2**31 - 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
     _set_receive_timeout(connection, silence)
 
 
 def _has_room(connection: socket.socket, seconds: float) -> bool:
-    """Wait until something can be sent; False when time is up."""
+    """Wait until something can be sent; False when time is up.
+
+    Raises:
+        OSError: the connection ended, or was ended here.
+    """
     number = connection.fileno()
     if number < 0:
         raise OSError(errno.EBADF, "closed")
     if sys.platform == "win32":
         return bool(select.select([], [connection], [], seconds)[1])
-    # Not select: it takes no descriptors beyond 1023, and a program with many robots has those.
+    # Not select: it takes no descriptors beyond 1023, and a program with many robots has those. While poll waits, the
+    # kernel keeps the socket open, so `abort` takes effect when poll returns: POLLRDHUP makes SHUT_RD wake it (Linux).
+    ended = getattr(select, "POLLRDHUP", 0)
     poll = select.poll()
-    poll.register(number, select.POLLOUT)
-    return bool(poll.poll(seconds * 1e3))
+    poll.register(number, select.POLLOUT | ended)
+    events = sum(mask for _, mask in poll.poll(seconds * 1e3))
+    if events & ended and not events & select.POLLOUT:
+        raise OSError(errno.EPIPE, "the connection ended")
+    return bool(events)
+
+
+def _is_delivered(connection: socket.socket, timeout: float) -> bool:
+    """Wait until the peer's kernel has acknowledged all bytes; False when time is up, True where nobody can tell.
+
+    The sending side has been shut down before, so that nothing is added meanwhile.
+    """
+    until = time.monotonic() + timeout
+    # An acknowledgement takes some 50 us on a local network, and up to 40 ms where it is delayed.
+    pause = 0.0002
+    while _unacknowledged(connection) > 1:  # the end of the stream, which nobody has to wait for, counts as one byte
+        if time.monotonic() >= until:
+            return False
+        time.sleep(pause)
+        pause = min(2 * pause, 0.01)
+    return True
+
+
+def _unacknowledged(connection: socket.socket) -> int:
+    """Bytes that were sent and not acknowledged, and one for the end of the stream; 0 where nobody can tell."""
+    if sys.platform == "linux":
+        # SIOCOUTQ has the number of TIOCOUTQ (linux/sockios.h).
+        (count,) = struct.unpack("i", fcntl.ioctl(connection, termios.TIOCOUTQ, bytes(4)))
+    elif sys.platform == "darwin":
+        count = connection.getsockopt(socket.SOL_SOCKET, 0x1024)  # SO_NWRITE of sys/socket.h; not tried on a Mac
+    else:
+        count = 0
+    return int(count)
 
 
 def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
@@ -237,16 +392,25 @@ def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
         connection.settimeout(seconds)
         return
     connection.settimeout(None)
+    # struct timeval is two words of 4 or 8 bytes, and the option itself tells which. `long` would be wrong on a 32-bit
+    # system whose time_t has 64 bits (Debian 13, and Raspberry Pi OS made from it): it takes two words of 8.
+    size = len(connection.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 32))
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds, size))
+
+
+def _timeval(seconds: float, size: int) -> bytes:
+    """A struct timeval of `size` bytes. Never 0, which means for ever."""
     whole = int(seconds)
-    connection.setsockopt(
-        socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", whole, max(int((seconds - whole) * 1e6), 1))
-    )
+    return struct.pack("qq" if size == 16 else "ii", whole, max(int((seconds - whole) * 1e6), 1))
 
 
 def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
     """The one place where operating-system errors become the library's own."""
     if isinstance(error, ValueError):  # a part of the name is too long, or holds what no name may
         return otherwise(f"{doing}: no such host ({error})")
+    if error.errno == errno.ETIMEDOUT and otherwise is ConnectionLost:
+        # Not that nothing came: TCP_USER_TIMEOUT or keepalive has ended the connection.
+        return otherwise(f"{doing}: the peer no longer acknowledges what is sent, so the connection was given up")
     if isinstance(error, TimeoutError):
         return LinkTimeout(f"{doing}: nothing within {timeout:g} s")
     if isinstance(error, socket.gaierror):

@@ -87,8 +87,8 @@ class ReplayTransport:
         if record is None and again:
             raise Finished
 
-    def receive(self) -> tuple[bytes, Stamp]:
-        """Wait until the next chunk is due.
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        """Wait until the next chunk is due, however long that is.
 
         Raises:
             Finished: that was all.
@@ -134,6 +134,10 @@ class ReplayTransport:
         """
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
-    def close(self) -> None:
+    def abort(self) -> None:
         """Wake whoever waits."""
         self._closed.set()
+
+    def close(self) -> None:
+        """As `abort`: there is nothing to deliver."""
+        self.abort()

@@ -151,8 +151,12 @@ class Stream(Feed[T]):
             try:
                 self._transport.send(data, timeout)
             except LinkTimeout:
-                self._transport.close()
+                self._transport.abort()
                 raise
+
+    def _abort(self) -> None:
+        """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
+        self._transport.abort()
 
     def _not_connected(self) -> Exception:
         if self._closing.is_set() or self._over:
@@ -359,7 +363,7 @@ class Stream(Feed[T]):
         self._settled.set()
 
     def _disconnected(self, error: Exception | None) -> None:
-        self._transport.close()
+        self._transport.abort()
         self._distribution.forget()
         session, self._session = self._session, None
         if session is not None:
@@ -369,7 +373,7 @@ class Stream(Feed[T]):
         self._tell(ConnectionState.LOST, error)
 
     def _finish(self, failure: Exception | None) -> None:
-        self._transport.close()
+        self._transport.abort()
         if failure is not None or self._closing.is_set():
             self._distribution.forget()  # the last of a recording stays: it is no older than the others
         with self._lock:

@@ -111,9 +111,13 @@ class ReverseLink:
         )
 
     def close(self) -> None:
-        """Close the port and the connection. Idempotent."""
+        """Close the port and the connection; never waits. Idempotent.
+
+        Set-points that the robot has not acknowledged are discarded. The program sees that its connection ended, and
+        brakes by itself.
+        """
         with self._closing:
             self._is_closed = True
         self._listener.close()
         if self._connection is not None:
-            self._connection.close()
+            self._connection.close(0)

@@ -1,0 +1,336 @@
+"""What was given up does not arrive later, and what was closed in good order arrives.
+
+The peers here have a small receive buffer and do not read, so that what is sent stays in this side's kernel: as it does
+where the network is away, but without needing one.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from linkcore.errors import ConnectionLost
+from linkcore.net import transport as module
+from linkcore.net.transport import TcpTransport
+from tests.waiting import until
+
+#: Seconds that a test waits for what must come at once.
+PATIENCE = 10.0
+BLOCK = b"movej" * 1000
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.socket() as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # connections inherit it
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        listener.settimeout(PATIENCE)
+        yield listener
+
+
+@pytest.fixture
+def peer(listener: socket.socket, transport: TcpTransport) -> Iterator[socket.socket]:
+    connection, _ = listener.accept()
+    connection.settimeout(PATIENCE)
+    with connection:
+        yield connection
+
+
+@pytest.fixture
+def transport(listener: socket.socket) -> Iterator[TcpTransport]:
+    transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=PATIENCE)
+    transport.open(PATIENCE)
+    yield transport
+    transport.abort()
+
+
+def fill(transport: TcpTransport) -> int:
+    """Send until the kernel takes no more; how many bytes it took."""
+    taken = 0
+    while (sent := transport.send_some(BLOCK)) or transport.wait_for_room(0.05):
+        taken += sent
+    return taken
+
+
+def drained(connection: socket.socket) -> tuple[int, bool]:
+    """How many bytes arrive until the connection ends, and whether it ends in good order."""
+    total = 0
+    try:
+        while data := connection.recv(1 << 16):
+            total += len(data)
+    except ConnectionResetError:
+        return total, False
+    return total, True
+
+
+def test_what_the_kernel_holds_is_discarded(transport: TcpTransport, peer: socket.socket) -> None:
+    taken = fill(transport)
+    transport.abort()
+    arrived, in_order = drained(peer)
+    assert arrived < taken
+    assert not in_order
+
+
+def test_abort_takes_effect_although_another_thread_waits_to_send(transport: TcpTransport, peer: socket.socket) -> None:
+    errors: list[Exception] = []
+    taken = fill(transport)
+
+    def send() -> None:
+        try:
+            transport.send(BLOCK * 10_000, PATIENCE)
+        except ConnectionLost as error:
+            errors.append(error)
+
+    waiting = threading.Thread(target=send)
+    waiting.start()
+    time.sleep(0.05)  # most likely in poll by then; the outcome is the same if not
+    began = time.monotonic()
+    transport.abort()
+    waiting.join(PATIENCE)
+    assert time.monotonic() - began < PATIENCE / 2
+    assert errors
+    assert drained(peer)[0] < taken
+
+
+def test_abort_takes_effect_although_another_thread_receives(transport: TcpTransport, peer: socket.socket) -> None:
+    errors: list[Exception] = []
+
+    def receive() -> None:
+        try:
+            transport.receive()
+        except ConnectionLost as error:
+            errors.append(error)
+
+    waiting = threading.Thread(target=receive)
+    waiting.start()
+    taken = fill(transport)
+    transport.abort()
+    waiting.join(PATIENCE)
+    assert errors
+    assert drained(peer)[0] < taken
+
+
+def test_close_delivers_what_was_sent(transport: TcpTransport, peer: socket.socket) -> None:
+    taken = fill(transport)
+    closing = threading.Thread(target=transport.close, args=(PATIENCE,))
+    closing.start()
+    assert drained(peer) == (taken, True)
+    closing.join(PATIENCE)
+    assert not closing.is_alive()
+
+
+def test_close_waits_no_longer_than_it_was_told(transport: TcpTransport, peer: socket.socket) -> None:
+    taken = fill(transport)
+    began = time.monotonic()
+    transport.close(0.1)
+    assert 0.1 <= time.monotonic() - began < PATIENCE / 2
+    arrived, in_order = drained(peer)
+    assert arrived < taken
+    assert not in_order
+
+
+def test_close_with_nothing_left_to_deliver_is_quick(transport: TcpTransport, peer: socket.socket) -> None:
+    transport.send(b"set_digital_out(0, True)\n", PATIENCE)
+    began = time.monotonic()
+    transport.close(PATIENCE)
+    assert time.monotonic() - began < PATIENCE / 2
+    assert drained(peer) == (25, True)
+
+
+def test_abort_ends_a_close_that_waits(transport: TcpTransport, peer: socket.socket) -> None:
+    taken = fill(transport)
+    closing = threading.Thread(target=transport.close, args=(PATIENCE,))
+    closing.start()
+    time.sleep(0.02)  # most likely waiting by then; the outcome is the same if not
+    transport.abort()
+    closing.join(PATIENCE / 2)
+    assert not closing.is_alive()
+    assert drained(peer)[0] < taken
+
+
+def test_nothing_can_be_sent_after_close_has_begun(transport: TcpTransport, peer: socket.socket) -> None:
+    fill(transport)
+    closing = threading.Thread(target=transport.close, args=(PATIENCE,))
+    closing.start()
+
+    def is_refused() -> bool:
+        try:
+            transport.send_some(b"movej")
+        except ConnectionLost:
+            return True
+        return False
+
+    until(is_refused)
+    transport.abort()
+    closing.join(PATIENCE)
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="how other systems end the connections of a killed process is theirs"
+)
+def test_a_killed_process_sends_nothing_any_more(listener: socket.socket) -> None:
+    source = (
+        "import sys, time\n"
+        "from linkcore.net.transport import TcpTransport\n"
+        "transport = TcpTransport('127.0.0.1', int(sys.argv[1]), silence=60)\n"
+        "transport.open(10)\n"
+        "taken = 0\n"
+        "while (sent := transport.send_some(b'movej' * 1000)) or transport.wait_for_room(0.05):\n"
+        "    taken += sent\n"
+        "print(taken, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    command = [sys.executable, "-c", source, str(listener.getsockname()[1])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        connection, _ = listener.accept()
+        with connection:
+            connection.settimeout(PATIENCE)
+            assert process.stdout is not None
+            taken = int(process.stdout.readline())
+            process.kill()
+            process.wait(PATIENCE)
+            assert drained(connection)[0] < taken
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="this system has no TCP_USER_TIMEOUT")
+def test_the_kernel_gives_up_by_itself_what_is_not_acknowledged(listener: socket.socket) -> None:
+    """As it has to while this process is suspended: nothing here calls `abort` or `close`."""
+    transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=0.3)
+    transport.open(PATIENCE)
+    connection, _ = listener.accept()
+    with connection:
+        taken = fill(transport)
+        with pytest.raises(ConnectionLost, match="no longer acknowledges"):
+            transport.receive(PATIENCE)
+        connection.settimeout(PATIENCE)
+        assert drained(connection)[0] < taken
+    transport.abort()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_child_cannot_end_the_connection(listener: socket.socket) -> None:
+    """In a process of its own, which has one thread: forking one with more is asking for trouble."""
+    source = (
+        "import os, sys\n"
+        "from linkcore.net.transport import TcpTransport\n"
+        "from linkcore.errors import ConnectionLost\n"
+        "transport = TcpTransport('127.0.0.1', int(sys.argv[1]), silence=60)\n"
+        "transport.open(10)\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    try:\n"
+        "        transport.receive(0)\n"
+        "    except ConnectionLost:\n"
+        "        transport.close()\n"
+        "        transport.abort()\n"
+        "        os._exit(0)\n"
+        "    os._exit(1)\n"
+        "_, status = os.waitpid(child, 0)\n"
+        "transport.send(b'%d' % status, 10)\n"
+        "print(transport.receive(10)[0].decode())\n"
+        "transport.close()\n"
+    )
+    command = [sys.executable, "-c", source, str(listener.getsockname()[1])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        connection, _ = listener.accept()
+        with connection:
+            connection.settimeout(PATIENCE)
+            assert connection.recv(10) == b"0", "the child was told that it is not connected"
+            connection.sendall(b"still here")
+            assert process.communicate(timeout=PATIENCE)[0] == "still here\n"
+
+
+# -- a network that goes away ----------------------------------------------------------------------------
+
+_CUT = """
+import socket, subprocess, sys, time
+from linkcore.net.transport import TcpTransport
+
+def loopback(state):
+    subprocess.run(["ip", "link", "set", "lo", state], check=True)
+
+loopback("up")
+with socket.create_server(("127.0.0.1", 0)) as server:
+    transport = TcpTransport("127.0.0.1", server.getsockname()[1], silence=60)
+    transport.open(10)
+    peer, _ = server.accept()
+    peer.settimeout(float(sys.argv[2]))
+    loopback("down")
+    transport.send(b"movej", 1)
+    if sys.argv[1] != "keep":
+        getattr(transport, sys.argv[1])()
+    time.sleep(0.3)
+    loopback("up")
+    try:
+        print("arrived:", peer.recv(10))
+    except OSError as error:
+        print("nothing:", type(error).__name__)
+"""
+
+
+def cut(doing: str, seconds: float) -> str:
+    """Take the network away, send, do that, bring the network back; what arrives within so many seconds."""
+    if sys.platform != "linux" or shutil.which("unshare") is None or shutil.which("ip") is None:
+        pytest.skip("a network of its own takes Linux with unshare and ip")
+    alone = ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--net", "--map-root-user"]
+    if subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("this user may not make a network of its own")
+    command = [*alone, sys.executable, "-c", _CUT, doing, str(seconds)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.strip()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("doing", ["abort", "close"])
+def test_a_network_that_comes_back_brings_nothing_that_was_given_up(doing: str) -> None:
+    # Linux sends again after 0.2, 0.6 and 1.4 s, so that what is not given up arrives in that time: see below.
+    assert cut(doing, 2.0).startswith("nothing")
+
+
+@pytest.mark.slow
+def test_a_network_that_comes_back_brings_what_was_not_given_up() -> None:
+    """The test above would see it."""
+    assert cut("keep", 10.0) == "arrived: b'movej'"
+
+
+# -- options of the socket -----------------------------------------------------------------------------
+
+
+def test_times_of_either_width() -> None:
+    """Two words of 4 bytes, or of 8 where time_t has 64 bits, on 32-bit systems too."""
+    little = sys.byteorder == "little"
+    assert module._timeval(2.5, 8).hex() == ("0200000020a10700" if little else "000000020007a120")
+    assert module._timeval(2.5, 16).hex() == (
+        "020000000000000020a1070000000000" if little else "0000000000000002000000000007a120"
+    )
+
+
+def test_a_timeout_of_nothing_is_not_for_ever(transport: TcpTransport, peer: socket.socket) -> None:
+    assert module._timeval(0.0, 16) != bytes(16)
+
+
+def test_the_kernel_is_told_to_discard_and_when_to_give_up(transport: TcpTransport, peer: socket.socket) -> None:
+    assert transport._socket is not None
+    size = module._LINGER.size
+    assert transport._socket.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, size) == module._LINGER.pack(1, 0)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        assert transport._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == PATIENCE * 1000
+
+
+def test_a_peer_that_only_sends_no_more_ends_a_send_that_waits(transport: TcpTransport, peer: socket.socket) -> None:
+    """It has half-closed and does not read: `receive` would say that it closed the connection."""
+    fill(transport)
+    peer.shutdown(socket.SHUT_WR)
+    assert transport._socket is not None
+    assert select.select([transport._socket], [], [], PATIENCE)[0]
+    with pytest.raises(ConnectionLost):
+        transport.send(BLOCK * 10_000, PATIENCE if hasattr(select, "POLLRDHUP") else 0.0)
