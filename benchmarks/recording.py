@@ -76,6 +76,12 @@ class PacedTransport:
     def send(self, data: bytes, timeout: float) -> None:
         raise NotImplementedError
 
+    def send_some(self, data: bytes | memoryview) -> int:
+        raise NotImplementedError
+
+    def wait_for_room(self, timeout: float) -> bool:
+        raise NotImplementedError
+
     def abort(self) -> None:
         with self._go:
             self._closed = True

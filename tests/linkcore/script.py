@@ -88,6 +88,8 @@ class ScriptedTransport:
         self.sent: list[bytes] = []
         #: raised by the next `send`
         self.refusal: Exception | None = None
+        #: bytes that `send_some` takes until `make_room` says otherwise; None for all
+        self.room: int | None = None
 
     def put(self, *items: bytes | Exception) -> None:
         with self._changed:
@@ -117,6 +119,32 @@ class ScriptedTransport:
         if refusal is not None:
             raise refusal
         self.sent.append(data)
+
+    def send_some(self, data: bytes | memoryview) -> int:
+        refusal, self.refusal = self.refusal, None
+        if refusal is not None:
+            raise refusal
+        if self._closed:
+            raise ConnectionLost("script is not connected")
+        with self._changed:
+            count = len(data) if self.room is None else min(self.room, len(data))
+            if self.room is not None:
+                self.room -= count
+        if count:
+            self.sent.append(bytes(data[:count]))
+        return count
+
+    def wait_for_room(self, timeout: float) -> bool:
+        with self._changed:
+            self._changed.wait_for(lambda: self.room != 0 or self._closed, timeout)
+            if self._closed:
+                raise ConnectionLost("script is not connected")
+            return self.room != 0
+
+    def make_room(self, room: int | None) -> None:
+        with self._changed:
+            self.room = room
+            self._changed.notify_all()
 
     def abort(self) -> None:
         with self._changed:

@@ -73,6 +73,12 @@ class Transport(Protocol):
     def send(self, data: bytes, timeout: float) -> None:
         """Send all of `data` within `timeout` seconds; raises `RemoteError`."""
 
+    def send_some(self, data: bytes | memoryview) -> int:
+        """Hand over what is taken at once; its number of bytes. Never waits; raises `ConnectionLost`."""
+
+    def wait_for_room(self, timeout: float) -> bool:
+        """Wait until `send_some` can send something; False when time is up; raises `ConnectionLost`."""
+
     def abort(self) -> None:
         """Disconnect at once, discard what was not delivered, and wake whoever waits. Idempotent, from any thread."""
 

@@ -134,6 +134,14 @@ class ReplayTransport:
         """
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
+    def send_some(self, data: bytes | memoryview) -> int:
+        """As `send`."""
+        raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
+
+    def wait_for_room(self, timeout: float) -> bool:
+        """There never is any."""
+        return False
+
     def abort(self) -> None:
         """Wake whoever waits."""
         self._closed.set()

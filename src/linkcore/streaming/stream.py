@@ -154,6 +154,25 @@ class Stream(Feed[T]):
                 self._transport.abort()
                 raise
 
+    def _send_some(self, data: bytes | memoryview) -> int:
+        """Hand to the kernel what it takes at once; its number of bytes. Neither waits nor takes a lock.
+
+        Raises:
+            ConnectionLost: there is no connection at present.
+            Closed: the stream was closed.
+        """
+        if self._connection is not ConnectionState.CONNECTED:
+            raise self._not_connected()
+        return self._transport.send_some(data)
+
+    def _wait_for_room(self, timeout: float) -> bool:
+        """Wait until something can be sent; False when time is up."""
+        return self._transport.wait_for_room(timeout)
+
+    def _reads_here(self) -> bool:
+        """The current thread is the one that reads."""
+        return threading.current_thread() is self._reader
+
     def _abort(self) -> None:
         """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
         self._transport.abort()
