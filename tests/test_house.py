@@ -84,7 +84,8 @@ def test_the_imports_are_read() -> None:
     assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= set(
         imports("urlink.simulator.controller")
     )
-    assert {"urlink.interfaces.headers", "linkcore.wire.framing"} <= set(imports("urlink.interfaces.realtime.protocol"))
+    framing = set(imports("urlink.interfaces.realtime.framing"))
+    assert {"urlink.interfaces.headers", "urlink.interfaces.enums"} <= framing
     assert "urlink.decode" in set(imports("urlink"))
 
 

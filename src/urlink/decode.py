@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal, overload
 
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.packet import State
 
 from .firmware import Firmware, release_of
-from .interfaces.primary.protocol import PackageBorder, PackageDecoder
+from .interfaces.primary.framing import PackageBoundary
+from .interfaces.primary.protocol import PackageDecoder
+from .interfaces.realtime.framing import RealtimeBoundary
 from .interfaces.realtime.packets import RealtimeState
-from .interfaces.realtime.protocol import RealtimeBorder
 
 __all__ = ["INTERFACES", "Interface", "decode"]
 
@@ -30,7 +32,7 @@ def decode(
     """Decode one or many whole packets.
 
     Args:
-        data: the bytes, beginning at the border of a packet and ending at one.
+        data: the bytes, whole packets, one after the other.
         interface: "realtime" (port 30003), "primary" (30001) or "secondary" (30002).
         firmware: the controller's version, such as "5.11"; None works it out from lengths. A packet
             longer than the firmware's layout is decoded as far as it is known, the rest is its tail.
@@ -52,37 +54,30 @@ def decode(
     """
     if interface not in INTERFACES:
         raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-    version = None
-    if firmware is not None:
-        version = Firmware.parse(firmware)
-        release_of(version)
+    version = None if firmware is None else _known(firmware)
     data = bytes(data)
-    border: RealtimeBorder | PackageBorder = PackageBorder()
+    end = len(data)
     name = "RealtimeState" if interface == "realtime" else "package"
     decoder = PackageDecoder(version)
+    boundary: RealtimeBoundary | PackageBoundary = PackageBoundary()
     states: list[State] = []
     at = 0
-    while at < len(data):
+    while at < end:
         if interface == "realtime":
-            border = RealtimeBorder()  # it learns one length, as one connection has; here there may be several
-        if len(data) - at < border.header:
-            raise _cut_off(name, version, border.header, len(data) - at, at)
-        size = border.size_at(data, at)
-        if size == 0:
-            raise PacketError(
-                f"no packet of the {interface} interface begins with {data[at : at + 8].hex(' ')}",
-                packet=name,
-                version=None if version is None else str(version),
-                offset=at,
-            )
-        if size > len(data) - at:
-            raise _cut_off(name, version, size, len(data) - at, at)
-        frame = data[at : at + size]
+            boundary = (
+                RealtimeBoundary()
+            )  # it learns one size, as one connection has. Here each packet may have another
+        size, need = boundary.declared(data, at)
         try:
-            if interface == "realtime":
-                states.append(RealtimeState.LAYOUTS.decode(frame, version))
-            else:
-                states.append(decoder.decode(frame))
+            if need > end - at:
+                raise PacketError("cut off", packet=name, expected=need, actual=end - at)
+            if not size:
+                begin = data[at : at + 8].hex(" ")
+                raise PacketError(f"no packet of the {interface} interface begins with {begin}", packet=name)
+            frame = data[at : at + size]
+            states.append(
+                RealtimeState.LAYOUTS.decode(frame, version) if interface == "realtime" else decoder.decode(frame)
+            )
         except PacketError as error:
             raise PacketError(
                 error.reason,
@@ -96,12 +91,9 @@ def decode(
     return states
 
 
-def _cut_off(name: str, version: Firmware | None, expected: int, actual: int, offset: int) -> PacketError:
-    return PacketError(
-        "cut off",
-        packet=name,
-        version=None if version is None else str(version),
-        expected=expected,
-        actual=actual,
-        offset=offset,
-    )
+@lru_cache
+def _known(firmware: str | Firmware) -> Firmware:
+    """The firmware, if something is known about it."""
+    version = Firmware.parse(firmware)
+    release_of(version)
+    return version

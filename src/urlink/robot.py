@@ -14,7 +14,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 from linkcore.wire.packet import State
-from linkcore.wire.protocol import Session
+from linkcore.wire.protocol import PacketProtocol
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .commanding.control import Control
@@ -319,7 +319,7 @@ class Robot:
         transport = self._origin.transport(name)
         connections = itertools.count()
 
-        def session() -> Session:
+        def session() -> PacketProtocol:
             if next(connections):
                 self._is_stale = True
             return RealtimeProtocol() if name == "realtime" else PrimaryProtocol()

@@ -24,27 +24,24 @@ class Count(State):
     number: int = wire(Int32ub)
 
 
-class CountBorder:
-    header = 1
+class CountBoundary:
     largest = 5
+    pace = 1
 
     def __str__(self) -> str:
         return "counts"
 
-    def size_at(self, buffer: bytes, at: int) -> int:
-        return 5 if buffer[at] == 5 else 0
-
-    def whole(self, buffer: bytes) -> list[bytes]:
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         return []
 
-    def is_broken(self, buffer: bytes, at: int, size: int) -> bool:
-        return False
+    def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        return (5, 5) if buffer[at] == 5 else (0, 0)
 
-    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
+    def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
         at = buffer.find(b"\x05", start)
-        return (len(buffer), False) if at < 0 else (at, True)
+        return (len(buffer), 0, 1) if at < 0 else (at, 5, 5)
 
-    def peer(self, buffer: bytes) -> str | None:
+    def peer(self, buffer: bytes | bytearray) -> str | None:
         return None
 
 
@@ -52,9 +49,9 @@ class CountBorder:
 BAD = 666
 
 
-class CountSession:
+class CountProtocol:
     def __init__(self) -> None:
-        self.framer = Framer(CountBorder())
+        self.framer = Framer(CountBoundary())
         self.unknown = self.tails = 0
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Count:
@@ -63,8 +60,15 @@ class CountSession:
             raise PacketError("bad on purpose", packet="Count")
         return count
 
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[Count]:
-        return [self.decode(frame, stamp) for frame in frames]
+    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> tuple[list[Count], list[PacketError]]:
+        counts: list[Count] = []
+        failures: list[PacketError] = []
+        for frame in frames:
+            try:
+                counts.append(self.decode(frame, stamp))
+            except PacketError as error:
+                failures.append(error)
+        return counts, failures
 
 
 def counts(*numbers: int) -> bytes:

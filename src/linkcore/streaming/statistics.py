@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 
 from ..stamp import Stamp
-from ..wire.protocol import Session
+from ..wire.protocol import PacketProtocol
 
 __all__ = ["StreamStatistics", "SubscriptionStatistics", "Tally"]
 
@@ -89,7 +89,7 @@ class Tally:
         self._window = (time.monotonic(), self.received)
         self._rate = 0.0
 
-    def disconnected(self, session: Session) -> None:
+    def disconnected(self, session: PacketProtocol) -> None:
         """It is over; what its protocol counted stays counted."""
         framer = session.framer
         self._skipped += framer.skipped + len(framer.rest)
@@ -115,7 +115,7 @@ class Tally:
         """Packets that could not be decoded."""
         return self._failed
 
-    def statistics(self, dropped: int, session: Session | None) -> StreamStatistics:
+    def statistics(self, dropped: int, session: PacketProtocol | None) -> StreamStatistics:
         """The counters at this moment. `dropped` was read before, so that it is part of `received`."""
         now = time.monotonic()
         failed = self._failed

@@ -12,14 +12,14 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from ..errors import BadValue, Closed, ConnectionLost, LinkTimeout, PacketError, RemoteError, WrongPeer
 from ..net.transport import Finished, Transport
 from ..stamp import Stamp
 from ..wire.packet import State
-from ..wire.protocol import Session
+from ..wire.protocol import PacketProtocol
 from .backoff import Backoff
 from .events import ConnectionEvent, ConnectionState, Traffic
 from .fanout import Distribution
@@ -59,7 +59,7 @@ class Stream(Feed[T]):
         self,
         name: str,
         transport: Transport,
-        session: Callable[[], Session],
+        session: Callable[[], PacketProtocol],
         kind: type[T],
         *,
         parts: Callable[[Any], Iterable[Any]] | None = None,
@@ -74,7 +74,7 @@ class Stream(Feed[T]):
         self.failure: Exception | None = None
         self._transport = transport
         self._session_factory = session
-        self._session: Session | None = None
+        self._session: PacketProtocol | None = None
         self._backoff = backoff or Backoff()
         self._timeout = timeout
         self._silence = silence
@@ -422,26 +422,12 @@ class Stream(Feed[T]):
                 progress = stamp.monotonic
             elif silence is not None and time.monotonic() - progress > silence:
                 raise LinkTimeout(f"{self.name}: bytes come, but no packet for {silence:g} s")
-            failed = 0
-            try:
-                packets: Sequence[Any] = (
-                    session.decode_all(frames, stamp) if len(frames) != 1 else [session.decode(frames[0], stamp)]
-                )
-            except PacketError:
-                packets, failed = self._decode_singly(session, frames, stamp)
-            tally.count(len(packets), failed, len(data), stamp)
+            packets, failures = session.decode_all(frames, stamp)
+            for error in failures:
+                self._report(error)
+            tally.count(len(packets), len(failures), len(data), stamp)
             if packets:
                 distribution.publish(packets)
-
-    def _decode_singly(self, session: Session, frames: list[bytes], stamp: Stamp) -> tuple[list[Any], int]:
-        """All that can be decoded, and how many cannot: one bad packet takes no other with it."""
-        packets = []
-        for frame in frames:
-            try:
-                packets.append(session.decode(frame, stamp))
-            except PacketError as error:
-                self._report(error)
-        return packets, len(frames) - len(packets)
 
     def _report(self, error: PacketError) -> None:
         failed = self._tally.failed + 1

@@ -1,7 +1,11 @@
-"""Bytes to frames, sans-IO: a stream cut at its borders, and a lost border found again.
+"""Bytes to frames, sans-IO: a byte stream is cut at its frame boundaries, and a lost boundary is found again.
 
-What a border looks like is a `Border` of the protocol; the loop, the bounds and the counting are
-the same for every protocol and stand here.
+What a boundary looks like is a `FrameBoundary` of the protocol. The loop, the bounds and the counting are the same for
+every protocol and stand here.
+
+The work is linear in the bytes that come, however they are cut into chunks and whoever chose them: the place that is
+looked at only moves forward, a boundary looks at a bounded number of bytes beyond it, and says how many bytes it needs
+before it is worth asking again.
 """
 
 from __future__ import annotations
@@ -10,63 +14,77 @@ from typing import Protocol
 
 from ..errors import WrongPeer
 
-__all__ = ["Border", "Framer"]
+__all__ = ["FrameBoundary", "Framer"]
 
 
-class Border(Protocol):
-    """How a protocol's packets are told apart. Sizes count the header."""
+class FrameBoundary(Protocol):
+    """How the packets of a protocol are told apart. Sizes count the header.
 
-    #: bytes from which the size can be read
-    header: int
-    #: the largest packet; bounds what the framer keeps
+    Two rules make resynchronisation linear and independent of how the bytes are cut into chunks:
+
+    - Each call does a bounded amount of work, plus what is proportional to the bytes that `search` passes over.
+    - An answer depends on nothing but the bytes up to `need`, so more bytes never change it.
+    """
+
+    #: bound of every `need`
     largest: int
+    #: out of step, bytes that have to come before it is worth looking again
+    pace: int
 
-    def size_at(self, buffer: bytes, at: int) -> int:
-        """Size of the packet whose header begins at `at`, or 0 if no packet can begin there."""
-
-    def whole(self, buffer: bytes) -> list[bytes]:
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         """The packets with which the buffer begins, as far as that can be told quickly and for certain."""
 
-    def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
-        """Whether the whole packet at `at` cannot be one, so that its size is not to be trusted.
+    def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        """In step: whether the packet that has to begin at `at` is one.
 
-        None if the header that follows it is needed to tell, and has not come.
+        Returns:
+            ``(size, need)``: its size, or 0 if no packet begins there. That holds if `need` bytes from `at` on are in
+            the buffer; with fewer it is undecided.
         """
 
-    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
-        """First place from `start` on where a packet begins, and whether that is certain.
+    def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
+        """Out of step: the first place from `start` on where a packet begins or can still turn out to begin.
 
-        An uncertain place needs more bytes to be judged; the length of the buffer less what could be
-        the beginning of a header means that there is none.
+        Returns:
+            ``(place, size, need)``: if `need` bytes from `place` on are in the buffer, a packet of `size` bytes begins
+            there; with fewer it is undecided. Nothing before `place` can be the beginning of a packet.
         """
 
-    def peer(self, buffer: bytes) -> str | None:
+    def peer(self, buffer: bytes | bytearray) -> str | None:
         """What else than expected seems to be talking, judged by its first bytes, or None."""
 
 
 class Framer:
     """Cuts a byte stream into packets.
 
+    Args:
+        boundary: of the protocol; used for this stream only.
+        limit: bytes without a single packet after which the peer counts as something else. None: never, whatever it
+            sends, not even if it says so.
+
+    Out of step it looks again after `FrameBoundary.pace` more bytes, so a packet that is found may be held back until
+    they have come.
+
     Attributes:
-        skipped: bytes thrown away while looking for a border.
-        resyncs: how often a lost border was found again.
+        skipped: bytes thrown away while looking for a frame boundary.
+        resyncs: how often a lost frame boundary was found again.
     """
 
-    #: A peer that has sent this much without one packet is something else.
-    patience = 1 << 16
-
-    def __init__(self, border: Border) -> None:
-        self._border = border
-        self._rest = b""
-        self._lost = False
-        self._any = False
+    def __init__(self, boundary: FrameBoundary, *, limit: int | None = 1 << 16) -> None:
+        self._boundary = boundary
+        self._limit = limit
+        # Appending is amortised, and so is taking from the front: no byte is copied again for each chunk that comes.
+        self._kept = bytearray()
+        self._need = 0  # bytes that have to be kept before anything can change
+        self._is_lost = False
+        self._has_framed = False
         self.skipped = 0
         self.resyncs = 0
 
     @property
     def rest(self) -> bytes:
-        """The bytes of an unfinished packet; never more than the largest packet and one header."""
-        return self._rest
+        """The bytes that belong to no packet yet; always fewer than `largest` and `pace` together."""
+        return bytes(self._kept)
 
     def feed(self, data: bytes) -> list[bytes]:
         """The packets that `data` completes, each whole.
@@ -74,50 +92,58 @@ class Framer:
         Raises:
             WrongPeer: what comes is no such stream at all.
         """
-        border = self._border
-        buffer = self._rest + data if self._rest else data
+        kept = self._kept
+        buffer: bytes | bytearray = data
+        if kept:
+            kept += data
+            if len(kept) < self._need:
+                return []
+            buffer = kept
         end = len(buffer)
-        frames = [] if self._lost else border.whole(buffer)
+        frames = [] if self._is_lost else self._boundary.whole(buffer)
         if frames and len(frames[0]) == end:  # the common case: one packet at a time
-            self._rest = b""
+            kept.clear()
             return frames
-        at = sum(map(len, frames))
-        while end - at >= border.header:
-            if self._lost:
-                found, certain = border.find(buffer, at)
-                self.skipped += found - at
-                at = found
-                if not certain:
-                    break
-                self._lost = False
-                self.resyncs += 1
-            size = border.size_at(buffer, at)
-            if size == 0:
-                self._lose(buffer, at)
-                at += 1
-                continue
-            if at + size > end:
-                break
-            broken = border.is_broken(buffer, at, size)
-            if broken is None:
-                break
-            if broken:
-                # Its size may be a lie that swallows good packets: look inside it for the next.
-                self._lose(buffer, at)
-                at += 1
-                continue
-            frames.append(buffer[at : at + size])
-            self._any = True
-            at += size
-        self._rest = buffer[at:] if at else buffer
-        if self._lost and not self._any and self.skipped > self.patience:
-            raise WrongPeer(f"{self.skipped} bytes came and no packet among them; they end with {buffer[-16:]!r}")
+        at = self._cut(buffer, sum(map(len, frames)), frames)
+        if buffer is kept:
+            del kept[:at]
+        else:
+            kept += buffer[at:]
+        if self._is_lost and not self._has_framed and self._limit is not None and self.skipped > self._limit:
+            raise WrongPeer(f"{self.skipped} bytes came and no packet among them; they end with {data[-16:]!r}")
         return frames
 
-    def _lose(self, buffer: bytes, at: int) -> None:
-        if not self._any and not self.skipped:
-            peer = self._border.peer(buffer)
+    def _cut(self, buffer: bytes | bytearray, at: int, frames: list[bytes]) -> int:
+        """Append the packets from `at` on to `frames`; where the undecided rest begins."""
+        boundary, end = self._boundary, len(buffer)
+        self._has_framed = self._has_framed or bool(frames)
+        while at < end:
+            if self._is_lost:
+                place, size, need = boundary.search(buffer, at)
+                self.skipped += place - at
+                at = place
+            else:
+                size, need = boundary.check(buffer, at)
+            if need > end - at:
+                # Judging costs more than reading: out of step it is not done anew for each byte.
+                self._need = max(need, end - at + boundary.pace) if self._is_lost else need
+                break
+            if size:
+                self.resyncs += self._is_lost
+                self._is_lost = False
+                self._has_framed = True
+                frames.append(bytes(buffer[at : at + size]))
+                at += size
+            else:
+                # No packet begins here. The size that it declares may swallow good packets: look inside it.
+                self._lose(buffer)
+                at += 1
+        return at
+
+    def _lose(self, buffer: bytes | bytearray) -> None:
+        if not self._has_framed and not self.skipped and self._limit is not None:
+            peer = self._boundary.peer(buffer)
             if peer is not None:
-                raise WrongPeer(f"expected {self._border}, but this is {peer}: it begins with {buffer[:16]!r}")
-        self._lost = True
+                raise WrongPeer(f"expected {self._boundary}, but this is {peer}: it begins with {bytes(buffer[:16])!r}")
+        self._is_lost = True
         self.skipped += 1

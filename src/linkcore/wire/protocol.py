@@ -1,18 +1,19 @@
-"""What a stream asks of a protocol."""
+"""What a stream asks of a packet protocol: frames out of bytes, typed packets out of frames, and two counters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from ..errors import PacketError
 from ..stamp import Stamp
 from .framing import Framer
 
-__all__ = ["Session"]
+__all__ = ["PacketProtocol"]
 
 
-class Session(Protocol):
-    """One connection's protocol, sans-IO; a stream makes a new one each time it connects."""
+class PacketProtocol(Protocol):
+    """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
 
     framer: Framer
 
@@ -25,7 +26,16 @@ class Session(Protocol):
         """Packets, or parts of one, that end in bytes which no known layout explains."""
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
-        """The typed packet in one frame; raises `PacketError`."""
+        """The typed packet in one frame.
 
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> Sequence[Any]:
-        """The typed packets in many frames; raises `PacketError` if one of them is bad."""
+        Raises:
+            PacketError: no layout holds it. It is not counted in `unknown` or `tails`.
+        """
+
+    def decode_all(
+        self, frames: Sequence[bytes], stamp: Stamp | None = None
+    ) -> tuple[Sequence[Any], Sequence[PacketError]]:
+        """The typed packets in many frames, and an error for each frame that holds none.
+
+        Each frame is decoded and counted once. A bad one takes no other with it.
+        """

@@ -1,4 +1,4 @@
-"""Bytes cut at the borders of packets, with what lies between them: nothing is left out."""
+"""Bytes cut at the frame boundaries, with what lies between them: nothing is left out."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from linkcore.errors import WrongPeer
-from linkcore.wire.framing import Border, Framer
+from linkcore.wire.framing import Framer
 
 from ..decode import Interface
-from ..interfaces.primary.protocol import PackageBorder
-from ..interfaces.realtime.protocol import RealtimeBorder
+from ..interfaces.primary.framing import PackageBoundary
+from ..interfaces.realtime.framing import RealtimeBoundary
 
 __all__ = ["Stretch", "cut", "guess_interface"]
 
-_BORDERS: dict[Interface, Callable[[], Border]] = {"primary": PackageBorder, "realtime": RealtimeBorder}
+_BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] = {
+    "primary": PackageBoundary,
+    "realtime": RealtimeBoundary,
+}
 
 
 class Stretch(NamedTuple):
@@ -33,20 +36,10 @@ class Stretch(NamedTuple):
     expected: int | None = None
 
 
-class _Frames(Framer):
-    """A framer that goes on whatever comes: somebody wants to see it."""
-
-    patience = 1 << 62
-
-    def _lose(self, buffer: bytes, at: int) -> None:
-        self._any = True  # so that nobody is suspected of being another interface
-        super()._lose(buffer, at)
-
-
 def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
     """Every byte of `data`, in order, as whole packets and what is between, before and after them."""
-    border = _BORDERS["realtime" if interface == "realtime" else "primary"]()
-    framer = _Frames(border)
+    boundary = _BOUNDARIES["realtime" if interface == "realtime" else "primary"]()
+    framer = Framer(boundary, limit=None)  # whatever comes, somebody wants to see it
     at = 0
     for frame in framer.feed(data) if data else ():
         start = data.index(frame, at)
@@ -58,9 +51,9 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
     if rest > at:
         yield Stretch(at, data[at:rest], is_packet=False)
     if framer.rest:
-        size = border.size_at(framer.rest, 0) if len(framer.rest) >= border.header else 0
+        size, _ = boundary.declared(framer.rest, 0)
         if 0 < size <= len(framer.rest):
-            # Whole, but so odd that the framer would see the next header before it believes it.
+            # Whole, but so odd that the framer has to see the next header before it believes it.
             yield Stretch(rest, framer.rest[:size], is_packet=True)
             rest, size = rest + size, 0
         if rest < len(data):
@@ -69,7 +62,7 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
 
 def guess_interface(data: bytes) -> Interface | None:
     """The interface whose packets fill most of `data`; None where no packet of any is in it."""
-    found = {interface: _filled(data, interface) for interface in _BORDERS}
+    found = {interface: _filled(data, interface) for interface in _BOUNDARIES}
     # The primary interface wins where both are possible: it knows its packets by more than their size.
     best = max(found, key=lambda interface: found[interface])
     return best if found[best] else None
@@ -78,7 +71,7 @@ def guess_interface(data: bytes) -> Interface | None:
 def _filled(data: bytes, interface: Interface) -> int:
     """Bytes of whole packets, or of the one that `data` is the beginning of."""
     try:
-        Framer(_BORDERS[interface]()).feed(data)
+        Framer(_BOUNDARIES[interface]()).feed(data)
     except WrongPeer:
         return 0
     return sum(len(each.data) for each in cut(data, interface) if each.is_packet or each.expected is not None)

@@ -1,10 +1,23 @@
-"""What precedes the fields of each kind of packet, and the sizes between which one can be true."""
+"""How the bytes of each interface begin: headers, the sizes that can be true, and who is talking.
+
+Shared by the interfaces, since each of them tells a user who took the wrong port.
+Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/protocols/dashboard.md, section Greeting.
+"""
 
 from __future__ import annotations
 
 from construct import Int8ub, Int32sb, Struct
 
-__all__ = ["DASHBOARD_GREETING", "PACKAGE", "PACKAGE_SIZES", "REALTIME", "REALTIME_SIZES"]
+__all__ = [
+    "DASHBOARD_GREETING",
+    "PACKAGE",
+    "PACKAGE_INTERFACE",
+    "PACKAGE_SIZES",
+    "REALTIME",
+    "REALTIME_INTERFACE",
+    "REALTIME_SIZES",
+    "interface_of",
+]
 
 #: Real-time interface: the size and nothing else. No byte tells the type of packet.
 REALTIME = Struct("size" / Int32sb)
@@ -12,11 +25,30 @@ REALTIME = Struct("size" / Int32sb)
 #: Primary and secondary interface, packages and sub-packages alike. The size counts the header.
 PACKAGE = Struct("size" / Int32sb, "type" / Int8ub)
 
-#: Real-time sizes are 4 + 8k; outside this range, or with another remainder, the border is lost.
+#: Real-time sizes are 4 + 8k. Outside this range, or with another remainder, the frame boundary is lost.
 REALTIME_SIZES = range(500, 4097)
 
 #: The largest package seen is 1471 bytes; program state grows with the user's variables.
 PACKAGE_SIZES = range(5, 65537)
 
-#: What the dashboard server (port 29999) begins with: somebody took the wrong port.
+#: What the dashboard server begins with.
 DASHBOARD_GREETING = b"Connected: Universal"
+
+REALTIME_INTERFACE = "the real-time interface (port 30003)"
+PACKAGE_INTERFACE = "a primary or secondary interface (port 30001 or 30002)"
+_DASHBOARD = "the dashboard server (port 29999)"
+
+# Robot state and robot message. As a real-time packet, this byte would be the top of a time: 0x00, or 0x3f and up.
+_PACKAGE_TYPES = (0x10, 0x14)
+
+
+def interface_of(first: bytes | bytearray) -> str | None:
+    """The interface whose connections begin with such bytes, five or more; None for no interface of a controller."""
+    if DASHBOARD_GREETING.startswith(bytes(first[: len(DASHBOARD_GREETING)])):
+        return _DASHBOARD
+    size, kind = int.from_bytes(first[:4], "big"), first[4]
+    if size in PACKAGE_SIZES and kind in _PACKAGE_TYPES:
+        return PACKAGE_INTERFACE
+    if size in REALTIME_SIZES and size % 8 == 4:
+        return REALTIME_INTERFACE
+    return None

@@ -22,7 +22,7 @@ from linkcore.stamp import Stamp
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
+from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts
 from tests.waiting import until
 
 AT_ONCE = Backoff(first=0, most=0)
@@ -268,7 +268,7 @@ def replaying(path: Path, rate: float = 0) -> Stream[Count]:
     recording = Recording(path)
     transport = ReplayTransport(recording, "0", ReplayClock(recording, rate))
     lossless = rate == 0
-    return Stream("replay", transport, CountSession, Count, backoff=AT_ONCE, silence=None, lossless=lossless)
+    return Stream("replay", transport, CountProtocol, Count, backoff=AT_ONCE, silence=None, lossless=lossless)
 
 
 @pytest.mark.parametrize("size", [1, 7, 500])
@@ -302,7 +302,7 @@ def test_a_slow_callback_loses_nothing_either(tmp_path: Path) -> None:
 def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> None:
     """Recorded from a stream that loses its connection twice, the second time with a failed attempt."""
     script = ScriptedTransport(None, None, ConnectFailed("refused"), None)
-    stream = Stream("script", script, CountSession, Count, backoff=AT_ONCE, silence=None)
+    stream = Stream("script", script, CountProtocol, Count, backoff=AT_ONCE, silence=None)
     with Recorder(tmp_path / "run") as recorder:
         recorder.add(stream, {"name": "0"})
         script.put(counts(1) + counts(9)[:2], ConnectionLost("cable"), counts(2), ConnectionLost("again"), counts(3))

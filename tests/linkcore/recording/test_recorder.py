@@ -18,7 +18,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.policy import block
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
+from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts
 from tests.waiting import until
 
 AT_ONCE = Backoff(first=0, most=0)
@@ -30,7 +30,7 @@ def make_stream() -> Iterator[Callable[[ScriptedTransport], Stream[Count]]]:
     streams: list[Stream[Count]] = []
 
     def make(transport: ScriptedTransport) -> Stream[Count]:
-        streams.append(Stream("script", transport, CountSession, Count, backoff=AT_ONCE, silence=None))
+        streams.append(Stream("script", transport, CountProtocol, Count, backoff=AT_ONCE, silence=None))
         return streams[-1]
 
     yield make

@@ -14,7 +14,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
+from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts
 from tests.waiting import until
 
 
@@ -25,7 +25,7 @@ def transport() -> ScriptedTransport:
 
 @pytest.fixture
 def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(first=0, most=0), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(first=0, most=0), silence=None)
     yield stream
     stream.close()
 
@@ -38,7 +38,7 @@ def test_connects_if_nothing_has_yet(stream: Stream[Count], transport: ScriptedT
 
 def test_nobody_there() -> None:
     transport = ScriptedTransport(ConnectFailed("refused"))
-    stream = Stream("script", transport, CountSession, Count, silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, silence=None)
     with pytest.raises(ConnectFailed):
         stream.send(b"text\n", 1.0)
     assert transport.sent == []
@@ -47,7 +47,7 @@ def test_nobody_there() -> None:
 
 def test_nothing_is_kept_for_the_next_connection() -> None:
     transport = ScriptedTransport(None, ConnectFailed("gone for now"))
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(first=30, most=30), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(first=30, most=30), silence=None)
     stream.send(b"one\n", 1.0)
     transport.put(ConnectionLost("pulled"))
     until(lambda: stream.connection is ConnectionState.LOST)
@@ -83,7 +83,7 @@ def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTra
     played = Stream(
         "played",
         ReplayTransport(recording, "script", ReplayClock(recording, 0)),
-        CountSession,
+        CountProtocol,
         Count,
         backoff=Backoff(first=0, most=0),
         silence=None,

@@ -14,7 +14,7 @@ from linkcore.streaming.packet_queue import Inbox
 from linkcore.streaming.policy import block, latest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
-from tests.linkcore.script import Count, CountSession, ScriptedTransport, counts
+from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts
 from tests.waiting import until
 
 
@@ -49,7 +49,7 @@ def transport() -> ScriptedTransport:
 
 @pytest.fixture
 def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(first=0, most=0), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(first=0, most=0), silence=None)
     yield stream
     stream.close()
     stats = stream.stats
@@ -269,7 +269,7 @@ def test_what_its_own_thread_has_taken_comes_first() -> None:
 def test_a_stream_that_starts_anew_has_forgotten_it(transport: ScriptedTransport) -> None:
     """Who was called by the reader of a stream that gave up is not called again when it is used again."""
     feeding, callback = Feeding(transport), Callback()
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(tries=0), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(tries=0), silence=None)
     subscription = stream.subscribe(callback, policy=block)
     feeding.until_trusted(callback, subscription)
     transport.put(ConnectionLost("cut"))

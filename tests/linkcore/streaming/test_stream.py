@@ -15,7 +15,7 @@ from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.streaming.policy import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import BAD, Count, CountSession, ScriptedTransport, counts
+from tests.linkcore.script import BAD, Count, CountProtocol, ScriptedTransport, counts
 from tests.waiting import until
 
 AT_ONCE = Backoff(first=0, most=0)
@@ -28,7 +28,7 @@ def transport() -> ScriptedTransport:
 
 @pytest.fixture
 def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = Stream("script", transport, CountSession, Count, backoff=AT_ONCE, silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=AT_ONCE, silence=None)
     yield stream
     stream.close()
     adds_up(stream)
@@ -274,7 +274,7 @@ def test_subscriptions_survive_a_reconnect(stream: Stream[Count], transport: Scr
 
 def test_old_data_is_not_shown_as_fresh() -> None:
     transport = ScriptedTransport()
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(first=60, most=60), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(first=60, most=60), silence=None)
     transport.put(counts(7))
     assert stream.wait(10).number == 7
     assert [stream.latest] == [Count(number=7)]
@@ -294,7 +294,7 @@ def test_latest_does_not_wait_for_a_connection() -> None:
             super().open(timeout)
 
     transport = Slow()
-    stream = Stream("script", transport, CountSession, Count, silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, silence=None)
     assert stream.latest is None
     release.set()
     transport.put(counts(3))
@@ -305,7 +305,7 @@ def test_latest_does_not_wait_for_a_connection() -> None:
 
 def test_a_first_connection_that_fails_is_told_at_once() -> None:
     transport = ScriptedTransport(ConnectFailed("refused"), ConnectFailed("refused"))
-    stream = Stream("script", transport, CountSession, Count, backoff=AT_ONCE, silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=AT_ONCE, silence=None)
     with pytest.raises(ConnectFailed, match="refused"):
         stream.subscribe(print)
     with pytest.raises(ConnectFailed, match="refused"):
@@ -319,7 +319,7 @@ def test_a_first_connection_that_fails_is_told_at_once() -> None:
 def test_gives_up_when_the_backoff_says_so() -> None:
     gone = ConnectFailed("gone")
     transport = ScriptedTransport(None, gone, gone, gone)
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(0, 1, 0, 0, tries=3), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(0, 1, 0, 0, tries=3), silence=None)
     transport.put(counts(1), ConnectionLost("cut"))
     iterator = iter(stream)
     assert next(iterator).number == 1
@@ -332,7 +332,7 @@ def test_gives_up_when_the_backoff_says_so() -> None:
 def test_the_backoff_is_reset_by_packets_only() -> None:
     """Connections that bring no packet use the tries up; one that does gives them back."""
     transport = ScriptedTransport()
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(0, 1, 0, 0, tries=2), silence=None)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(0, 1, 0, 0, tries=2), silence=None)
     cut = ConnectionLost("cut")
     transport.put(counts(1), cut, cut, counts(2), cut, cut, counts(3), cut, cut, cut)
     got: list[int] = []
@@ -387,7 +387,7 @@ def test_a_missed_deadline_without_a_callback_is_logged(
 
 def test_bytes_without_packets_count_as_silence() -> None:
     transport = ScriptedTransport()
-    stream = Stream("script", transport, CountSession, Count, backoff=Backoff(tries=0), silence=0.02)
+    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(tries=0), silence=0.02)
     stop = threading.Event()
 
     def babble() -> None:

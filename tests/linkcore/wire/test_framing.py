@@ -1,4 +1,4 @@
-"""The loop that cuts a stream, with a border as simple as can be: ``#``, a size of two digits, a payload, ``.``."""
+"""The loop that cuts a stream. The packets are as simple as can be: ``#``, a size of two digits, a payload, ``.``."""
 
 from __future__ import annotations
 
@@ -10,33 +10,42 @@ from linkcore.errors import RemoteError, WrongPeer
 from linkcore.wire.framing import Framer
 
 
-class HashBorder:
-    header = 3
-    largest = 99
+class HashBoundary:
+    largest = 99 + 3
+    pace = 1
 
     def __str__(self) -> str:
         return "hashes"
 
-    def size_at(self, buffer: bytes, at: int) -> int:
+    def declared(self, buffer: bytes | bytearray, at: int) -> int:
         digits = buffer[at + 1 : at + 3]
         return int(digits) if buffer[at : at + 1] == b"#" and digits.isdigit() and int(digits) >= 4 else 0
 
-    def whole(self, buffer: bytes) -> list[bytes]:
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         return []
 
-    def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
-        if buffer[at + size - 1 : at + size] == b".":
-            return False
+    def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        there = len(buffer) - at
+        if there < 3:
+            return 0, 3
+        size = self.declared(buffer, at)
+        if not size:
+            return 0, 0
+        if there < size or buffer[at + size - 1 : at + size] == b".":
+            return size, size
         # A damaged end is forgiven when the next packet stands where it should.
-        return None if at + size + 3 > len(buffer) else self.size_at(buffer, at + size) == 0
+        if there < size + 3:
+            return size, size + 3
+        return size if self.declared(buffer, at + size) else 0, 0
 
-    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
+    def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
         for at in range(start, len(buffer) - 2):
-            if self.size_at(buffer, at):
-                return at, True
-        return max(start, len(buffer) - 2), False
+            size, need = self.check(buffer, at)
+            if size or need > len(buffer) - at:
+                return at, size, need
+        return max(start, len(buffer) - 2), 0, 4
 
-    def peer(self, buffer: bytes) -> str | None:
+    def peer(self, buffer: bytes | bytearray) -> str | None:
         return "a dog" if buffer.startswith(b"wau") else None
 
 
@@ -45,14 +54,14 @@ def packet(payload: bytes) -> bytes:
 
 
 def fed(*pieces: bytes) -> tuple[list[bytes], Framer]:
-    framer = Framer(HashBorder())
+    framer = Framer(HashBoundary())
     total = 0
     frames = []
     for piece in pieces:
         frames += framer.feed(piece)
         total += len(piece)
         assert framer.skipped + sum(map(len, frames)) + len(framer.rest) == total
-        assert len(framer.rest) < HashBorder.largest + HashBorder.header
+        assert len(framer.rest) < HashBoundary.largest + HashBoundary.pace
     return frames, framer
 
 
@@ -63,7 +72,7 @@ def bytewise(data: bytes) -> list[bytes]:
 ONE, TWO, THREE = packet(b"one"), packet(b""), packet(b"three" * 15)
 
 
-def test_packets_are_cut_at_their_borders() -> None:
+def test_packets_are_cut_at_their_boundaries() -> None:
     frames, framer = fed(ONE + TWO + THREE)
     assert frames == [ONE, TWO, THREE]
     assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
@@ -84,7 +93,7 @@ def test_nothing_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("garbage", [b"x", b"##", b"#0", b"#00", b"#xx", b"long and without end"])
-def test_a_lost_border_is_found_again_and_counted(garbage: bytes) -> None:
+def test_a_lost_boundary_is_found_again_and_counted(garbage: bytes) -> None:
     frames, framer = fed(ONE + garbage + TWO + ONE)
     assert frames == [ONE, TWO, ONE]
     assert (framer.skipped, framer.resyncs) == (len(garbage), 1)
@@ -117,17 +126,20 @@ def test_somebody_else_is_told_by_the_first_bytes_and_only_by_them() -> None:
     assert fed(b"xwau" + TWO)[0] == [TWO]
 
 
-def test_patience_with_a_peer_that_sends_no_packet_ends() -> None:
-    framer = Framer(HashBorder())
-    assert framer.feed(b"x" * framer.patience) == []
+def test_a_peer_that_sends_no_packet_is_given_up() -> None:
+    framer = Framer(HashBoundary(), limit=1000)
+    assert framer.feed(b"x" * 1000) == []
     with pytest.raises(WrongPeer, match="no packet among them"):
         framer.feed(b"x" * 10)
     # Somebody who has sent a packet once is right, however much is lost later.
-    framer = Framer(HashBorder())
+    framer = Framer(HashBoundary(), limit=1000)
     framer.feed(ONE)
     for _ in range(100):
-        assert framer.feed(b"x" * 1000) == []
+        assert framer.feed(b"x" * 100) == []
     assert framer.feed(TWO) == [TWO]
+    # And without a limit nobody is doubted, not even who says that he is somebody else.
+    framer = Framer(HashBoundary(), limit=None)
+    assert framer.feed(b"wauwau" * 100_000 + ONE) == [ONE]
 
 
 @pytest.mark.property
@@ -144,13 +156,22 @@ def test_patience_with_a_peer_that_sends_no_packet_ends() -> None:
 )
 @example(b"#30abc.#04.#08abcd.#09", None)
 def test_it_does_not_matter_how_the_bytes_are_cut(stream: bytes, data: st.DataObject | None) -> None:
-    if HashBorder().peer(stream):
+    if HashBoundary().peer(stream):
         return
-    frames, framer = fed(stream)
-    again, other = fed(*bytewise(stream))
-    assert again == frames
-    assert (other.skipped, other.resyncs, other.rest) == (framer.skipped, framer.resyncs, framer.rest)
+    whole, framer = fed(stream)
+    # What is undecided yet is decided with these.
+    more = b"x" * 99
+    in_the_end, _ = fed(stream + more)
+    ways = [bytewise(stream)]
     if data is not None:
         cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=5)))
-        pieces = [stream[start:end] for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
-        assert fed(*pieces)[0] == frames
+        ways.append([stream[start:end] for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True)])
+    for pieces in ways:
+        frames, other = fed(*pieces)
+        assert frames == whole[: len(frames)]
+        if frames == whole:
+            assert other.skipped + len(other.rest) == framer.skipped + len(framer.rest)
+            assert other.resyncs == framer.resyncs
+        frames, _ = fed(*pieces, *bytewise(more))
+        assert frames[: len(whole)] == whole
+        assert frames == in_the_end[: len(frames)]

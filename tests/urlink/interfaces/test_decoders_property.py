@@ -405,7 +405,7 @@ def test_any_bytes_give_states_or_a_documented_error(
 
 @given(data=nearly_packages())
 def test_a_package_alone(data: bytes) -> None:
-    """Without the border's checks: what a session hands to its decoder."""
+    """Without the checks of a frame boundary: what a protocol hands to its decoder."""
     for version in (None, Firmware(1, 8), Firmware(5, 4)):
         try:
             state = PackageDecoder(version).decode(data)
@@ -420,30 +420,30 @@ def test_a_package_alone(data: bytes) -> None:
             assert state.IS_EVENT
 
 
-@given(st.lists(nearly_realtime(), max_size=4))
-def test_decoding_many_at_once_is_decoding_each(frames: list[bytes]) -> None:
-    session = RealtimeProtocol()
-    try:
-        each = [session.decode(frame) for frame in frames]
-    except PacketError:
-        with pytest.raises(PacketError):
-            session.decode_all(frames)
-        return
-    together = session.decode_all(frames)
-    assert together == each
-    for one, other in zip(together, each, strict=True):
-        assert str(one) == str(other)
-        assert one.tail == other.tail
-        assert not one.q_actual.flags.writeable
-
-
-@given(st.lists(nearly_packages(), max_size=5))
-def test_decoding_many_packages_at_once_is_decoding_each(frames: list[bytes]) -> None:
-    try:
-        each = [PrimaryProtocol().decode(frame) for frame in frames if frame[4:5] != b"\x14"]
-    except PacketError:
-        return
-    assert PrimaryProtocol().decode_all([frame for frame in frames if frame[4:5] != b"\x14"]) == each
+@pytest.mark.parametrize(
+    ("kind", "frames"),
+    [(RealtimeProtocol, nearly_realtime()), (PrimaryProtocol, nearly_packages())],
+    ids=["realtime", "primary"],
+)
+@given(data=st.data())
+def test_decoding_many_at_once_is_decoding_each(
+    kind: type[RealtimeProtocol | PrimaryProtocol], frames: st.SearchStrategy[bytes], data: st.DataObject
+) -> None:
+    many = data.draw(st.lists(frames, max_size=5))
+    one_by_one, at_once = kind(), kind()
+    states: list[State] = []
+    errors = []
+    for frame in many:
+        try:
+            states.append(one_by_one.decode(frame))
+        except PacketError as error:
+            errors.append(str(error))
+    together, failures = at_once.decode_all(many)
+    assert together == states
+    assert list(map(str, failures)) == errors
+    assert [(str(state), state.tail) for state in together] == [(str(state), state.tail) for state in states]
+    # What shares its bytes with a bad packet is counted once.
+    assert (at_once.unknown, at_once.tails) == (one_by_one.unknown, one_by_one.tails)
 
 
 def test_codes_are_open_in_every_class() -> None:

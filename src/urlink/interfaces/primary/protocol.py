@@ -2,13 +2,12 @@
 
 Bytes to robot states, robot messages and the other packages. The version message that a controller
 sends on connecting tells the layouts of what follows; until then the sizes do.
-Source: reference ur-primary.
+Source: docs/protocols/primary.md.
 """
 
 from __future__ import annotations
 
 import logging
-import re
 import struct
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -21,116 +20,17 @@ from linkcore.wire.version import Version
 
 from ...firmware import Firmware
 from ..enums import PackageType
-from ..headers import DASHBOARD_GREETING, PACKAGE_SIZES, REALTIME_SIZES
+from .framing import MESSAGE_HEAD, PackageBoundary
 from .robot_message import MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
 from .robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
 
-__all__ = ["PackageBorder", "PackageDecoder", "PrimaryProtocol"]
+__all__ = ["PackageDecoder", "PrimaryProtocol"]
 
 _log = logging.getLogger(__name__)
 
 _HEAD = struct.Struct(">iB")
 _ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
-_MESSAGE_HEAD = 15  # size, type, timestamp, source, message type
-# While looking for a border, and of unknown types: larger ones are not believed.
-_LARGEST_BELIEVED = 8192
 _KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
-# A robot state or a robot message of a believable size. It looks ahead, since candidates may overlap.
-_CANDIDATE = re.compile(rb"(?=\x00\x00..[\x10\x14])", re.DOTALL)
-
-
-class PackageBorder:
-    """Borders of the package stream.
-
-    Types that nobody knows are taken once a known one has come, where another package follows them.
-    """
-
-    header = 5
-    largest = PACKAGE_SIZES.stop - 1
-
-    def __init__(self) -> None:
-        self._in_step = False
-
-    def __str__(self) -> str:
-        return "a primary or secondary interface"
-
-    def size_at(self, buffer: bytes, at: int) -> int:
-        size, kind = _HEAD.unpack_from(buffer, at)
-        if size not in PACKAGE_SIZES:
-            return 0
-        if kind not in _KNOWN_TYPES and not (self._in_step and size <= _LARGEST_BELIEVED):
-            return 0
-        if kind == _ROBOT_STATE and at + 9 <= len(buffer) and size > 5:
-            # The first sub-package is inside, or this is no robot state.
-            (first,) = struct.unpack_from(">i", buffer, at + 5)
-            if not 5 <= first <= size - 5:
-                return 0
-        self._in_step = True
-        return int(size)
-
-    def whole(self, buffer: bytes) -> list[bytes]:
-        return []
-
-    def is_broken(self, buffer: bytes, at: int, size: int) -> bool | None:
-        kind = buffer[at + 4]
-        if kind == _ROBOT_STATE and not _is_chain(buffer, at, size):
-            # If a package follows where this one says it ends, it is the inside that is damaged.
-            return None if at + size + 5 > len(buffer) else not self._is_header(buffer, at + size)
-        if kind not in _KNOWN_TYPES:
-            # Whatever follows, its size is a small number: what is in step seldom is by chance.
-            next_size = int.from_bytes(buffer[at + size : at + size + 4], "big")
-            return None if at + size + 5 > len(buffer) else not 5 <= next_size <= _LARGEST_BELIEVED
-        return kind == _ROBOT_MESSAGE and size < _MESSAGE_HEAD
-
-    def _is_header(self, buffer: bytes, at: int) -> bool:
-        size, kind = _HEAD.unpack_from(buffer, at)
-        return size in PACKAGE_SIZES and kind in _KNOWN_TYPES
-
-    def find(self, buffer: bytes, start: int) -> tuple[int, bool]:
-        end = len(buffer)
-        for match in _CANDIDATE.finditer(buffer, start):
-            at = match.start()
-            size, kind = _HEAD.unpack_from(buffer, at)
-            if size > _LARGEST_BELIEVED or self.size_at(buffer, at) == 0:
-                continue
-            if kind == _ROBOT_STATE:
-                if _is_chain(buffer, at, size, whole=False):
-                    return at, at + size <= end
-            elif size >= _MESSAGE_HEAD:
-                if at + _MESSAGE_HEAD > end:
-                    return at, False
-                if buffer[at + _MESSAGE_HEAD - 1] in MESSAGES:
-                    if at + size + 5 > end:
-                        return at, False
-                    if self._is_header(buffer, at + size):
-                        return at, True
-        return max(start, end - 4), False
-
-    def peer(self, buffer: bytes) -> str | None:
-        if DASHBOARD_GREETING.startswith(buffer[: len(DASHBOARD_GREETING)]):
-            return "the dashboard server (port 29999)"
-        size = int.from_bytes(buffer[:4], "big")
-        if size in REALTIME_SIZES and size % 8 == 4:
-            return "the real-time interface (port 30003)"
-        return None
-
-
-def _is_chain(buffer: bytes, at: int, size: int, whole: bool = True) -> bool:
-    """Whether the sub-packages of a robot state add up to its size.
-
-    Without `whole`, as far as the buffer reaches.
-    """
-    end, at = at + size, at + 5
-    while at < end:
-        if at + 5 > end:
-            return False
-        if at + 5 > len(buffer):
-            return not whole
-        (sub,) = struct.unpack_from(">i", buffer, at)
-        if sub < 5:
-            return False
-        at += sub
-    return at == end
 
 
 def _class_of(kind: int, size: int) -> type[SubPackage]:
@@ -204,7 +104,7 @@ class PackageDecoder:
         state: State = cls.LAYOUTS.decode(frame, version, stamp)
         if cls is UnknownMessage or (cls is OtherPackage and frame[4] not in _KNOWN_TYPES):
             self.unknown += 1
-            kind = f"message type {frame[_MESSAGE_HEAD - 1]}" if cls is UnknownMessage else f"package type {frame[4]}"
+            kind = f"message type {frame[MESSAGE_HEAD - 1]}" if cls is UnknownMessage else f"package type {frame[4]}"
             self._tell(f"{kind} is unknown, and kept")
         if state.tail:
             self.tails += 1
@@ -320,15 +220,15 @@ class PackageDecoder:
         return self.version
 
     def _robot_message(self, frame: bytes, stamp: Stamp | None) -> State:
-        if len(frame) < _MESSAGE_HEAD:
+        if len(frame) < MESSAGE_HEAD:
             raise PacketError(
                 "packet too short",
                 packet="RobotMessage",
-                expected=_MESSAGE_HEAD,
+                expected=MESSAGE_HEAD,
                 actual=len(frame),
                 offset=len(frame),
             )
-        cls: Any = MESSAGES.get(frame[_MESSAGE_HEAD - 1], UnknownMessage)
+        cls: Any = MESSAGES.get(frame[MESSAGE_HEAD - 1], UnknownMessage)
         if cls is VersionMessage:
             # It is what tells the version, so only its own bytes can tell its layout.
             return self._counted(cls, frame, None, stamp)
@@ -343,7 +243,7 @@ class PrimaryProtocol:
     """
 
     def __init__(self) -> None:
-        self.framer = Framer(PackageBorder())
+        self.framer = Framer(PackageBoundary())
         self._decoder = PackageDecoder(notice=_log.warning)
         self.firmware: Firmware | None = None
 
@@ -369,10 +269,13 @@ class PrimaryProtocol:
             self._decoder.version = self.firmware
         return state
 
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> list[State]:
-        """The typed states of many packages, in order.
-
-        Raises:
-            PacketError: one of them cannot be held by its layout.
-        """
-        return [self.decode(frame, stamp) for frame in frames]
+    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> tuple[list[State], list[PacketError]]:
+        """The typed states of many packages, in order, and an error for each that its layout cannot hold."""
+        states: list[State] = []
+        failures: list[PacketError] = []
+        for frame in frames:
+            try:
+                states.append(self.decode(frame, stamp))
+            except PacketError as error:
+                failures.append(error)
+        return states, failures

@@ -1,0 +1,135 @@
+"""Frame boundaries of the real-time interface.
+
+Nothing but the size announces a packet: 4 + 8k bytes, the same for a whole connection. That is enough to find a lost
+boundary again, and to skip the secondary-interface packages (560 and 9 bytes) that the CB2 simulator leaks into the
+stream (docs/protocols/realtime.md, sections Framing and Quirks).
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+
+from ..enums import PackageType
+from ..headers import REALTIME_INTERFACE, REALTIME_SIZES, interface_of
+
+__all__ = ["RealtimeBoundary"]
+
+# Two zero bytes, then a size of 4 + 8k below 4096.
+_SIZE = re.compile(
+    rb"\x00\x00[\x01-\x0f][\x04\x0c\x14\x1c\x24\x2c\x34\x3c\x44\x4c\x54\x5c\x64\x6c\x74\x7c"
+    rb"\x84\x8c\x94\x9c\xa4\xac\xb4\xbc\xc4\xcc\xd4\xdc\xe4\xec\xf4\xfc]",
+    re.DOTALL,
+)
+_SIZE_BYTES = 4
+_TIME = struct.Struct(">d")
+_HEAD = struct.Struct(">id")  # size and time
+
+# Seconds that the controller's clock may have gone on while the boundary was lost, and between two packets.
+_LONGEST_LOSS = 1.0
+
+_ROBOT_STATE = int(PackageType.ROBOT_STATE)
+
+
+class RealtimeBoundary:
+    """Frame boundaries of the real-time stream. Learns the size of the connection's packets.
+
+    Args:
+        learnt: called with the size, each time it is another.
+
+    The size alone is no proof when looking for a lost boundary: integer-coded digital bits can spell it, in every
+    packet anew. A place is believed if it has the connection's size and goes on in time, or if it is followed by a
+    packet of the same size and of a later time.
+    """
+
+    largest = REALTIME_SIZES.stop - 1 + _HEAD.size
+    pace = 256
+
+    def __init__(self, learnt: Callable[[int], object] | None = None) -> None:
+        self._learnt = learnt
+        self._size = 0
+        self._size_bytes = b""
+        #: the bytes of the last packet's time; unpacked when a lost boundary has to be found
+        self._time: bytes | bytearray = b""
+
+    def __str__(self) -> str:
+        return REALTIME_INTERFACE
+
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
+        """In step, packets of one size follow each other: it is enough that each has its header."""
+        size = self._size
+        if not self._time:
+            return []
+        if len(buffer) == size and buffer.startswith(self._size_bytes):
+            self._time = buffer[4:12]
+            return [bytes(buffer)]
+        count = len(buffer) // size
+        end = count * size
+        for offset, byte in enumerate(self._size_bytes):
+            if not count or buffer[offset:end:size].count(byte) != count:
+                return []
+        self._time = buffer[end - size + 4 : end - size + 12]
+        return [bytes(buffer[at : at + size]) for at in range(0, end, size)]
+
+    def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        """As `check`, by the size alone, which is believed whatever follows it."""
+        if len(buffer) - at <= _SIZE_BYTES:  # one byte more than the size: it tells another interface from this one
+            return 0, _SIZE_BYTES + 1
+        size = int.from_bytes(buffer[at : at + _SIZE_BYTES], "big")
+        is_believed = size == self._size if self._size else size in REALTIME_SIZES and size % 8 == 4
+        return (size, size) if is_believed else (0, 0)
+
+    def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        """See `FrameBoundary.check`."""
+        size, need = self.declared(buffer, at)
+        there = len(buffer) - at
+        if size and not self._time and buffer[at + 4] == _ROBOT_STATE:
+            # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
+            if there < _HEAD.size:
+                return 0, _HEAD.size
+            if int.from_bytes(buffer[at + 5 : at + 9], "big") <= size - 5:
+                return 0, 0
+        if size and there >= need:
+            self._take(buffer, at, size)
+        return size, need
+
+    def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
+        """See `FrameBoundary.search`."""
+        end = len(buffer)
+        latest = float("-inf")  # goes on from nothing
+        if self._time:
+            (latest,) = _TIME.unpack(self._time)
+        for match in _SIZE.finditer(buffer, start):
+            at = match.start()
+            there = end - at
+            if there < _HEAD.size:
+                return at, 0, _HEAD.size
+            size, time = _HEAD.unpack_from(buffer, at)
+            if size not in REALTIME_SIZES:
+                continue
+            if size == self._size and latest <= time <= latest + _LONGEST_LOSS:
+                need = size
+            else:
+                need = size + _HEAD.size
+                if there >= need:
+                    next_size, later = _HEAD.unpack_from(buffer, at + size)
+                    if next_size != size or not time < later <= time + _LONGEST_LOSS:
+                        continue
+            if there >= need:
+                self._take(buffer, at, size)
+            return at, size, need
+        # A header may begin with the last bytes.
+        return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
+
+    def peer(self, buffer: bytes | bytearray) -> str | None:
+        """See `FrameBoundary.peer`."""
+        other = interface_of(buffer)
+        return None if other == REALTIME_INTERFACE else other
+
+    def _take(self, buffer: bytes | bytearray, at: int, size: int) -> None:
+        self._time = buffer[at + 4 : at + 12]
+        if size != self._size:
+            self._size, self._size_bytes = size, size.to_bytes(_SIZE_BYTES, "big")
+            if self._learnt is not None:
+                self._learnt(size)
