@@ -12,7 +12,6 @@ import math
 import sys
 
 import rhdlink
-from rhdlink.config import Element
 from rhdlink.drawing import save
 from rhdlink.plugins.velocity import Twist, VelocityBridge
 from rhdlink.world import World
@@ -31,7 +30,7 @@ class BridgedTurtle(VelocityBridge):
     def drive(self, twist: Twist) -> None:
         self.twist = twist
 
-    def init(self, config: Element) -> None:
+    def init(self, config: rhdlink.Element) -> None:
         super().init(config)
         self.update_pose(*self.world.pose)
 

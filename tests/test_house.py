@@ -16,7 +16,6 @@ SOCKETS = {
     "linkcore.net.listener",
     "linkcore.net.loop",
     "linkcore.net.polled",
-    "rhdlink.server",
 }
 
 #: The only modules that may import `asyncio`.
@@ -29,8 +28,8 @@ THREADS = {
     "linkcore.streaming.subscription",  # one for each callback
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.intake",  # one at a time, for a long program
-    "rhdlink.background",  # keeps a robot in sync
-    "rhdlink.host",  # one for each host that does not run in its caller's
+    "rhdlink.sync_thread",  # keeps a robot in sync
+    "rhdlink.host.host",  # one for each host that does not run in its caller's
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }
 

@@ -6,8 +6,8 @@
     ```{rhd-connection}
     ```
 
-The tables are those of the declarations in `rhdlink.schema`; the bytes come from the encoders and the words beside them
-from what `rhdlink dissect` prints. Nothing of it is written down twice.
+The tables are those of the declarations in `rhdlink.wire.schema`; the bytes come from the encoders and the words
+beside them from what `rhdlink dissect` prints. Nothing of it is written down twice.
 """
 
 from __future__ import annotations
@@ -17,28 +17,22 @@ from typing import Any
 
 import numpy as np
 from _tables import table
-from construct import ConstructError
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from rhdlink import Database, TimeStamp, schema
-from rhdlink.cli.anatomy import Piece, dissect
+from rhdlink import Database, TimeStamp
 from rhdlink.cli.dissect import lines
-from rhdlink.wire import END, encode_access, encode_ready
+from rhdlink.wire.dissection import Piece, dissect
+from rhdlink.wire.messages import END, encode_access, encode_ready
+from rhdlink.wire.schema import INT, PACKAGES, TABLE, WORD, Package
 
 _HEAD = ("offset", "field", "type", "bytes", "meaning")
+_NUMBERS = {"i": "int32", "I": "uint32"}
 
-#: What stands in a data package; any lengths will do, since a table of fields does not depend on them.
-_DECLARED = {
-    "ACCESS": schema.ACCESS,
-    "TABLE": schema.TABLE,
-    "ROW": schema.ROW,
-    "DATA": schema.data_package([1]),
-    "ENTRY": schema.entry([1]),
-    "READY": schema.READY,
-    "END": schema.END,
-}
+#: The packages by the names that the pages have for them; an item is shown apart from its package.
+_PACKAGES = {"ACCESS": "a", "TABLE": "t", "DATA": "d", "READY": "r", "END": "e"}
+_ITEMS = {"ROW": "t", "ENTRY": "d"}
 
 
 class PackageDirective(SphinxDirective):
@@ -48,61 +42,45 @@ class PackageDirective(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """One row for each field."""
-        declared = _DECLARED.get(self.arguments[0])
-        if declared is None:
-            raise self.error(f"rhdlink.schema declares no {self.arguments[0]}; there are {', '.join(_DECLARED)}")
-        return [table(_HEAD, _rows(declared), code=(1,))]
+        name = self.arguments[0]
+        if name in _PACKAGES:
+            rows = _package_rows(PACKAGES[_PACKAGES[name]])
+        elif name in _ITEMS:
+            rows = _item_rows(PACKAGES[_ITEMS[name]])
+        else:
+            raise self.error(f"there is no package {name}; there are {', '.join([*_PACKAGES, *_ITEMS])}")
+        return [table(_HEAD, rows, code=(1,))]
 
 
-def _rows(declared: Any) -> Iterator[tuple[str, ...]]:
+def _package_rows(package: Package) -> Iterator[tuple[str, ...]]:
+    letters = sorted({letter for second in package.second.values() for letter in second})
+    second = f"the letter {' or '.join(letters)}" if letters else "any byte"
+    yield "0", "type", f"the letter {package.letter}", "1", ""
+    yield (
+        "1",
+        "access" if package.letter in "ar" else "direction" if letters else "any",
+        second,
+        "1",
+        package.second_doc,
+    )
+    if package.item:
+        items = "rows" if package is TABLE else "entries"
+        order = "the place of a row is the id of its variable" if package is TABLE else "ids need not be in order"
+        yield "2", "count", _NUMBERS["i"], str(INT.size), f"how many {items} follow"
+        yield str(2 + INT.size), items, items, "", order
+
+
+def _item_rows(package: Package) -> Iterator[tuple[str, ...]]:
     offset: int | None = 0
-    for part in declared.subcons:
-        for name, kind, size, doc in _fields(part.name, part.subcon, part.docs):
-            yield ("" if offset is None else str(offset), name, kind, "" if size is None else str(size), doc)
-            offset = None if offset is None or size is None else offset + size
-
-
-def _fields(name: str, shape: Any, doc: str) -> Iterator[tuple[str, str, int | None, str]]:
-    """Name, type, bytes (None where they vary), meaning; two fields for an array with its count before it."""
-    shape = _bare(shape)
-    if type(shape).__name__ == "FocusedSeq":
-        count = _bare(shape.subcons[0])
-        yield "count", _number(count), count.sizeof(), f"how many {name} follow"
-        yield name, name, None, doc
-    elif type(shape).__name__ == "Const":
-        yield name, f"the letter {shape.value.decode()}", len(shape.value), doc
-    elif type(shape).__name__ == "ExprValidator":
-        yield name, f"the letter {' or '.join(_accepted(shape))}", shape.sizeof(), doc
-    elif type(shape).__name__ == "Array":
-        is_fixed = isinstance(shape.count, int)
-        element = _number(_bare(shape.subcon))
-        kind = f"{shape.count} x {element}" if is_fixed else f"{element}, each"
-        yield name, kind, shape.count * shape.subcon.sizeof() if is_fixed else None, doc
-    elif type(shape).__name__ == "Bytes":
-        yield name, "text", shape.length, doc
-    else:
-        yield name, _number(shape), shape.sizeof(), doc
-
-
-def _bare(shape: Any) -> Any:
-    """Without what names it, describes it or computes it when building."""
-    while type(shape).__name__ in ("Renamed", "Rebuild"):
-        shape = shape.subcon
-    return shape
-
-
-def _number(shape: Any) -> str:
-    code = shape.fmtstr[-1]
-    return np.dtype(f"{'u' if code.isupper() else 'i'}{shape.sizeof()}").name
-
-
-def _accepted(shape: Any) -> Iterator[str]:
-    for byte in range(256):
-        try:
-            shape.parse(bytes([byte]))
-        except ConstructError:
-            continue
-        yield chr(byte)
+    for field in package.item:
+        number = _NUMBERS.get(field.code)
+        size = None if field.words else WORD if number else int(field.code.removesuffix("s"))
+        kind = "text" if number is None else f"{number}, each" if field.words == "length" else number
+        if field.words == "width":
+            # The canonical width; the page says when it is another.
+            size, kind = 2 * WORD, f"2 x {number}"
+        yield "" if offset is None else str(offset), field.name, kind, "" if size is None else str(size), field.doc
+        offset = None if offset is None or size is None else offset + size
 
 
 class ConnectionDirective(SphinxDirective):

@@ -37,24 +37,34 @@ from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.policy import Policy, block, drop_oldest, latest
 from linkcore.streaming.subscription import Subscription
 
-from .background import Background
 from .client import Variables, connect
-from .config import BadConfiguration, Configuration, read_config
-from .database import Database, TimeStamp
 from .errors import AccessDenied, NotThere, WrongVariables
-from .host import Host, HostStatistics, PluginFailed
-from .kinds import Bool, Float32, Float64, Int32, Int64, Kind, Millionths, Scaled, Structure, Text, UInt32
-from .limits import Limits
-from .plugin import Plugin
+from .host.config import BadConfiguration, Configuration, Element, read_config
+from .host.host import Host, HostFailed, HostStatistics, PluginFailed
+from .host.plugin import Plugin
 from .robots import Ackerman, Gps, Smr, VelocityOmega
-from .snapshot import Variable
-from .update import Change, Update
-from .variables import Read, Write
+from .sync_thread import SyncThread
+from .variables.database import Database, TimeStamp
+from .variables.declarations import Read, Write
+from .variables.snapshot import Change, Update, Variable
+from .variables.value_types import (
+    Bool,
+    Float32,
+    Float64,
+    Int32,
+    Int64,
+    Millionths,
+    Scaled,
+    Structure,
+    Text,
+    UInt32,
+    ValueType,
+)
+from .wire.decoder import Limits
 
 __all__ = [
     "AccessDenied",
     "Ackerman",
-    "Background",
     "Backoff",
     "BadAddress",
     "BadConfiguration",
@@ -69,14 +79,15 @@ __all__ = [
     "ConnectionLost",
     "ConnectionState",
     "Database",
+    "Element",
     "Float32",
     "Float64",
     "Gps",
     "Host",
+    "HostFailed",
     "HostStatistics",
     "Int32",
     "Int64",
-    "Kind",
     "Limits",
     "LinkError",
     "LinkTimeout",
@@ -94,10 +105,12 @@ __all__ = [
     "Stamp",
     "Structure",
     "Subscription",
+    "SyncThread",
     "Text",
     "TimeStamp",
     "UInt32",
     "Update",
+    "ValueType",
     "Variable",
     "Variables",
     "VelocityOmega",

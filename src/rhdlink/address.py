@@ -9,7 +9,7 @@ from linkcore.errors import BadAddress
 
 __all__ = ["PORT", "Address", "parse_address"]
 
-#: The port of clients that name none; a server has no default (section 1 of the protocol reference).
+#: The port of clients that name none; a server has no default (docs/protocols/rhd.md, Transport).
 PORT = 24902
 
 

@@ -6,11 +6,11 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, TypeVar, overload
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
 from linkcore.net.transport import TcpTransport
@@ -21,18 +21,18 @@ from linkcore.streaming.policy import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 
 from .address import parse_address
-from .audience import Audience
-from .background import Background
-from .database import Database, Table, TimeStamp
+from .arguments import check_choice, check_seconds
+from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
-from .limits import Limits
-from .link import Link, Transport
-from .snapshot import Variable, to_html
-from .tape import Tape
-from .trial import WIDTHS
-from .update import Change, Update
-from .variables import Declaration, Declarations
-from .wire import Batch
+from .recording.recorder import RecordedTransport
+from .replica import Replica, Unsent, database_of, similar
+from .subscribers import Subscribers
+from .sync_thread import SyncThread
+from .variables.database import TimeStamp
+from .variables.declarations import Declaration, Declarations, bind, refuse_hiding
+from .variables.snapshot import Update, Variable, to_html
+from .wire.decoder import Limits
+from .wire.schema import WIDTHS
 
 __all__ = ["Access", "Variables", "connect"]
 
@@ -40,9 +40,6 @@ _log = logging.getLogger(__name__)
 
 #: "r" reads what the robot knows; "w" is its master and tells it what to do.
 Access = Literal["r", "w"]
-
-#: What a writer says that has set nothing: its request holds a data package all the same (section 4).
-_NOTHING_SET = b"dw\0\0\0\0"
 
 R = TypeVar("R", bound="Variables")
 
@@ -55,6 +52,7 @@ def connect(
     access: Access = "r",
     fallback: Literal["r"] | None = None,
     timeout: float = 5.0,
+    unsent: Unsent = "discard",
     width: int | None = None,
     limits: Limits | None = None,
     record: str | os.PathLike[str] | None = None,
@@ -69,6 +67,7 @@ def connect(
     access: Access = "r",
     fallback: Literal["r"] | None = None,
     timeout: float = 5.0,
+    unsent: Unsent = "discard",
     width: int | None = None,
     limits: Limits | None = None,
     record: str | os.PathLike[str] | None = None,
@@ -82,6 +81,7 @@ def connect(
     access: Access = "r",
     fallback: Literal["r"] | None = None,
     timeout: float = 5.0,
+    unsent: Unsent = "discard",
     width: int | None = None,
     limits: Limits | None = None,
     record: str | os.PathLike[str] | None = None,
@@ -96,6 +96,9 @@ def connect(
         fallback: "r" makes do with reader access if the robot has a master already; see
             `Variables.access`.
         timeout: seconds for the connection and its handshake, and for each sync that does not say.
+        unsent: what becomes of values that were set and not sent when a sync finds the connection lost, or cannot make
+            it again. "discard" forgets them: a robot that has lost its master should not be set moving by what was said
+            before. "send" leaves them to the next sync that succeeds, however late that is.
         width: 32-bit words of a time stamp, 2 or 4; by default found out from the handshake.
         limits: what the robot may ask for.
         record: a file that does not exist yet, for every byte that the robot sends, with the time at
@@ -110,19 +113,25 @@ def connect(
         WrongPeer, PacketError: what is there is no RHD server.
     """
     place = parse_address(address)
-    if access not in ("r", "w") or fallback not in (None, "r"):
-        raise BadValue(f"access={access!r}, fallback={fallback!r}; expected 'r' or 'w', and None or 'r'")
-    if not timeout > 0:
-        raise BadValue(f"timeout is {timeout}; expected a positive number of seconds")
-    if width is not None and width not in WIDTHS:
-        raise BadValue(f"width is {width}; expected 2 or 4 words")
-    robot = (variables or Variables)()
+    if variables is None:
+        variables = Variables
+    elif not (isinstance(variables, type) and issubclass(variables, Variables)):
+        raise BadValue(f"variables is {variables!r}; expected a class that derives from rhdlink.Variables")
+    check_choice("access", access, ("r", "w"))
+    check_choice("fallback", fallback, (None, "r"))
+    check_choice("unsent", unsent, ("discard", "send"))
+    check_choice("width", width, (None, *WIDTHS))
+    check_seconds("timeout", timeout)
+    if limits is not None and not isinstance(limits, Limits):
+        raise BadValue(f"limits is {limits!r}; expected rhdlink.Limits(...)")
+    robot = variables()
     transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(
         str(place),
-        transport if record is None else Tape(transport, record),
+        transport if record is None else RecordedTransport(transport, record),
         {"access": access, "fallback": fallback, "width": width, "limits": limits},
         timeout,
+        unsent,
     )
     return robot
 
@@ -146,54 +155,51 @@ class Variables(Declarations):
     used from several threads. Made by `connect`.
     """
 
-    _link: Link | None = None
+    _connection: Connection | None = None
     _transport: Transport | None = None
-    _database: Database | None = None
+    _replica: Replica
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        for attribute in cls.declared():
-            if hasattr(Variables, attribute):
-                raise BadValue(
-                    f"{cls.__name__}.{attribute} would hide what every robot has; "
-                    f"call it otherwise, with name={cls.declared()[attribute].name!r}"
-                )
+        refuse_hiding(cls, Variables)
 
     def __setattr__(self, attribute: str, value: object) -> None:
         # A slip of the pen would set an attribute that nobody sends.
         if not attribute.startswith("_") and not hasattr(type(self), attribute):
-            raise NotThere(f"{type(self).__name__} declares no {attribute}")
+            raise NotThere(f"{type(self).__name__} declares no {attribute}{similar(attribute, list(self.declared()))}")
         super().__setattr__(attribute, value)
 
-    def _connect(self, address: str, transport: Transport, options: dict[str, Any], timeout: float) -> None:
+    def _connect(
+        self, address: str, transport: Transport, options: dict[str, Any], timeout: float, unsent: Unsent = "discard"
+    ) -> None:
         self._address = address
         self._transport = transport
         self._options = options
         self._timeout = timeout
-        self._guard = threading.RLock()  # the database
-        self._exchange = threading.RLock()  # the connection
-        self._audience = Audience(address)
+        self._process = os.getpid()
+        self._replica = Replica(address, unsent)
+        self._exchange = threading.RLock()  # held by the thread that uses the connection
+        self._subscribers = Subscribers(address)
         self._closing = threading.Event()
-        self._background: Background | None = None
+        self._sync_thread: SyncThread | None = None
         self._connections = 0
         self._state = ConnectionState.IDLE
         self._open(time.monotonic() + timeout)
 
     # -- values --------------------------------------------------------------------------------
 
-    def __getitem__(self, name: str) -> NDArray[np.int32]:
-        """The words of a variable, as a read-only array that does not change.
+    def __getitem__(self, name: str) -> Any:
+        """The words of a variable: an int if it is one, else a read-only int32 array that does not change.
 
         Of a read and a write variable with the same name this is the read variable.
 
         Raises:
             NotThere: the robot has no such variable.
         """
-        with self._guard:
-            table, identity = self._find(name)
-            words = table.value(identity).copy()
-        words.flags.writeable = False
-        return words
+        replica = self._known()
+        with replica.lock:
+            table, identity = replica.find(name)
+            return table.words(identity)
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
         """Set a write variable: a whole number, or as many as it is long. Sent with the next sync.
@@ -203,28 +209,27 @@ class Variables(Declarations):
             BadValue: it is no such number, or as many.
             AccessDenied: the access is "r".
         """
-        with self._guard:
-            table = self._known.write
-            identity = table.find(name)
-            if identity is None:
-                more = "; it is a read variable" if name in self._known.read else ""
-                raise NotThere(f"{self._address} has no write variable {name!r}{more}")
-            self._check_access(name)
-            length = table.rows[identity].length
-            try:
-                if length > 1 and np.ndim(value) != 1:
-                    raise BadValue(f"expected {length} words, got {value!r}")
-                table.set(identity, value)
-            except ValueError as error:  # BadValue, or numpy's own for what is no array at all
-                raise BadValue(f"{name}: {error}") from None
+        replica = self._known()
+        replica.find_to_set(name)
+        self._require_write_access(name)
+        replica.set(name, value)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._known.read or name in self._known.write
+        database = self._known().database
+        return name in database.read or name in database.write
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of all variables, read variables first."""
+        return iter(self._known().names())
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [] if self._transport is None else self._known().names()
 
     def stamp(self, name: str) -> TimeStamp:
         """When a variable was set last, by the clock of who set it; raises `NotThere`."""
-        with self._guard:
-            table, identity = self._find(name)
+        replica = self._known()
+        with replica.lock:
+            table, identity = replica.find(name)
             return table.stamp(identity)
 
     def updated(self, name: str) -> bool:
@@ -245,67 +250,61 @@ class Variables(Declarations):
     @property
     def variables(self) -> list[Variable]:
         """Every variable at this moment, read variables first."""
-        declared = {(each.direction, each.name): each for each in self.declared().values()}
-        found = []
-        with self._guard:
-            for table in (self._known.read, self._known.write):
-                for identity, row in enumerate(table):
-                    declaration = declared.get((table.direction, row.name))
-                    found.append(
-                        Variable(
-                            name=row.name,
-                            direction=table.direction,
-                            identity=identity,
-                            length=row.length,
-                            value=self._value(table, identity, declaration),
-                            stamp=table.stamp(identity),
-                            updated=bool(table.updated[identity]),
-                            changed=bool(table.changed[identity]),
-                            fresh=bool(table.fresh[identity]),
-                            unit="" if declaration is None else declaration.unit,
-                            doc="" if declaration is None else declaration.doc,
-                        )
-                    )
-        return found
+        replica = self._known()
+        with replica.lock:
+            return list(replica.snapshot(self.declared(), self._word_order))
 
     # -- the connection ------------------------------------------------------------------------
 
     @property
     def address(self) -> str:
         """Host and port."""
+        self._known()
         return self._address
 
     @property
     def access(self) -> Access:
         """What the robot granted: "r", or "w" for its master."""
+        self._known()
         return "w" if self._access == "w" else "r"
 
     @property
     def width(self) -> int:
         """32-bit words of a time stamp in this connection."""
+        self._known()
         return self._width
 
     @property
     def connection(self) -> ConnectionState:
         """What the connection is doing."""
-        return self._state
+        return ConnectionState.IDLE if self._transport is None else self._state
 
     @property
     def received(self) -> Stamp:
         """When the newest values came, by the clocks of this machine."""
+        self._known()
         return self._received
 
     @property
     def reconnects(self) -> int:
         """Connections after the first."""
+        self._known()
         return self._connections - 1
+
+    @property
+    def discarded(self) -> int:
+        """Values that were set and will not be sent, because the connection was lost before.
+
+        See the argument `unsent` of `connect`.
+        """
+        return self._known().discarded
 
     def sync(self, timeout: float | None = None) -> None:
         """Send what was set, and get what the robot knows: one round trip, at the robot's next tick.
 
-        After a lost connection it first connects again: greets anew and finds the variables by name.
-        What was set and not sent when the connection was lost is forgotten, since the robot may have
-        stopped meanwhile; what is set after that is sent.
+        After a lost connection it first connects again: greets anew and finds the variables by name. When the
+        connection is lost, or cannot be made again, what was set before is forgotten, unless `connect` was told
+        ``unsent="send"``: set it again. What is set after that is sent.
 
         Args:
             timeout: seconds for all of it; by default that of `connect`.
@@ -316,40 +315,27 @@ class Variables(Declarations):
             ConnectionLost, PacketError: the connection has ended; the next sync makes another.
             AccessDenied, WrongVariables, ConnectFailed, WrongPeer: it could not be made again.
             Closed: after `close`.
+            LocalError: in a process that was forked from the one which connected.
         """
+        replica = self._known()
         seconds = self._timeout if timeout is None else timeout
-        if not seconds > 0:
-            raise BadValue(f"timeout is {seconds}; expected a positive number of seconds")
+        check_seconds("timeout", seconds)
+        if os.getpid() != self._process:
+            raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
         until = time.monotonic() + seconds
         if not self._exchange.acquire(timeout=min(seconds, threading.TIMEOUT_MAX)):
             raise LinkTimeout(f"{self.address}: another thread has been in sync() for {seconds:g} s")
         try:
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
-            link = self._link or self._open(until)
-            known = self._known
-            with self._guard:
-                known.read.begin_round()
-                known.write.begin_round(updates=False)
-            try:
-                link.take_waiting(until)
-                link.collect(until)
-                link.settle(self._period, until)
-                link.request(self._outgoing(link), until)
-            except LinkTimeout:
-                raise
-            except RemoteError as error:
-                if self._closing.is_set():
-                    raise Closed(f"{self._address} was closed") from error
-                self._lose(error)
-                raise
-            self._received = link.received
+            self._sync(replica, until)
         finally:
             self._exchange.release()
-        if self._audience.has(Update):
-            self._audience.update(self._changes(self._audience.wanted()), self._received)
+        if self._subscribers.has(Update):
+            names = self._subscribers.wanted()
+            self._subscribers.update(replica.changes(names, self.declared(), self._word_order), self._received)
 
-    def background(self, period: float | None = None, *, backoff: Backoff | None = None) -> Background:
+    def background(self, period: float | None = None, *, backoff: Backoff | None = None) -> SyncThread:
         """Keep in sync from a thread, until it or the robot is closed; reconnects by itself.
 
         Args:
@@ -358,15 +344,16 @@ class Variables(Declarations):
 
         Raises:
             BadValue: a period that is no positive number.
-            LocalError: it is kept in sync already.
+            LocalError: it is kept in sync already, or the system has no thread left.
             Closed: after `close`.
         """
+        self._known()
         if self._closing.is_set():
             raise Closed(f"{self._address} was closed")
-        if self._background is not None and self._background.is_running:
+        if self._sync_thread is not None and self._sync_thread.is_running:
             raise LocalError(f"{self._address} is kept in sync already")
-        self._background = Background(self.sync, period, backoff, name=f"{self._address} sync")
-        return self._background
+        self._sync_thread = SyncThread(self.sync, period, backoff, name=f"{self._address} sync")
+        return self._sync_thread
 
     def subscribe(
         self,
@@ -387,15 +374,13 @@ class Variables(Declarations):
 
         Raises:
             NotThere: the robot has no such variable.
+            BadValue: an argument that cannot be.
             Closed: after `close`.
         """
+        replica = self._known()
         for name in names:
-            self._find(name)
-        if deadline is not None and not deadline > 0:
-            raise BadValue(f"deadline is {deadline}; expected a positive number of seconds")
-        if on_deadline is not None and deadline is None:
-            raise BadValue("on_deadline was given without a deadline")
-        return self._audience.subscribe(
+            replica.find(name)
+        return self._subscribers.subscribe(
             Update, callback, frozenset(names) or None, policy or drop_oldest(256), deadline, on_deadline
         )
 
@@ -403,10 +388,11 @@ class Variables(Declarations):
         self, callback: Callable[[ConnectionEvent], object], *, policy: Policy | None = None
     ) -> Subscription:
         """Call `callback` with each change of the connection, in a thread of its own, until closed."""
-        return self._audience.subscribe(ConnectionEvent, callback, None, policy or drop_oldest(1024))
+        self._known()
+        return self._subscribers.subscribe(ConnectionEvent, callback, None, policy or drop_oldest(1024))
 
     def close(self, timeout: float = 2.0) -> None:
-        """Disconnect, and end the background thread and every subscription, within `timeout` seconds.
+        """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
         A robot is not told: its values stay as they were sent last, until it notices that its master
         is gone. Idempotent, from any thread.
@@ -419,12 +405,12 @@ class Variables(Declarations):
         until = time.monotonic() + timeout
         self._closing.set()
         self._transport.close()
-        if self._background is not None:
-            self._background.close(timeout)
+        if self._sync_thread is not None:
+            self._sync_thread.close(timeout)
         if self._state is not ConnectionState.CLOSED:
             self._tell(ConnectionState.CLOSED)
-        self._audience.close(until)
-        if isinstance(self._transport, Tape):
+        self._subscribers.close(until)
+        if isinstance(self._transport, RecordedTransport):
             self._transport.finish()
 
     def __enter__(self: R) -> R:
@@ -433,159 +419,103 @@ class Variables(Declarations):
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    def __del__(self) -> None:
+        # A connection that never stood, or was closed in a parent process, is nobody's loss.
+        if self._connection is not None and not self._closing.is_set() and os.getpid() == self._process:
+            try:
+                warnings.warn(f"{self!r} was dropped without close()", ResourceWarning, source=self, stacklevel=2)
+            finally:
+                self.close(0.0)
+
     def __repr__(self) -> str:
-        if self._database is None:
+        if self._transport is None or not self._connections:
             return f"<{type(self).__name__}, not connected>"
-        counts = f"{len(self._database.read)} read and {len(self._database.write)} write variables"
+        database = self._replica.database
+        counts = f"{len(database.read)} read and {len(database.write)} write variables"
         return f"<{type(self).__name__} {self._address} access {self._access!r}, {counts}, {self._state.value}>"
 
     def _repr_html_(self) -> str:
-        return to_html(repr(self), () if self._database is None else self.variables)
+        return to_html(repr(self), () if self._transport is None else self.variables)
 
     # ------------------------------------------------------------------------------------------
 
-    @property
-    def _known(self) -> Database:
-        if self._database is None:
+    def _known(self) -> Replica:
+        if self._transport is None:
             raise LocalError(f"{type(self).__name__} belongs to no robot yet; it is what connect() takes")
-        return self._database
-
-    def _find(self, name: str) -> tuple[Table, int]:
-        for table in (self._known.read, self._known.write):
-            identity = table.find(name)
-            if identity is not None:
-                return table, identity
-        raise NotThere(f"{self._address} has no variable {name!r}")
+        return self._replica
 
     def _flag(self, name: str, flag: str) -> bool:
-        with self._guard:
-            table, identity = self._find(name)
+        replica = self._known()
+        with replica.lock:
+            table, identity = replica.find(name)
             return bool(getattr(table, flag)[identity])
-
-    def _value(self, table: Table, identity: int, declaration: Declaration[Any, Any] | None) -> Any:
-        words = table.value(identity).copy()
-        if declaration is not None and declaration.length == len(words):
-            return declaration.unpack(words, declaration.order or self._order)
-        words.flags.writeable = False
-        return words
 
     def _check_set(self, declaration: Declaration[Any, Any]) -> None:
         if self._transport is None:
             return  # on the robot's side
         if declaration.direction == "r":
             raise LocalError(f"{declaration.name} is a read variable: the robot sets it")
-        self._check_access(declaration.name)
+        self._require_write_access(declaration.name)
 
-    def _check_access(self, name: str) -> None:
+    def _require_write_access(self, name: str) -> None:
         if self._access != "w":
             raise AccessDenied(f"{name} cannot be set: the access is 'r'; connect with access='w'")
 
-    def _open(self, until: float) -> Link:
+    def _sync(self, replica: Replica, until: float) -> None:
+        """One exchange, by the thread that holds the connection."""
+        try:
+            connection = self._connection or self._open(until)
+            replica.begin_round()
+            connection.take_waiting(until)
+            connection.collect(until)
+            connection.settle(replica.period, until)
+            connection.request(replica.outgoing(connection.access, connection.width), until)
+            self._received = connection.received
+        except RemoteError as error:
+            if self._closing.is_set():
+                raise Closed(f"{self._address} was closed") from error
+            if isinstance(error, LinkTimeout) and self._connection is not None:
+                raise  # the robot still has its master, and is sent with the next sync what it could not be sent now
+            if self._connection is not None:
+                self._lose(self._connection, error)
+            replica.give_up()
+            raise
+
+    def _open(self, until: float) -> Connection:
         """Connect, and find the variables."""
         if self._closing.is_set() or self._transport is None:
             raise Closed(f"{self._address} was closed")
         self._tell(ConnectionState.CONNECTING)
+        replica = self._replica
         try:
-            link = Link(self._transport, until=until, deliver=self._apply, **self._options)
+            connection = Connection(self._transport, until=until, deliver=replica.apply, **self._options)
         except RemoteError as error:
             self._tell(ConnectionState.LOST, error)
             raise
-        handshake = link.handshake
-        database = Database(handshake.read, handshake.write)
-        for data in handshake.data:
-            database.table(data.direction).receive(data, updates=False)
-        for table in (database.read, database.write):
-            table.begin_round()
+        database = database_of(connection.handshake)
         try:
-            self._adopt(database)
+            with replica.lock:
+                bind(self, database, replica.lock)
+                replica.adopt(database)
         except RemoteError as error:
-            link.close()
+            connection.close()
             self._tell(ConnectionState.LOST, error)
             raise
         if self._closing.is_set():  # while connecting: it could not see this connection
-            link.close()
+            connection.close()
             raise Closed(f"{self._address} was closed")
-        self._link = link
-        self._access, self._width, self._received = link.access, link.width, link.received
+        self._connection = connection
+        self._access, self._width, self._received = connection.access, connection.width, connection.received
         self._connections += 1
-        self._period: float | None = None
-        self._ticked = self._tick()
         self._tell(ConnectionState.CONNECTED)
-        return link
+        return connection
 
-    def _adopt(self, database: Database) -> None:
-        """Go over to the tables of a new connection, with what was set since the last one was lost."""
-        with self._guard:
-            before = self._database
-            self.bind(database)
-            self._database = database
-            if before is None:
-                return
-            for identity in before.write.pending.take().tolist():
-                row = before.write.rows[identity]
-                new = database.write.find(row.name)
-                if new is not None and database.write.rows[new].length == row.length:
-                    database.write.set(new, before.write.value(identity), before.write.stamp(identity))
-
-    def _lose(self, error: RemoteError) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
-        with self._guard:
-            write = self._known.write
-            write.updated[write.pending.take()] = False
+    def _lose(self, connection: Connection, error: RemoteError) -> None:
+        self._connection = None
+        connection.close()
         _log.info("%s: connection lost: %s", self._address, error)
         self._tell(ConnectionState.LOST, error)
 
-    def _outgoing(self, link: Link) -> bytes:
-        """The data package of a request; a reader's has none."""
-        if link.access != "w":
-            return b""
-        with self._guard:
-            write = self._known.write
-            if not write.pending:
-                return _NOTHING_SET
-            ids = write.pending.take()
-            write.updated[ids] = False
-            return write.encode(ids, link.width)
-
-    def _apply(self, batch: Batch) -> None:
-        with self._guard:
-            known = self._known
-            for data in batch.data:
-                # A write variable's `updated` says that it waits to be sent: receiving never sets it.
-                known.table(data.direction).receive(data, updates=data.direction == "r")
-        if self._period is None:
-            self._measure()
-
-    def _tick(self) -> tuple[int, float] | None:
-        """The robot's count of ticks, and when it counted; variable 0 of every server (section 3)."""
-        table = self._known.read
-        identity = table.find("tick")
-        if identity is None:
-            return None
-        return int(table.value(identity)[0]), table.stamp(identity).time
-
-    def _measure(self) -> None:
-        """The time between ticks, from the first batch that shows it."""
-        before, after = self._ticked, self._tick()
-        if before is not None and after is not None and after[0] > before[0] and after[1] > before[1]:
-            self._period = (after[1] - before[1]) / (after[0] - before[0])
-
-    def _changes(self, names: frozenset[str] | None) -> dict[str, Change]:
-        """What is fresh, by name; None is for every name."""
-        declared = {(each.direction, each.name): each for each in self.declared().values()}
-        changes: dict[str, Change] = {}
-        with self._guard:
-            # Of a read and a write variable with the same name the read variable stands.
-            for table in (self._known.write, self._known.read):
-                for identity in table.fresh.nonzero()[0].tolist():
-                    name = table.rows[identity].name
-                    if names is None or name in names:
-                        value = self._value(table, identity, declared.get((table.direction, name)))
-                        changes[name] = Change(value, table.stamp(identity), bool(table.changed[identity]))
-        return changes
-
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
         self._state = state
-        self._audience.tell(ConnectionEvent(state, self._address, error, Stamp.now()))
+        self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))

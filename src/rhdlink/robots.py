@@ -1,4 +1,4 @@
-"""Ready-made classes for the robots of section 15 of the protocol reference.
+"""Ready-made classes for the robots of docs/protocols/rhd.md, Names of variables.
 
 Scales and units are those of the original's drivers. What not every robot of a kind has is optional:
 using it where it is missing raises `NotThere`. Derive from a class to declare more, or otherwise.
@@ -7,8 +7,8 @@ using it where it is missing raises `NotThere`. Derive from a class to declare m
 from __future__ import annotations
 
 from .client import Variables
-from .kinds import Int32, Millionths, Scaled
-from .variables import Read, Write
+from .variables.declarations import Read, Write
+from .variables.value_types import Int32, Millionths, Scaled
 
 __all__ = ["Ackerman", "Gps", "Smr", "VelocityOmega"]
 

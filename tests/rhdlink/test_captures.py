@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from linkcore.errors import PacketError
-from rhdlink.database import Database, TimeStamp
-from rhdlink.entries import Layout
-from rhdlink.wire import Batch, ClientStream, Handshake, Request, ServerStream, encode_access, encode_data, encode_ready
+from rhdlink.variables.database import Database, TimeStamp
+from rhdlink.wire.data import TableLayout
+from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
+from rhdlink.wire.messages import Batch, Handshake, Request, encode_access, encode_data, encode_ready
 from tests.rhdlink import recorded
 
 pytestmark = pytest.mark.captures("rhd")
@@ -35,15 +36,15 @@ STREAMS: dict[str, tuple[int, int, str | None]] = {
 PRINTED = [name for name in STREAMS if name.startswith(("reader", "writer"))]
 
 
-def whole(data: bytes) -> tuple[ServerStream, Handshake, list[Batch]]:
-    stream = ServerStream()
+def whole(data: bytes) -> tuple[ServerDecoder, Handshake, list[Batch]]:
+    stream = ServerDecoder()
     stream.feed(data)
     handshake = stream.take_handshake()
     assert handshake is not None
     return stream, handshake, batches_of(stream)
 
 
-def batches_of(stream: ServerStream) -> list[Batch]:
+def batches_of(stream: ServerDecoder) -> list[Batch]:
     batches = []
     while (batch := stream.take_batch()) is not None:
         batches.append(batch)
@@ -51,7 +52,7 @@ def batches_of(stream: ServerStream) -> list[Batch]:
 
 
 def requests_of(data: bytes, handshake: Handshake) -> list[Request]:
-    stream = ClientStream(Layout([row.length for row in handshake.write]), width=handshake.width)
+    stream = ClientDecoder(TableLayout([row.length for row in handshake.write]), width=handshake.width)
     stream.feed(data)
     assert stream.take_access() in ("r", "w")
     requests = []
@@ -111,7 +112,7 @@ def test_what_the_original_client_printed(name: str) -> None:
         for data in request.data:
             for identity, stamp, values in data.items():
                 database.write.set(identity, values, TimeStamp(*stamp))
-        database.write.updated[database.write.pending.take()] = False  # sent
+        database.write.updated[database.write.dirty.take()] = False  # sent
         for data in batch.data:
             database.table(data.direction).receive(data, updates=data.direction == "r")
         compare(lines)
@@ -121,7 +122,7 @@ def test_what_the_original_client_printed(name: str) -> None:
 def test_byte_by_byte_is_the_same_as_whole(name: str) -> None:
     data = recorded.from_server(name)
     _, handshake, batches = whole(data)
-    stream, found = ServerStream(), []
+    stream, found = ServerDecoder(), []
     for at in range(len(data)):
         stream.feed(data[at : at + 1])
         if stream.handshake is None:
@@ -145,7 +146,7 @@ def test_cut_in_two_at_every_byte(name: str) -> None:
         data = data[: len(data) - size] + data[len(data) - batches[-1].size :]
         batches = batches[-1:]
     for at in range(1, len(data)):
-        stream = ServerStream()
+        stream = ServerDecoder()
         stream.feed(data[:at])
         first = stream.take_handshake()
         early = batches_of(stream) if first is not None else []
@@ -161,7 +162,7 @@ def test_requests_byte_by_byte(name: str) -> None:
     _, handshake, _ = whole(recorded.from_server(name))
     data = recorded.from_client(name)
     requests = requests_of(data, handshake)
-    stream, found = ClientStream(Layout([row.length for row in handshake.write]), width=handshake.width), []
+    stream, found = ClientDecoder(TableLayout([row.length for row in handshake.write]), width=handshake.width), []
     for at in range(len(data)):
         stream.feed(data[at : at + 1])
         if stream.take_access() is not None:
@@ -200,7 +201,7 @@ def test_encoded_again_it_is_the_same_bytes(name: str) -> None:
 
 def test_the_width_is_known_with_the_last_byte_of_the_handshake() -> None:
     for name, size in (("reader64", 1582), ("reader64naive", 1726)):
-        stream = ServerStream()
+        stream = ServerDecoder()
         stream.feed(recorded.from_server(name)[: size - 1])
         assert stream.take_handshake() is None
         stream.feed(b"e")
@@ -208,7 +209,7 @@ def test_the_width_is_known_with_the_last_byte_of_the_handshake() -> None:
 
 
 def test_the_wrong_width_is_refused_and_says_where() -> None:
-    stream = ServerStream(width=4)
+    stream = ServerDecoder(width=4)
     stream.feed(recorded.from_server("reader64"))
     with pytest.raises(PacketError, match="fit stamps of 4 words no longer") as caught:
         stream.take_handshake()

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import LocalError
-from rhdlink.config import (
+from rhdlink.host.config import (
     DEEPEST,
     LARGEST,
     MOST_ELEMENTS,

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from linkcore.errors import BadValue, LocalError
-from rhdlink.database import Database, Table, TimeStamp, now
-from rhdlink.entries import Data, Entries, Layout
-from rhdlink.pending import Pending
-from rhdlink.wire import Row, ServerStream
+from rhdlink.variables.database import Database, Table, TimeStamp, now
+from rhdlink.variables.dirty_set import DirtySet
+from rhdlink.wire.data import DataPackage, Selection, TableLayout
+from rhdlink.wire.decoder import ServerDecoder
+from rhdlink.wire.messages import Row
 
 words = st.integers(-(2**31), 2**31 - 1)
 stamps = st.builds(TimeStamp, st.integers(0, 2**32 - 1), st.integers(0, 999_999))
@@ -25,7 +26,7 @@ class DatabaseModel(RuleBasedStateMachine):
 
     @initialize(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=9), many=st.booleans())
     def begin(self, lengths: list[int], many: bool) -> None:
-        # With many variables, Pending looks at all marks rather than sorting few.
+        # With many variables, DirtySet looks at all marks rather than sorting few.
         self.lengths = lengths * (20 if many else 1)
         self.table = Table("r", [Row(f"v{number}", length) for number, length in enumerate(self.lengths)])
         count = len(self.lengths)
@@ -34,7 +35,7 @@ class DatabaseModel(RuleBasedStateMachine):
         self.updated, self.changed, self.fresh = set[int](), set[int](), set[int]()
         self.received = set[int]()
         self.set_here = set[int]()
-        self.told: list[Pending] = [Pending(count), Pending(count)]
+        self.told: list[DirtySet] = [DirtySet(count), DirtySet(count)]
         self.untold: list[set[int]] = [set(), set()]
 
     def some(self, data: st.DataObject) -> list[int]:
@@ -73,9 +74,9 @@ class DatabaseModel(RuleBasedStateMachine):
                 other.set(identity, self.values[identity], self.stamps[identity])
             else:
                 other.set(identity, data.draw(words), data.draw(stamps))
-        entries = Entries(other.layout, np.array(ids, np.int64), width)
-        raw = np.frombuffer(entries.pack(other.values, other.stamps), ">i4").astype(np.int32)
-        self.table.receive(Data("r", entries, raw), updates=updates)
+        selection = Selection(other.layout, np.array(ids, np.int64), width)
+        raw = np.frombuffer(selection.pack(other.values, other.stamps), ">i4").astype(np.int32)
+        self.table.receive(DataPackage("r", selection, raw), updates=updates)
         for identity in ids:
             value, stamp = other.value(identity).tolist(), other.stamp(identity)
             (self.changed.add if value != self.values[identity] else self.changed.discard)(identity)
@@ -95,7 +96,7 @@ class DatabaseModel(RuleBasedStateMachine):
 
     @rule()
     def tell(self) -> None:
-        ids = self.table.pending.take()
+        ids = self.table.dirty.take()
         assert ids.tolist() == sorted(self.set_here)
         for pending, untold in zip(self.told, self.untold, strict=True):
             pending.add_many(ids, ordered=True)
@@ -141,7 +142,7 @@ def test_variables_are_made_until_the_first_handshake() -> None:
     assert database.read.add("late", 2) == 2
     assert database.read.value(1).tolist() == list(range(8))  # the original zeroes it here
     assert database.read.stamp(1) == (1, 2)
-    assert database.read.pending.take().tolist() == [1]
+    assert database.read.dirty.take().tolist() == [1]
     database.encode_handshake("r")
     with pytest.raises(LocalError, match="'more' cannot be made"):
         database.read.add("more")
@@ -178,7 +179,7 @@ def test_values_that_cannot_be(value: Any) -> None:
     with pytest.raises(BadValue):
         table.set_many(table.select([0]), value)
     assert not table.values.any()
-    assert not table.pending
+    assert not table.dirty
 
 
 def test_a_view_of_a_variable_is_read_only_and_changes_with_it() -> None:
@@ -208,8 +209,8 @@ def test_a_selection_does_not_follow_the_array_it_was_made_from() -> None:
 def test_what_two_are_told_alike_is_prepared_once() -> None:
     table = Table("r", [Row(f"v{number}", 1 + number % 3) for number in range(300)])
     table.set_many(table.select(range(300)), 5)
-    ids = table.pending.take()
-    one, other = Pending(300), Pending(300)
+    ids = table.dirty.take()
+    one, other = DirtySet(300), DirtySet(300)
     for pending in (one, other):
         pending.add_many(ids, ordered=True)
     assert one.take() is other.take()
@@ -226,7 +227,7 @@ def test_the_present_is_exact() -> None:
 @given(st.integers(0, 5), st.sampled_from([2, 4]))
 def test_a_server_with_no_write_variables(count: int, width: int) -> None:
     database = Database(read=[Row(f"v{number}", 1) for number in range(count)])
-    stream = ServerStream(width=width)
+    stream = ServerDecoder(width=width)
     stream.feed(database.encode_handshake(None, width))
     handshake = stream.take_handshake()
     assert handshake is not None
@@ -239,4 +240,4 @@ def test_neither_table() -> None:
 
 
 def test_the_layout_of_nothing() -> None:
-    assert (Layout([]).words, Layout([]).uniform) == (0, None)
+    assert (TableLayout([]).words, TableLayout([]).uniform) == (0, None)

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue
-from rhdlink.database import Database
-from rhdlink.host import Host
-from rhdlink.kinds import Int32
-from rhdlink.plugin import Plugin
-from rhdlink.server import MOST_NEW
-from rhdlink.variables import Read, Write
-from tests.rhdlink.party import Party
+from rhdlink.host.host import Host
+from rhdlink.host.plugin import Plugin
+from rhdlink.host.server import MOST_NEW
+from rhdlink.variables.database import Database
+from rhdlink.variables.declarations import Read, Write
+from rhdlink.variables.value_types import Int32
+from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
 
@@ -53,18 +53,18 @@ def robot() -> Robot:
 @pytest.fixture
 def host(robot: Robot) -> Iterator[Host]:
     # A period that a hostile client cannot hide in: the witness needs fifty of them.
-    with Host([robot], period=0.002, port=0, patience=30.0) as host:
+    with Host([robot], period=0.002, port=0, client_timeout=30.0) as host:
         yield host
 
 
 def witness(host: Host, syncs: int = 50) -> None:
     """Another client comes and is answered, each time in a later round, and the robot's plugin has run in between."""
-    with Party(host.port) as party:
-        party.greeting()
-        last = party.value("tick")
+    with RawClient(host.port) as client:
+        client.greeting()
+        last = client.value("tick")
         for _ in range(syncs):
-            party.sync()
-            tick, counter = party.value("tick"), party.value("counter")
+            client.sync()
+            tick, counter = client.value("tick"), client.value("counter")
             assert tick > last
             assert counter == tick - 1
             last = tick
@@ -96,10 +96,10 @@ HOSTILE_WRITES = {
 def test_1_and_13_hostile_ids_and_counts_close_their_connection_only(
     host: Host, robot: Robot, access: bytes, payload: bytes
 ) -> None:
-    with Party(host.port, access) as party:
-        party.greeting()
-        party.send(b"r" + access[1:] + b"dw" + payload + b"ee")
-        assert party.is_closed()
+    with RawClient(host.port, access) as client:
+        client.greeting()
+        client.send(b"r" + access[1:] + b"dw" + payload + b"ee")
+        assert client.is_closed()
     witness(host)
     assert host.stats.bad_clients == 1
     assert [speed for speed, _ in robot.seen] == [0]
@@ -107,18 +107,18 @@ def test_1_and_13_hostile_ids_and_counts_close_their_connection_only(
 
 
 def test_2_a_reader_cannot_move_the_robot(host: Host, robot: Robot) -> None:
-    with Party(host.port) as party:
-        party.greeting()
-        party.send(b"rrdw" + int32(1) + ENTRY + b"ee")
-        party.batch()
-        party.sync()
-        party.sync()
+    with RawClient(host.port) as client:
+        client.greeting()
+        client.send(b"rrdw" + int32(1) + ENTRY + b"ee")
+        client.batch()
+        client.sync()
+        client.sync()
     assert robot.seen == [(0, False)]
     assert host.stats.refused_writes == 1
 
 
 def test_2_nor_can_a_refused_writer(host: Host, robot: Robot) -> None:
-    with Party(host.port, b"aw") as master, Party(host.port, b"aw") as second:
+    with RawClient(host.port, b"aw") as master, RawClient(host.port, b"aw") as second:
         assert master.greeting().granted == "w"
         assert second.greeting().granted == "r"
         second.send(b"rrdw" + int32(1) + ENTRY + b"ee")
@@ -149,36 +149,36 @@ def test_3_half_a_package_holds_up_nobody_and_can_be_completed(host: Host, half:
     whole = b"rrdw" + int32(2) + ENTRY + int32(1, 0, 0, 1, 2, 3, 4) + b"ee"
     if not whole.startswith(half):
         whole = b"rrdw" + int32(1) + ENTRY + b"ee"
-    with Party(host.port) as party:
-        party.greeting()
-        party.send(half)
+    with RawClient(host.port) as client:
+        client.greeting()
+        client.send(half)
         witness(host)
-        party.send(whole[len(half) :])
-        party.batch()
+        client.send(whole[len(half) :])
+        client.batch()
 
 
 @pytest.mark.parametrize("stray", [b"x", b"\0", b"ree", b"drxx", b"GET / HTTP/1.0\r\n\r\n", b"\xff" * 4096])
 def test_3_stray_bytes_end_their_own_connection(host: Host, stray: bytes) -> None:
-    with Party(host.port) as party:
-        party.greeting()
-        party.send(stray + b"rree")
-        assert party.is_closed()
+    with RawClient(host.port) as client:
+        client.greeting()
+        client.send(stray + b"rree")
+        assert client.is_closed()
     witness(host)
 
 
 @pytest.mark.parametrize("said", [b"", b"a"])
 def test_4_silence_in_the_handshake_holds_up_nobody(host: Host, said: bytes) -> None:
     with ExitStack() as stack:
-        silent = [stack.enter_context(Party(host.port, said)) for _ in range(5)]
+        silent = [stack.enter_context(RawClient(host.port, said)) for _ in range(5)]
         witness(host)
-        for party in silent:
-            party.send(b"ar"[len(said) :])
-            party.greeting()
+        for client in silent:
+            client.send(b"ar"[len(said) :])
+            client.greeting()
 
 
 def test_4_silent_connections_do_not_pile_up(host: Host) -> None:
     with ExitStack() as stack:
-        silent = [stack.enter_context(Party(host.port, b"")) for _ in range(MOST_NEW + 1)]
+        silent = [stack.enter_context(RawClient(host.port, b"")) for _ in range(MOST_NEW + 1)]
         assert silent[0].is_closed()
         witness(host)
         silent[-1].send(b"ar")
@@ -187,26 +187,26 @@ def test_4_silent_connections_do_not_pile_up(host: Host) -> None:
 
 @pytest.mark.parametrize("said", [b"xr", b"ax", b"GET", b"\0\0", b"rree"])
 def test_4_what_is_no_handshake_is_closed_without_a_byte(host: Host, said: bytes) -> None:
-    with Party(host.port, said) as party, suppress(ConnectionResetError):
-        assert party.socket.recv(100) == b""
+    with RawClient(host.port, said) as client, suppress(ConnectionResetError):
+        assert client.socket.recv(100) == b""
     witness(host, 3)
 
 
 def test_5_who_connects_meanwhile_gets_its_own_handshake_and_disturbs_nobody(host: Host) -> None:
-    with Party(host.port) as steady:
+    with RawClient(host.port) as steady:
         steady.greeting()
         for _ in range(60):
-            with Party(host.port) as party:
-                handshake = party.greeting()
+            with RawClient(host.port) as client:
+                handshake = client.greeting()
                 assert [row.name for row in handshake.read] == ["tick", "counter", "calibration"]
                 assert [row.name for row in handshake.write] == ["speed", "arm"]
                 # `batch` refuses a table, or a package that belongs to another client's handshake.
                 assert len(steady.sync().data) == 2
-                party.sync()
+                client.sync()
 
 
 def test_6_nothing_is_sent_that_was_not_asked_for(host: Host) -> None:
-    with Party(host.port) as quiet, Party(host.port) as other:
+    with RawClient(host.port) as quiet, RawClient(host.port) as other:
         quiet.greeting()
         other.greeting()
         for _ in range(5):
@@ -220,31 +220,31 @@ def test_6_nothing_is_sent_that_was_not_asked_for(host: Host) -> None:
 
 
 def test_7_a_refused_writer_is_told_so(host: Host) -> None:
-    with Party(host.port, b"aw") as master, Party(host.port, b"aw") as second:
+    with RawClient(host.port, b"aw") as master, RawClient(host.port, b"aw") as second:
         assert (master.greeting().granted, second.greeting().granted) == ("w", "r")
 
 
 def test_8_only_what_was_set_since_is_sent(host: Host) -> None:
-    with Party(host.port) as party:
-        party.greeting()
-        party.sync()
+    with RawClient(host.port) as client:
+        client.greeting()
+        client.sync()
         for _ in range(3):
             # tick and counter; calibration was set once, long ago
-            (_, data) = party.sync().data
+            (_, data) = client.sync().data
             assert data.ids.tolist() == [0, 1]
 
 
 def test_8_the_original_s_way_can_be_had(robot: Robot) -> None:
-    with Host([robot], period=0.002, port=0, resend="original") as host, Party(host.port) as party:
-        party.greeting()
+    with Host([robot], period=0.002, port=0, resend="original") as host, RawClient(host.port) as client:
+        client.greeting()
         for _ in range(3):
-            (_, data) = party.sync().data
+            (_, data) = client.sync().data
             assert data.ids.tolist() == [0, 1, 2]
 
 
 def test_9_a_silent_master_costs_a_synchronized_host_one_period(robot: Robot) -> None:
     # One period is the longest that a tick waits: were it a thousand, the witness would run out of patience.
-    with Host([robot], period=0.005, port=0, synchronized=True) as host, Party(host.port, b"aw") as master:
+    with Host([robot], period=0.005, port=0, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         witness(host, 20)
         master.sync({"speed": 5})
@@ -254,14 +254,14 @@ def test_9_a_silent_master_costs_a_synchronized_host_one_period(robot: Robot) ->
 def test_10_every_reader_is_sent_the_write_table_whoever_left_before(robot: Robot) -> None:
     with ExitStack() as stack:
         host = stack.enter_context(Host([robot], period=0.002, port=0, allwriters=True))
-        first, last = (stack.enter_context(Party(host.port, b"aw")) for _ in range(2))
+        first, last = (stack.enter_context(RawClient(host.port, b"aw")) for _ in range(2))
         first.greeting()
         last.greeting()
         assert host.writers == 2
         last.close()
         until(lambda: host.writers == 1)
         # It gets the seat of the writer that was granted last.
-        reader = stack.enter_context(Party(host.port))
+        reader = stack.enter_context(RawClient(host.port))
         reader.greeting()
         first.sync({"speed": 6})
         assert [data.direction for data in reader.sync().data] == ["w", "r"]
@@ -280,8 +280,8 @@ def test_11_an_index_equal_to_the_length_reaches_no_neighbour(robot: Robot) -> N
 def test_12_the_port_is_free_again_at_once_and_of_this_machine_only(robot: Robot) -> None:
     with Host([robot], period=0.002, port=0) as host:
         port = host.port
-        party = Party(port)
-        party.greeting()
+        client = RawClient(port)
+        client.greeting()
     # The host closed first, so that its end of the connection lingers.
     with Host([Robot()], period=0.002, port=port) as host:
         assert host.port == port
@@ -289,16 +289,16 @@ def test_12_the_port_is_free_again_at_once_and_of_this_machine_only(robot: Robot
         # Another address of this machine, which a server that listens everywhere would answer on.
         with pytest.raises(OSError):  # noqa: PT011  (refused, or no such address)
             socket.create_connection(("127.0.0.2", port), timeout=1.0)
-    party.close()
+    client.close()
 
 
 def test_14_the_width_of_stamps_is_a_setting_and_not_the_machine_s(robot: Robot) -> None:
-    with Host([robot], period=0.002, port=0, width=4) as host, Party(host.port, b"aw", width=4) as master:
+    with Host([robot], period=0.002, port=0, width=4) as host, RawClient(host.port, b"aw", width=4) as master:
         assert master.greeting().width == 4
         master.send(b"rwdw" + int32(1, 0, 2_000_000_000, 1, 999_999, 0, 42) + b"ee")
         master.batch()
         until(lambda: (42, True) in robot.seen)
-        with Party(host.port, width=4) as reader:
+        with RawClient(host.port, width=4) as reader:
             reader.greeting()
             identity = reader.tables.write.find("speed")
             assert identity is not None
@@ -306,7 +306,7 @@ def test_14_the_width_of_stamps_is_a_setting_and_not_the_machine_s(robot: Robot)
 
 
 def test_14_the_wrong_width_is_noticed(host: Host, robot: Robot) -> None:
-    with Party(host.port, b"aw") as master:
+    with RawClient(host.port, b"aw") as master:
         master.greeting()
         master.send(
             b"rwdw" + int32(2, 0, 2_000_000_000, 0, 999_999, 0, 42, 1, 2_000_000_000, 0, 0, 0, 1, 2, 3, 4) + b"ee"
@@ -327,12 +327,12 @@ class Wide(Plugin):
 
 
 def test_15_a_client_that_does_not_read_holds_up_nobody_and_keeps_nothing() -> None:
-    with Host([Wide()], period=0.002, port=0, patience=30.0) as host, Party(host.port, b"") as deaf:
+    with Host([Wide()], period=0.002, port=0, client_timeout=30.0) as host, RawClient(host.port, b"") as deaf:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
         deaf.send(b"ar")
         deaf.socket.setblocking(False)
         # Asking without reading works until the host reads no further, which is how it bounds what it keeps.
-        with Party(host.port) as other:
+        with RawClient(host.port) as other:
             other.greeting()
             refused = 0
             while refused < 100:
@@ -356,24 +356,24 @@ def test_15_a_client_that_does_not_read_holds_up_nobody_and_keeps_nothing() -> N
 
 
 def test_15_a_client_that_does_not_read_is_closed_in_the_end() -> None:
-    with Host([Wide()], period=0.002, port=0, patience=0.1) as host, Party(host.port, b"") as deaf:
+    with Host([Wide()], period=0.002, port=0, client_timeout=0.1) as host, RawClient(host.port, b"") as deaf:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.send(b"ar" + b"rree" * 2000)
         until(lambda: host.stats.clients == 1)
         until(lambda: host.stats.clients == 0)
-        witnessed = Party(host.port)
+        witnessed = RawClient(host.port)
         witnessed.greeting()
         witnessed.close()
 
 
 def test_3_a_client_that_leaves_a_package_half_sent_is_closed_in_the_end(robot: Robot) -> None:
-    with Host([robot], period=0.002, port=0, patience=0.1) as host:
-        with Party(host.port, b"aw") as master:
+    with Host([robot], period=0.002, port=0, client_timeout=0.1) as host:
+        with RawClient(host.port, b"aw") as master:
             master.greeting()
             master.send(b"rwdw")
             assert master.is_closed()
         # A client that owes nothing may be silent for as long as it likes.
-        with Party(host.port) as reader, Party(host.port, b"aw") as other:
+        with RawClient(host.port) as reader, RawClient(host.port, b"aw") as other:
             reader.greeting()
             other.greeting()
             other.send(b"r")
@@ -395,10 +395,10 @@ def test_16_lengths_beyond_127_and_values_set_before_another_variable_is_made() 
             self.first = range(300)
             self.host.database.read.add("second", 200)
 
-    with Host([Early()], period=0.002, port=0) as host, Party(host.port) as party:
-        party.greeting()
-        assert party.words("first") == list(range(300))
-        assert party.words("second") == [0] * 200
+    with Host([Early()], period=0.002, port=0) as host, RawClient(host.port) as client:
+        client.greeting()
+        assert client.words("first") == list(range(300))
+        assert client.words("second") == [0] * 200
 
 
 def test_17_the_end_is_in_order_whoever_is_connected(robot: Robot) -> None:
@@ -413,11 +413,11 @@ def test_17_the_end_is_in_order_whoever_is_connected(robot: Robot) -> None:
 
     with ExitStack() as stack:
         with Host([Ending("first"), robot, Ending("last")], period=0.002, port=0) as host:
-            parties = [stack.enter_context(Party(host.port, access)) for access in (b"aw", b"ar", b"")]
-            for party in parties[:2]:
-                party.greeting()
+            clients = [stack.enter_context(RawClient(host.port, access)) for access in (b"aw", b"ar", b"")]
+            for client in clients[:2]:
+                client.greeting()
         assert ended == ["last", "first"]
-        assert all(party.is_closed() for party in parties)
+        assert all(client.is_closed() for client in clients)
 
 
 def test_all_at_once(host: Host, robot: Robot) -> None:
@@ -435,8 +435,8 @@ def test_all_at_once(host: Host, robot: Robot) -> None:
         b"ardw" + int32(1) + ENTRY,
     ]
     with ExitStack() as stack:
-        master = stack.enter_context(Party(host.port, b"aw"))
-        reader = stack.enter_context(Party(host.port))
+        master = stack.enter_context(RawClient(host.port, b"aw"))
+        reader = stack.enter_context(RawClient(host.port))
         master.greeting()
         reader.greeting()
         hostile: list[socket.socket] = []

@@ -14,3 +14,15 @@ def test_every_defect_has_the_tests_that_the_page_of_differences_names() -> None
     there = set(re.findall(r"^def (test_\d+_\w+)\(", defects, re.MULTILINE))
     assert set(re.findall(r"`(test_\w+)`", page)) == there
     assert [int(number) for number in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)] == list(range(1, 18))
+
+
+def test_the_sections_that_comments_cite_are_there() -> None:
+    page = (ROOT / "docs" / "protocols" / "rhd.md").read_text(encoding="utf-8")
+    sections = set(re.findall(r"^#+ (.+)$", page, re.MULTILINE))
+    cited = set()
+    for path in (ROOT / "src" / "rhdlink").rglob("*.py"):
+        # A citation may be broken over two lines of a comment.
+        text = re.sub(r"\n\s*#?\s*", " ", path.read_text(encoding="utf-8"))
+        cited |= set(re.findall(r"docs/protocols/rhd\.md, ([A-Z][a-z ]+)", text))
+    assert len(cited) > 5
+    assert {section.strip() for section in cited} <= sections

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadAddress, BadValue, Closed
-from rhdlink.config import BadConfiguration, Element, parse_config
-from rhdlink.host import Host, PluginFailed
-from rhdlink.kinds import Int32
-from rhdlink.plugin import Plugin
-from rhdlink.variables import Read, Write
-from tests.rhdlink.party import Party
+from rhdlink.host.config import BadConfiguration, Element, parse_config
+from rhdlink.host.host import Host, PluginFailed
+from rhdlink.host.plugin import Plugin
+from rhdlink.variables.declarations import Read, Write
+from rhdlink.variables.value_types import Int32
+from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
 
@@ -149,7 +149,7 @@ def test_plugins_share_variables_of_the_same_name() -> None:
         def periodic(self, tick: int) -> None:
             self.speed = min(self.speed, 10)
 
-    with Host([Drive(), Guard()], port=0, pacing="lockstep") as host, Party(host.port, b"aw") as master:
+    with Host([Drive(), Guard()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         assert [row.name for row in master.greeting().write] == ["speed"]
         master.sync({"speed": 100})
         master.sync({})
@@ -187,7 +187,7 @@ class Echo(Plugin):
 def test_in_lockstep_each_request_is_one_tick_and_the_bytes_are_the_same_each_time() -> None:
     def run() -> tuple[bytes, list[int]]:
         echo = Echo()
-        with Host([echo], port=0, period=0.01, pacing="lockstep") as host, Party(host.port, b"aw") as master:
+        with Host([echo], port=0, period=0.01, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
             master.greeting()
             received = bytearray()
             for number in range(50):
@@ -206,11 +206,11 @@ def test_in_lockstep_each_request_is_one_tick_and_the_bytes_are_the_same_each_ti
 
 def test_in_lockstep_readers_go_along_with_the_master() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, ExitStack() as stack:
-        reader = stack.enter_context(Party(host.port))
+        reader = stack.enter_context(RawClient(host.port))
         reader.greeting()
         reader.sync()
         assert reader.value("tick") == 1
-        master = stack.enter_context(Party(host.port, b"aw"))
+        master = stack.enter_context(RawClient(host.port, b"aw"))
         master.greeting()
         # Now it is the master who makes the ticks: the reader waits for one.
         reader.send(b"rree")
@@ -222,7 +222,7 @@ def test_in_lockstep_readers_go_along_with_the_master() -> None:
 
 
 def test_an_update_is_seen_in_one_round_and_what_it_causes_goes_out_in_the_next() -> None:
-    with Host([Echo()], port=0, pacing="lockstep") as host, Party(host.port, b"aw") as master:
+    with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"order": 5})
         assert (master.value("echo"), master.value("orders")) == (0, 0)
@@ -238,7 +238,7 @@ def test_an_update_is_seen_in_one_round_and_what_it_causes_goes_out_in_the_next(
 def test_what_a_master_says_last_still_counts() -> None:
     echo = Echo()
     with Host([echo], port=0, period=0.002) as host:
-        with Party(host.port, b"aw") as master:
+        with RawClient(host.port, b"aw") as master:
             master.greeting()
             master.sync({"order": 8})
             # The last command, and the end, reach the host together.
@@ -250,7 +250,7 @@ def test_what_a_master_says_last_still_counts() -> None:
 
 
 def test_requests_sent_ahead_are_answered_one_a_tick() -> None:
-    with Host([Echo()], port=0, period=0.002) as host, Party(host.port) as reader:
+    with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.send(b"rree" * 3)
         ticks = []
@@ -262,7 +262,7 @@ def test_requests_sent_ahead_are_answered_one_a_tick() -> None:
 
 def test_a_request_may_have_no_values_and_any_order_and_an_end_needs_no_reply() -> None:
     echo = Echo()
-    with Host([echo], port=0, period=0.002) as host, Party(host.port, b"aw") as master:
+    with Host([echo], port=0, period=0.002) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.send(b"rwee")
         master.batch()
@@ -279,26 +279,26 @@ def test_a_request_may_have_no_values_and_any_order_and_an_end_needs_no_reply() 
 
 def test_seats_are_limited_and_free_again() -> None:
     with Host([Echo()], port=0, period=0.002, clients=2) as host, ExitStack() as stack:
-        first, second = (stack.enter_context(Party(host.port)) for _ in range(2))
+        first, second = (stack.enter_context(RawClient(host.port)) for _ in range(2))
         first.greeting()
         second.greeting()
-        third = stack.enter_context(Party(host.port, b""))
+        third = stack.enter_context(RawClient(host.port, b""))
         assert third.is_closed()
         first.close()
         until(lambda: host.stats.clients == 1)
-        fourth = stack.enter_context(Party(host.port))
+        fourth = stack.enter_context(RawClient(host.port))
         fourth.greeting()
         assert host.stats.refused_clients == 1
 
 
 def test_the_master_s_seat_is_free_when_it_has_left() -> None:
     with Host([Echo()], port=0, period=0.002) as host, ExitStack() as stack:
-        with Party(host.port, b"aw") as master:
+        with RawClient(host.port, b"aw") as master:
             assert master.greeting().granted == "w"
-            reader = stack.enter_context(Party(host.port))
+            reader = stack.enter_context(RawClient(host.port))
             reader.greeting()
         until(lambda: host.writers == 0)
-        with Party(host.port, b"aw") as other:
+        with RawClient(host.port, b"aw") as other:
             assert other.greeting().granted == "w"
             assert host.writers == 1
 
@@ -306,20 +306,20 @@ def test_the_master_s_seat_is_free_when_it_has_left() -> None:
 def test_with_allwriters_all_may_write() -> None:
     echo = Echo()
     with Host([echo], port=0, period=0.002, allwriters=True) as host, ExitStack() as stack:
-        parties = [stack.enter_context(Party(host.port, b"aw")) for _ in range(3)]
-        assert [party.greeting().granted for party in parties] == ["w"] * 3
-        for number, party in enumerate(parties):
-            party.sync({"order": 10 + number})
+        clients = [stack.enter_context(RawClient(host.port, b"aw")) for _ in range(3)]
+        assert [client.greeting().granted for client in clients] == ["w"] * 3
+        for number, client in enumerate(clients):
+            client.sync({"order": 10 + number})
             until(lambda number=number: 10 + number in echo.seen)  # type: ignore[misc]
             # Each is told its own values too (section 4).
-            parties[0].sync({})
-            assert parties[0].value("order") == 10 + number
+            clients[0].sync({})
+            assert clients[0].value("order") == 10 + number
 
 
 def test_synchronized_each_tick_waits_for_the_master() -> None:
     echo = Echo()
     # So long a wait that the test ends within one if the host waits at all.
-    with Host([echo], port=0, period=0.1, synchronized=True) as host, Party(host.port, b"aw") as master:
+    with Host([echo], port=0, period=0.1, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"order": 1})
         first = master.value("tick")
@@ -372,12 +372,12 @@ class Configured(Plugin):
 
 
 def test_a_host_from_a_file() -> None:
-    with Host.from_config(parse_config(CONFIG)) as host, Party(host.port) as party:
+    with Host.from_config(parse_config(CONFIG)) as host, RawClient(host.port) as client:
         (plugin,) = host.plugins
         assert (plugin.name, plugin.is_critical, plugin.safety) == ("robot", True, 3)
         assert host.period == 0.002
-        party.greeting()
-        assert party.value("gain") == 14
+        client.greeting()
+        assert client.value("gain") == 14
 
 
 def test_arguments_have_the_last_word_over_the_file() -> None:
@@ -404,7 +404,7 @@ def test_a_class_that_is_no_plugin_is_refused() -> None:
         {"pacing": "cron"},
         {"resend": "never"},
         {"width": 3},
-        {"patience": 0.0},
+        {"client_timeout": 0.0},
     ],
 )
 def test_arguments_that_cannot_be(wrong: dict[str, Any]) -> None:

@@ -9,14 +9,14 @@ import pytest
 
 from linkcore.errors import BadValue
 from linkcore.recording.file import Kind, Recording
-from rhdlink.config import Element
-from rhdlink.host import Host, PluginFailed
-from rhdlink.kinds import Int32
-from rhdlink.plugin import Plugin
+from rhdlink.host.config import Element
+from rhdlink.host.host import Host, PluginFailed
+from rhdlink.host.plugin import Plugin
 from rhdlink.plugins.logger import Logger
-from rhdlink.variables import Read, Write
-from rhdlink.wire import ServerStream
-from tests.rhdlink.party import Party
+from rhdlink.variables.declarations import Read, Write
+from rhdlink.variables.value_types import Float32, Float64, Int32, Scaled, Structure, Text
+from rhdlink.wire.decoder import ServerDecoder
+from tests.rhdlink.raw_client import RawClient
 
 
 class Double(Plugin):
@@ -28,25 +28,72 @@ class Double(Plugin):
 
 
 def drive(logger: Logger, ticks: int = 5) -> None:
-    with Host([logger, Double()], port=0, pacing="lockstep") as host, Party(host.port, b"aw") as master:
+    with Host([logger, Double()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         for number in range(1, ticks + 1):
             master.sync({"order": number})
 
 
-def test_a_table_has_every_tick_and_every_word(tmp_path: Path) -> None:
+def read_table(path: Path) -> tuple[list[str], list[list[str]]]:
+    with path.open(newline="") as file:
+        head, *rows = csv.reader(file)
+    return head, rows
+
+
+def test_a_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
     logger = Logger(tmp_path / "drive.csv")
     drive(logger)
-    with (tmp_path / "drive.csv").open(newline="") as file:
-        head, *rows = csv.reader(file)
-    assert head == ["tick", "time", "tick", "both[0]", "both[1]", "order"]
+    head, rows = read_table(tmp_path / "drive.csv")
+    assert head == ["time", "tick", "both[0]", "both[1]", "order"]
     # It sees what the plugins set in the same tick.
-    assert [[*map(int, [row[0], *row[2:]])] for row in rows] == [
-        [number, number, number, 2 * number, number] for number in range(6)
-    ]
-    assert [float(row[1]) for row in rows] == sorted(float(row[1]) for row in rows)
+    assert [[*map(int, row[1:])] for row in rows] == [[number, number, 2 * number, number] for number in range(6)]
+    assert [float(row[0]) for row in rows] == sorted(float(row[0]) for row in rows)
     assert logger.stats is not None
     assert (logger.stats.received, logger.stats.delivered) == (6, 6)
+
+
+class Typed(Plugin, order="big"):
+    time = Read(Float64, unit="s")
+    pose = Read(Float32, 2)
+    speed = Read(Scaled(0.01, unit="m/s"))
+    label = Read(Text(8))
+    fix = Read(Structure([("quality", "u1"), ("age", "f4")]), 2)
+    order = Write(Float64, order="little")
+
+    def init(self, config: Element) -> None:
+        self.host.database.read.add("raw", 2)
+        self.host.database.write.add("speed")
+        self.time, self.pose, self.speed, self.label = 1e-300, [0.5, -2.0], 0.25, 'a,"b'
+        self.fix, self.order = [(3, 0.5), (4, 1.5)], -0.1
+
+
+def test_values_are_typed_as_they_are_declared_and_no_two_columns_have_a_name(tmp_path: Path) -> None:
+    with (
+        Host([Logger(tmp_path / "drive.csv"), Typed()], port=0, pacing="lockstep") as host,
+        RawClient(host.port) as reader,
+    ):
+        reader.greeting()
+        reader.sync()
+    head, rows = read_table(tmp_path / "drive.csv")
+    row = dict(zip(head, rows[0], strict=True))
+    assert len(row) == len(head)
+    del row["time"]
+    assert row == {
+        "tick": "0",
+        "time (read)": "1e-300",
+        "pose[0]": "0.5",
+        "pose[1]": "-2.0",
+        "speed": "0.25",
+        "label": 'a,"b',
+        "fix[0].quality": "3",
+        "fix[0].age": "0.5",
+        "fix[1].quality": "4",
+        "fix[1].age": "1.5",
+        "raw[0]": "0",
+        "raw[1]": "0",
+        "order": "-0.1",
+        "speed (write)": "0",
+    }
 
 
 def test_a_recording_is_what_a_reader_would_have_been_sent(tmp_path: Path) -> None:
@@ -54,7 +101,7 @@ def test_a_recording_is_what_a_reader_would_have_been_sent(tmp_path: Path) -> No
     recording = Recording(tmp_path / "drive.urlog")
     assert recording.is_complete
     assert recording.channels[0]["name"] == "rhd"
-    stream = ServerStream()
+    stream = ServerDecoder()
     for record in recording:
         if record.kind is Kind.BYTES:
             stream.feed(record.payload)
@@ -70,8 +117,7 @@ def test_a_recording_is_what_a_reader_would_have_been_sent(tmp_path: Path) -> No
 
 def test_not_every_tick(tmp_path: Path) -> None:
     drive(Logger(tmp_path / "drive.csv", every=3), 7)
-    with (tmp_path / "drive.csv").open(newline="") as file:
-        assert [row[0] for row in csv.reader(file)] == ["tick", "0", "3", "6"]
+    assert [row[1] for row in read_table(tmp_path / "drive.csv")[1]] == ["0", "3", "6"]
 
 
 def test_the_file_of_the_host_says_where(tmp_path: Path) -> None:
@@ -83,15 +129,18 @@ def test_the_file_of_the_host_says_where(tmp_path: Path) -> None:
         Logger().init(Element("logger"))
 
 
-def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
-    for name in ("x.csv", "x.urlog"):
-        path = tmp_path / name
-        path.write_text("dear")
+@pytest.mark.parametrize("suffix", [".csv", ".urlog"])
+def test_each_start_has_a_file_of_its_own_and_none_is_overwritten(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"day{suffix}"
+    path.write_text("dear")
+    sizes = []
+    for number in (1, 2):
         logger = Logger(path)
-        logger.is_critical = True
-        with pytest.raises(PluginFailed, match="exists"):
-            Host([logger], port=0).start()
-        assert path.read_text() == "dear"
+        drive(logger)
+        assert logger.path == tmp_path / f"day-{number}{suffix}"
+        sizes.append(logger.path.stat().st_size)
+    assert path.read_text() == "dear"
+    assert all(size > 100 for size in sizes)
 
 
 def test_what_cannot_be_a_log(tmp_path: Path) -> None:

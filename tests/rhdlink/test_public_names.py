@@ -10,11 +10,14 @@ import sys
 import pytest
 
 import rhdlink
+from rhdlink.plugins.logger import Logger
+from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.plugins.velocity import VelocityBridge
+from rhdlink.world import World
 
 NAMES = [
     "AccessDenied",
     "Ackerman",
-    "Background",
     "Backoff",
     "BadAddress",
     "BadConfiguration",
@@ -29,14 +32,15 @@ NAMES = [
     "ConnectionLost",
     "ConnectionState",
     "Database",
+    "Element",
     "Float32",
     "Float64",
     "Gps",
     "Host",
+    "HostFailed",
     "HostStatistics",
     "Int32",
     "Int64",
-    "Kind",
     "Limits",
     "LinkError",
     "LinkTimeout",
@@ -54,10 +58,12 @@ NAMES = [
     "Stamp",
     "Structure",
     "Subscription",
+    "SyncThread",
     "Text",
     "TimeStamp",
     "UInt32",
     "Update",
+    "ValueType",
     "Variable",
     "Variables",
     "VelocityOmega",
@@ -88,6 +94,40 @@ def test_nothing_public_is_forgotten() -> None:
     """What the package imports for users is in `__all__`; modules are no names."""
     there = {name for name, value in vars(rhdlink).items() if not name.startswith("_") and not inspect.ismodule(value)}
     assert there - {"annotations"} == set(NAMES)
+
+
+#: The attributes and methods of what users hold, as tab completion shows them; declared variables come on top.
+VARIABLES = """access address background changed close connection declared discarded fresh received reconnects stamp
+    subscribe subscribe_connection sync updated variables width"""
+PLUGIN = "declared init is_critical is_updated name periodic safety terminate"
+VALUE_TYPE = "length pack pack_many reader unit unpack unpack_many"
+SURFACES: list[tuple[object, str]] = [
+    (rhdlink.Variables, VARIABLES),
+    (rhdlink.Smr, f"{VARIABLES} {' '.join(rhdlink.Smr.declared())}"),
+    (rhdlink.SyncThread, "close is_running"),
+    (rhdlink.Update, ""),
+    (rhdlink.Host, "address close from_config plugins port run start stats stop wait writers"),
+    (rhdlink.Plugin, PLUGIN),
+    (Turtle, f"{PLUGIN} {' '.join(Turtle.declared())}"),
+    (SmrTurtle, f"{PLUGIN} {' '.join(SmrTurtle.declared())}"),
+    (VelocityBridge, f"{PLUGIN} stats update_pose {' '.join(VelocityBridge.declared())}"),
+    (Logger, f"{PLUGIN} path stats"),
+    (rhdlink.Database, "encode_handshake freeze table"),
+    (
+        rhdlink.Database().read,
+        """add begin_round changed clock direction dirty encode find fresh is_frozen layout memory receive rows select
+        set set_many stamp stamps start updated value values words""",
+    ),
+    (rhdlink.Read(rhdlink.Int32), "attribute count direction doc is_optional length name order type unit unpack"),
+    (rhdlink.Int32, VALUE_TYPE),
+    (rhdlink.Scaled(0.1), f"{VALUE_TYPE} scale"),
+    (World(), "blocked odometry path pose size start step wall"),
+]
+
+
+@pytest.mark.parametrize(("held", "names"), SURFACES)
+def test_the_surface_of_what_users_hold(held: object, names: str) -> None:
+    assert {name for name in dir(held) if not name.startswith("_")} == set(names.split())
 
 
 PROGRAM = """

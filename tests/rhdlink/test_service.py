@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from rhdlink.database import Database
-from rhdlink.service import Guest, Service
-from rhdlink.wire import Batch, ClientStream, Handshake, ServerStream, encode_data
+from rhdlink.host.service import Client, Service
+from rhdlink.variables.database import Database
+from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
+from rhdlink.wire.messages import Batch, Handshake, encode_data
 from tests.real_captures import folder
 
 pytestmark = pytest.mark.captures("rhd")
@@ -37,7 +38,7 @@ class Connection(NamedTuple):
 
 def connection(folder: Path, name: str) -> Connection:
     sent = (folder / f"{name}.s2c.bin").read_bytes()
-    stream = ServerStream()
+    stream = ServerDecoder()
     stream.feed(sent)
     handshake = stream.take_handshake()
     assert handshake is not None
@@ -48,7 +49,7 @@ def connection(folder: Path, name: str) -> Connection:
         at += batch.size
     layout = Database(write=handshake.write).write.layout
     asked = (folder / f"{name}.c2s.bin").read_bytes()
-    client = ClientStream(layout, width=handshake.width)
+    client = ClientDecoder(layout, width=handshake.width)
     client.feed(asked)
     client.take_access()
     requests, at = [], 2
@@ -70,10 +71,10 @@ class Original:
         self.service = Service(self.database, resend="original", width=recording.width, allwriters=allwriters)
         self.width = recording.width
 
-    def admit(self, access: bytes) -> tuple[Guest, bytes]:
-        guest = self.service.arrive("test")
-        assert guest is not None
-        return guest, self.service.receive(guest, access)
+    def admit(self, access: bytes) -> tuple[Client, bytes]:
+        client = self.service.connect("test")
+        assert client is not None
+        return client, self.service.receive(client, access)
 
     def happens(self, batch: Batch) -> None:
         """The robot sets what has another stamp or value in this batch than before, and that only."""
@@ -84,15 +85,15 @@ class Original:
                     if tuple(table.stamps[identity]) != stamp or (table.value(identity) != words).any():
                         table.set(identity, words, stamp)  # type: ignore[arg-type]
 
-    def writes(self, master: Guest, batch: Batch) -> None:
+    def writes(self, master: Client, batch: Batch) -> None:
         """The master writes what this batch says that it wrote."""
         for data in batch.data:
             if data.direction == "w":
                 values = np.zeros(self.database.write.layout.words, np.int32)
-                values[data.entries.cells] = data.values
+                values[data.selection.cells] = data.values
                 stamps = np.zeros((len(self.database.write), 2), np.int64)
-                stamps[data.entries.rows] = data.stamps
-                self.service.receive(master, b"rw" + encode_data("w", data.entries, values, stamps) + b"ee")
+                stamps[data.selection.rows] = data.stamps
+                self.service.receive(master, b"rw" + encode_data("w", data.selection, values, stamps) + b"ee")
 
     def mark_what_was_set(self, batch: Batch) -> None:
         """What the original had set before this connection began shows in its first batch."""
@@ -109,31 +110,31 @@ WRITERS = ("writer64", "writer64naive", "writer32", "writer_orig2014")
 def test_handshake_and_every_reply_are_the_original_s(recorded: Path, name: str) -> None:
     recording = connection(recorded, name)
     ours = Original(recording)
-    guest, greeting = ours.admit(recording.greeting[:2])
+    client, greeting = ours.admit(recording.greeting[:2])
     assert greeting == recording.greeting
     ours.mark_what_was_set(recording.batches[0][0])
     assert len(recording.requests) == len(recording.batches) == 50
     for request, (batch, raw) in zip(recording.requests, recording.batches, strict=True):
-        assert ours.service.receive(guest, request) == b""
+        assert ours.service.receive(client, request) == b""
         ours.happens(batch)
         ((_, reply),) = ours.service.sync()
         assert reply == raw
-    assert guest.failure is None
+    assert client.failure is None
 
 
 def test_a_reader_beside_a_master_is_sent_what_the_master_wrote(recorded: Path) -> None:
     recording = connection(recorded, "reader64_with_master")
     ours = Original(recording)
     master, _ = ours.admit(b"aw")
-    guest, greeting = ours.admit(b"ar")
+    client, greeting = ours.admit(b"ar")
     assert greeting == recording.greeting
     ours.mark_what_was_set(recording.batches[0][0])
     for request, (batch, raw) in zip(recording.requests, recording.batches, strict=True):
-        ours.service.receive(guest, request)
+        ours.service.receive(client, request)
         ours.writes(master, batch)
         ours.happens(batch)
         replies = dict(ours.service.sync())
-        assert replies[guest] == raw
+        assert replies[client] == raw
         # The sole writer is not sent the write table.
         assert replies[master] == b"dr" + raw.partition(b"dr")[2]
 
@@ -141,24 +142,24 @@ def test_a_reader_beside_a_master_is_sent_what_the_master_wrote(recorded: Path) 
 def test_with_allwriters_each_writer_is_sent_its_own_values_too(recorded: Path) -> None:
     recordings = [connection(recorded, f"allwriters64_{letter}") for letter in "AB"]
     ours = Original(recordings[0], allwriters=True)
-    guests = []
+    clients = []
     for recording in recordings:
-        guest, greeting = ours.admit(b"aw")
+        client, greeting = ours.admit(b"aw")
         assert greeting[:2] == recording.greeting[:2] == b"aw"
-        guests.append(guest)
+        clients.append(client)
         # The batch that the original sends without being asked, and ours does not.
         ours.mark_what_was_set(recording.batches[0][0])
-    rounds: dict[int, list[tuple[Guest, bytes, Batch, bytes]]] = {}
-    for guest, recording in zip(guests, recordings, strict=True):
+    rounds: dict[int, list[tuple[Client, bytes, Batch, bytes]]] = {}
+    for client, recording in zip(clients, recordings, strict=True):
         assert len(recording.batches) == len(recording.requests) + 1
         for request, (batch, raw) in zip(recording.requests, recording.batches[1:], strict=True):
-            rounds.setdefault(tick(batch), []).append((guest, request, batch, raw))
+            rounds.setdefault(tick(batch), []).append((client, request, batch, raw))
     assert len(rounds) == 20
     for _, asked in sorted(rounds.items()):
-        for guest, request, batch, _ in asked:
-            ours.service.receive(guest, request)
+        for client, request, batch, _ in asked:
+            ours.service.receive(client, request)
             ours.happens(batch)
-        assert ours.service.sync() == [(guest, raw) for guest, _, _, raw in asked]
+        assert ours.service.sync() == [(client, raw) for client, _, _, raw in asked]
 
 
 def tick(batch: Batch) -> int:
@@ -172,12 +173,12 @@ def test_a_second_writer_is_told_that_it_may_only_read(recorded: Path, name: str
     assert recording.handshake.granted is None
     ours = Original(recording)
     master, _ = ours.admit(b"aw")
-    guest, greeting = ours.admit(b"aw")
+    client, greeting = ours.admit(b"aw")
     # The one difference: the original leaves the answer out, and librhd takes the server for broken (defect 7).
     assert greeting == b"ar" + recording.greeting
     for request, (batch, raw) in zip(recording.requests, recording.batches[1:], strict=False):
         ours.mark_what_was_set(batch)
         ours.writes(master, batch)
-        ours.service.receive(guest, request)
+        ours.service.receive(client, request)
         ours.happens(batch)
-        assert dict(ours.service.sync())[guest] == raw
+        assert dict(ours.service.sync())[client] == raw

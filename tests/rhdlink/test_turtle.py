@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadValue
-from rhdlink.config import Configuration, Element, parse_config
-from rhdlink.host import Host
-from rhdlink.plugin import Plugin
+from rhdlink.host.config import Configuration, Element, parse_config
+from rhdlink.host.host import Host
+from rhdlink.host.plugin import Plugin
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.wire import ClientStream
+from rhdlink.wire.decoder import ClientDecoder
 from rhdlink.world import World
 from tests.real_captures import folder
-from tests.rhdlink.party import Party
+from tests.rhdlink.raw_client import RawClient
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> 
     commands = columns[5 : columns.index("tick", 5)]
     told = columns[columns.index("tick", 5) :]
     watched = Watched(world)
-    with Host([turtle, watched], port=0, pacing="lockstep") as host, Party(host.port, b"aw") as master:
+    with Host([turtle, watched], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         found = []
         for row in rows:
@@ -80,7 +80,7 @@ def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
     world = World(1000.0)
     turtle = Turtle(world) if drive.startswith("vw") else SmrTurtle(world)
     watched = Watched(world)
-    with Host([turtle, watched], port=0, pacing="lockstep") as host, Party(host.port, asked[:2]) as master:
+    with Host([turtle, watched], port=0, pacing="lockstep") as host, RawClient(host.port, asked[:2]) as master:
         assert master.greeting().granted == "w"
         for request in requests(asked, host):
             master.send(request)
@@ -97,7 +97,7 @@ def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
 
 def requests(asked: bytes, host: Host) -> list[bytes]:
     """What MRC sent after its access request, cut at the ends of its requests."""
-    stream = ClientStream(host.database.write.layout)
+    stream = ClientDecoder(host.database.write.layout)
     stream.feed(asked)
     assert stream.take_access() == "w"
     found, at = [], 2
@@ -114,7 +114,7 @@ def lockstep(turtle: Plugin) -> Host:
 
 def test_a_wall_stops_the_counters_too() -> None:
     turtle = Turtle(World(1.0), linear_scale=1000.0)
-    with lockstep(turtle) as host, Party(host.port, b"aw") as master:
+    with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         for _ in range(102):
             master.sync({"cmdtransvel": 1000})
@@ -127,7 +127,7 @@ def test_a_wall_stops_the_counters_too() -> None:
 
 def test_wheels_at_a_wall_turn_as_far_as_the_robot_goes() -> None:
     turtle = SmrTurtle(World(1.0), tick_length=0.001)
-    with lockstep(turtle) as host, Party(host.port, b"aw") as master:
+    with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         for _ in range(120):
             master.sync({"speedl": 100, "speedr": 100})
@@ -137,7 +137,7 @@ def test_wheels_at_a_wall_turn_as_far_as_the_robot_goes() -> None:
 
 def test_counters_of_16_bits_wrap() -> None:
     turtle = SmrTurtle(World(100.0), tick_length=0.00001, encoder_bits=16)
-    with lockstep(turtle) as host, Party(host.port, b"aw") as master:
+    with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         for _ in range(41):
             master.sync({"speedl": 100, "speedr": -100})
@@ -150,9 +150,9 @@ def test_counters_of_16_bits_wrap() -> None:
     ids=["velocity-omega", "smr"],
 )
 def test_it_stops_when_its_master_goes_and_waits_for_a_new_command(turtle: Any, command: dict[str, int]) -> None:
-    with lockstep(turtle) as host, Party(host.port) as reader:
+    with lockstep(turtle) as host, RawClient(host.port) as reader:
         reader.greeting()
-        with Party(host.port, b"aw") as master:
+        with RawClient(host.port, b"aw") as master:
             master.greeting()
             for _ in range(4):
                 master.sync(command)
@@ -167,7 +167,7 @@ def test_it_stops_when_its_master_goes_and_waits_for_a_new_command(turtle: Any, 
         for _ in range(5):
             reader.sync()
         assert turtle.world.odometry == stands
-        with Party(host.port, b"aw") as other:
+        with RawClient(host.port, b"aw") as other:
             other.greeting()
             # The old command is still in the database: nobody has given it again.
             assert all(other.value(name) == value for name, value in command.items())
@@ -184,9 +184,9 @@ def test_it_stops_when_its_master_goes_and_waits_for_a_new_command(turtle: Any, 
 
 def test_it_can_be_told_to_go_on_without_a_master() -> None:
     turtle = Turtle(needs_master=False)
-    with lockstep(turtle) as host, Party(host.port) as reader:
+    with lockstep(turtle) as host, RawClient(host.port) as reader:
         reader.greeting()
-        with Party(host.port, b"aw") as master:
+        with RawClient(host.port, b"aw") as master:
             master.greeting()
             master.sync({"cmdtransvel": 50000})
         while host.writers:

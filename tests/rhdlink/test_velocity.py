@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from linkcore.errors import BadValue
-from rhdlink.host import Host
+from rhdlink.host.host import Host
 from rhdlink.plugins.velocity import Twist, VelocityBridge
-from tests.rhdlink.party import Party
+from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
 
@@ -22,7 +22,7 @@ def lockstep(bridge: VelocityBridge) -> Host:
 def test_a_velocity_is_handed_over_when_it_changes() -> None:
     twists: list[Twist] = []
     bridge = VelocityBridge(twists.append, own_thread=False)
-    with lockstep(bridge) as host, Party(host.port, b"aw") as master:
+    with lockstep(bridge) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         for linear, angular in ((30000, 0), (30000, 0), (30000, -20000), (0, -20000), (0, -20000)):
             master.sync({"cmdtransvel": linear, "cmdrotvel": angular})
@@ -37,7 +37,7 @@ def test_a_velocity_is_handed_over_when_it_changes() -> None:
 )
 def test_the_dead_band_is_of_the_forward_velocity_only(commanded: int, linear: float) -> None:
     twists: list[Twist] = []
-    with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, Party(host.port, b"aw") as master:
+    with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"cmdtransvel": commanded, "cmdrotvel": 1})
         master.sync({})
@@ -55,7 +55,7 @@ def test_scales_are_settings() -> None:
         dead_band=0.0,
         own_thread=False,
     )
-    with lockstep(bridge) as host, Party(host.port, b"aw") as master:
+    with lockstep(bridge) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"cmdtransvel": 50, "cmdrotvel": 5})
         bridge.update_pose(1.0, 1.0, math.pi / 2)
@@ -68,7 +68,7 @@ def test_scales_are_settings() -> None:
 
 def test_poses_are_told_at_the_next_tick_and_only_if_there_are_new_ones() -> None:
     bridge = VelocityBridge(lambda twist: None, own_thread=False)
-    with lockstep(bridge) as host, Party(host.port) as reader:
+    with lockstep(bridge) as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.sync()
         bridge.update_pose(5.0, 5.0, 0.0)
@@ -102,7 +102,7 @@ def test_a_slow_function_holds_up_no_tick_and_is_given_the_newest() -> None:
         assert go_on.wait(10.0)
 
     bridge = VelocityBridge(slow)
-    with lockstep(bridge) as host, Party(host.port, b"aw") as master:
+    with lockstep(bridge) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"cmdtransvel": 10000})
         master.sync({})
@@ -128,7 +128,7 @@ def test_a_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture
         raise RuntimeError("no wheels")
 
     bridge = VelocityBridge(failing)
-    with lockstep(bridge) as host, Party(host.port, b"aw") as master:
+    with lockstep(bridge) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         for number in range(1, 4):
             master.sync({"cmdtransvel": 10000 * number})
@@ -141,10 +141,10 @@ def test_a_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture
 
 def test_without_a_master_it_is_told_to_stop_and_the_same_command_starts_it_again() -> None:
     twists: list[Twist] = []
-    with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, Party(host.port) as reader:
+    with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, RawClient(host.port) as reader:
         reader.greeting()
         for _ in range(2):
-            with Party(host.port, b"aw") as master:
+            with RawClient(host.port, b"aw") as master:
                 master.greeting()
                 master.sync({"cmdtransvel": 30000})
                 master.sync({})

@@ -12,22 +12,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, PacketError
-from rhdlink import schema
-from rhdlink.database import Database, TimeStamp
-from rhdlink.entries import Entries, Layout
-from rhdlink.limits import Limits
-from rhdlink.wire import (
+from rhdlink.variables.database import Database, TimeStamp
+from rhdlink.wire.data import Selection, TableLayout
+from rhdlink.wire.decoder import ClientDecoder, Limits, ServerDecoder
+from rhdlink.wire.messages import (
+    END,
     Batch,
-    ClientStream,
     Handshake,
     Request,
     Row,
-    ServerStream,
     encode_access,
     encode_data,
     encode_ready,
     encode_table,
 )
+from rhdlink.wire.schema import ACCESS, DATA, READY, TABLE
+from rhdlink.wire.schema import END as SCHEMA_END
+from tests.rhdlink.oracle import as_construct
 
 names = st.text(st.characters(min_codepoint=1, max_codepoint=255), min_size=1, max_size=32)
 rows = st.lists(st.builds(Row, names, st.integers(1, 9)), max_size=6).map(tuple)
@@ -62,7 +63,7 @@ def plain(found: Batch | Request | Handshake) -> object:
 
 def read_server(pieces: Sequence[bytes], width: int | None = None, limits: Limits | None = None) -> list[object]:
     """All that comes out of it, an error as the last."""
-    stream = ServerStream(width=width, limits=limits)
+    stream = ServerDecoder(width=width, limits=limits)
     found: list[object] = []
     for piece in pieces:
         stream.feed(piece)
@@ -79,8 +80,8 @@ def read_server(pieces: Sequence[bytes], width: int | None = None, limits: Limit
     return found
 
 
-def read_client(pieces: Sequence[bytes], layout: Layout, width: int, limits: Limits | None = None) -> list[object]:
-    stream = ClientStream(layout, width=width, limits=limits)
+def read_client(pieces: Sequence[bytes], layout: TableLayout, width: int, limits: Limits | None = None) -> list[object]:
+    stream = ClientDecoder(layout, width=width, limits=limits)
     found: list[object] = []
     for piece in pieces:
         stream.feed(piece)
@@ -123,19 +124,19 @@ def test_the_width_is_found_by_structure(database: Database, width: int) -> None
 @pytest.mark.property
 @given(lengths, widths, st.data())
 def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: int, data: st.DataObject) -> None:
-    layout = Layout(sizes)
+    layout = TableLayout(sizes)
     values = np.array(data.draw(st.lists(words, min_size=layout.words, max_size=layout.words)), np.int32)
     times = np.array([data.draw(stamps) for _ in sizes], np.int64).reshape(-1, 2)
-    stream = ClientStream(layout, width=width)
+    stream = ClientDecoder(layout, width=width)
     stream.feed(b"aw")
     stream.take_access()
     # Several packages through one stream: later ones are taken by what is remembered of earlier ones.
     for _ in range(4):
         ids = data.draw(st.lists(st.integers(0, len(sizes) - 1), max_size=len(sizes)))
-        raw = encode_data("w", Entries(layout, np.array(ids, np.int64), width), values, times)
-        oracle = schema.data_package(sizes, width).parse(raw)
-        assert [each.id for each in oracle.entries] == ids
-        for entry in oracle.entries:
+        raw = encode_data("w", Selection(layout, np.array(ids, np.int64), width), values, times)
+        oracle = as_construct(DATA, "client", sizes, width).parse(raw)
+        assert [each.id for each in oracle["items"]] == ids
+        for entry in oracle["items"]:
             start = int(layout.offsets[entry.id])
             assert list(entry.data) == values[start : start + sizes[entry.id]].tolist()
             seconds, micros = times[entry.id].tolist()
@@ -152,22 +153,23 @@ def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: 
         (package,) = request.data
         assert package.ids.tolist() == ids
         assert [(identity, stamp, value.tolist()) for identity, stamp, value in package.items()] == [
-            (each.id, tuple(times[each.id].tolist()), list(each.data)) for each in oracle.entries
+            (each.id, tuple(times[each.id].tolist()), list(each.data)) for each in oracle["items"]
         ]
 
 
 @pytest.mark.property
 @given(rows)
 def test_tables_as_construct_has_them(table: tuple[Row, ...]) -> None:
-    parsed = schema.TABLE.parse(encode_table("r", table))
-    assert [(row.name.rstrip(b"\0").decode("latin-1"), row.length) for row in parsed.rows] == list(table)
-    assert schema.TABLE.build(parsed) == encode_table("r", table)
+    declared = as_construct(TABLE, "server")
+    parsed = declared.parse(encode_table("r", table))
+    assert [(row.name.rstrip(b"\0").decode("latin-1"), row.length) for row in parsed["items"]] == list(table)
+    assert declared.build(parsed) == encode_table("r", table)
 
 
 def test_small_packages_as_construct_has_them() -> None:
-    assert schema.ACCESS.build({"access": b"w"}) == encode_access("w")
-    assert schema.READY.build({"access": b"r"}) == encode_ready("r")
-    assert schema.END.parse(b"ee").any == ord("e")
+    assert as_construct(ACCESS, "client").build({"second": b"w"}) == encode_access("w")
+    assert as_construct(READY, "client").build({"second": b"r"}) == encode_ready("r")
+    assert as_construct(SCHEMA_END, "server").parse(END).second == ord("e")
 
 
 def test_stamps_of_64_bits() -> None:
@@ -180,7 +182,7 @@ def test_stamps_of_64_bits() -> None:
 
 def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
     database = Database(write=[Row("a", 1), Row("b", 2)])
-    stream = ClientStream(database.write.layout)
+    stream = ClientDecoder(database.write.layout)
     entry = struct.Struct(">iiii")
     stream.feed(b"awdw" + struct.pack(">i", 2) + entry.pack(0, 1, 2, 10) + entry.pack(0, 3, 4, 20) + b"ee")
     stream.take_access()
@@ -192,7 +194,7 @@ def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
 
 def test_no_more_than_there_are_variables_in_one_package() -> None:
     raw = b"awdw" + struct.pack(">i", 2) + 2 * struct.pack(">iiii", 0, 0, 0, 0) + b"ee"
-    assert "counts 2; expected 0 to 1" in str(read_client([raw], Layout([1]), 2)[-1])
+    assert "counts 2; expected 0 to 1" in str(read_client([raw], TableLayout([1]), 2)[-1])
 
 
 # -- what cannot be ----------------------------------------------------------------------------
@@ -229,7 +231,7 @@ def changed(at: int, what: bytes) -> bytes:
     ],
 )
 def test_a_handshake_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
-    stream = ServerStream(width=2)
+    stream = ServerDecoder(width=2)
     stream.feed(data)
     with pytest.raises(PacketError) as caught:
         stream.take_handshake()
@@ -259,7 +261,7 @@ def test_a_handshake_that_cannot_be_says_where(data: bytes, reason: str, offset:
     ],
 )
 def test_a_batch_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
-    stream = ServerStream()
+    stream = ServerDecoder()
     stream.feed(HANDSHAKE + data)
     stream.take_handshake()
     with pytest.raises(PacketError) as caught:
@@ -284,14 +286,14 @@ def test_a_batch_that_cannot_be_says_where(data: bytes, reason: str, offset: int
 )
 def test_a_request_that_cannot_be(data: bytes, reason: str) -> None:
     for pieces in ([b"aw" + data], [bytes([byte]) for byte in b"aw" + data]):
-        found = read_client(pieces, Layout([1, 3]), 2)
+        found = read_client(pieces, TableLayout([1, 3]), 2)
         assert found[0] == "w"
         assert reason in str(found[-1])
 
 
 @pytest.mark.parametrize("data", [b"x", b"ax", b"ww", b"ra"])
 def test_an_access_request_that_cannot_be(data: bytes) -> None:
-    assert "expected 'ar' or 'aw'" in str(read_client([data], Layout([1]), 2)[-1])
+    assert "expected 'ar' or 'aw'" in str(read_client([data], TableLayout([1]), 2)[-1])
 
 
 def test_limits() -> None:
@@ -317,15 +319,15 @@ def test_a_batch_without_an_end_is_refused() -> None:
     for endless in (b"dr\0\0\0\0" * 300, encode_table("r", [Row("tick", 1), Row("line", 8)]) * 30):
         assert "no end within 1000 bytes" in str(read_server([HANDSHAKE, endless], limits=limits)[-1])
     for endless in (b"rr" * 600, b"dw\0\0\0\0" * 300):
-        assert "no end within 1000 bytes" in str(read_client([b"ar", endless], Layout([1]), 2, limits)[-1])
+        assert "no end within 1000 bytes" in str(read_client([b"ar", endless], TableLayout([1]), 2, limits)[-1])
 
 
 @pytest.mark.parametrize("width", [0, 1, 3, 8])
 def test_widths_that_cannot_be(width: int) -> None:
     with pytest.raises(BadValue, match="expected 2 or 4"):
-        ServerStream(width=width)
+        ServerDecoder(width=width)
     with pytest.raises(BadValue, match="expected 2 or 4"):
-        ClientStream(Layout([1]), width=width)
+        ClientDecoder(TableLayout([1]), width=width)
 
 
 @pytest.mark.parametrize("row", [Row("n" * 33, 1), Row("a\0b", 1), Row("€", 1), Row("a", 0), Row("a", 1 << 31)])
@@ -342,9 +344,9 @@ def test_directions_that_cannot_be(encode: Callable[[str], bytes]) -> None:
 
 def test_taken_in_the_wrong_order() -> None:
     with pytest.raises(BadValue, match="before the handshake"):
-        ServerStream().take_batch()
+        ServerDecoder().take_batch()
     with pytest.raises(BadValue, match="before the access request"):
-        ClientStream(Layout([1])).take_request()
+        ClientDecoder(TableLayout([1])).take_request()
 
 
 # -- any bytes ---------------------------------------------------------------------------------
@@ -372,7 +374,7 @@ def test_any_bytes_after_a_handshake(data: bytes, cuts: list[int]) -> None:
 @pytest.mark.property
 @given(noise, places, widths, lengths)
 def test_any_bytes_of_a_client(data: bytes, cuts: list[int], width: int, sizes: list[int]) -> None:
-    layout = Layout(sizes)
+    layout = TableLayout(sizes)
     assert read_client(cut(data, cuts), layout, width) == read_client([data], layout, width)
 
 
@@ -390,9 +392,9 @@ def test_many_entries_of_a_package_cut_anywhere(data: st.DataObject) -> None:
     """What is remembered of the last package helps with the next, and never decides it."""
     count = data.draw(st.integers(2, 40))
     sizes = data.draw(st.lists(st.integers(1, 3), min_size=count, max_size=count))
-    layout = Layout(sizes)
+    layout = TableLayout(sizes)
     values, times = np.arange(layout.words, dtype=np.int32), np.zeros((count, 2), np.int64)
-    stream = ClientStream(layout)
+    stream = ClientDecoder(layout)
     stream.feed(b"aw")
     stream.take_access()
     ids = list(range(count))
@@ -400,7 +402,7 @@ def test_many_entries_of_a_package_cut_anywhere(data: st.DataObject) -> None:
         if data.draw(st.booleans()):
             one, other = data.draw(st.tuples(st.integers(0, count - 1), st.integers(0, count - 1)))
             ids[one], ids[other] = ids[other], ids[one]
-        raw = encode_data("w", Entries(layout, np.array(ids), 2), values, times) + b"ee"
+        raw = encode_data("w", Selection(layout, np.array(ids), 2), values, times) + b"ee"
         for piece in cut(raw, data.draw(places)):
             assert stream.take_request() is None
             stream.feed(piece)

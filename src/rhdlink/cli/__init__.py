@@ -1,4 +1,4 @@
-"""The `rhdlink` command: one module per subcommand, and what they share."""
+"""The `rhdlink` command: a module for each group of subcommands, and what they share."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import dissect, get, record, replay, serve, turtle, variables, watch, write
+from . import dissect, hosting, recordings, values, watch
 
 __all__ = ["main"]
 
-_COMMANDS = (serve, turtle, variables, get, write, watch, record, replay, dissect)
+_COMMANDS = (hosting, values, watch, recordings, dissect)
 
 _DESCRIPTION = """\
 Look at, drive, host and imitate mobile robots that run the Robot Hardware Daemon (RHD)."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
+import itertools
+import operator
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,10 @@ from typing import Any
 from linkcore.cli.options import Subparsers, add_command, positive_int
 from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording
-from linkcore.recording.file import Kind, Recording
+from linkcore.recording.file import Recording
 
-from ..tape import CHANNEL
-from .anatomy import Part, Piece, dissect, guess_sender, tables_in
+from ..recording.playback import received
+from ..wire.dissection import Part, Piece, dissect, guess_sender, tables_in
 
 __all__ = ["add_parser", "lines"]
 
@@ -82,18 +83,8 @@ def _connections(path: Path) -> Iterator[bytes]:
     if not data.startswith(b"LINKREC1"):
         yield data
         return
-    recording = Recording(path)
-    number = recording.channel(CHANNEL)
-    parts: list[bytes] = []
-    for record in recording:
-        if record.channel != number:
-            continue
-        if record.kind is Kind.BYTES:
-            parts.append(record.payload)
-        elif record.kind is Kind.EVENT and json.loads(record.payload)["state"] == "lost":
-            yield b"".join(parts)
-            parts.clear()
-    yield b"".join(parts)
+    for _, records in itertools.groupby(received(Recording(path)), key=operator.itemgetter(0)):
+        yield b"".join(record.payload for _, record in records)
 
 
 def _bytes(path: Path | str) -> bytes:

@@ -8,24 +8,23 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
-from linkcore.cli.terminal import safe, strict_json
+from linkcore.cli.terminal import strict_json
 from linkcore.stamp import Stamp
 from linkcore.streaming.packet_queue import Inbox
 from linkcore.streaming.policy import drop_oldest
 
-from ..background import Background
 from ..client import Variables, connect
-from ..errors import NotThere
-from ..update import Update
-from .gauge import Gauge, Sight
-from .meaning import in_units, words_text
+from ..sync_thread import SyncThread
+from ..variables.snapshot import Update
 from .options import add_address, tell
+from .units import update_as_json
+from .values import check_names
+from .view import RateCounter, View
 
-__all__ = ["add_parser", "line", "update_as_json"]
+__all__ = ["add_parser"]
 
 _DESCRIPTION = """\
 Watch variables live: their words, what they mean where their names are conventional ones, and how often a
@@ -63,9 +62,7 @@ def run(args: argparse.Namespace) -> int:
         RemoteError: nobody is there.
     """
     with connect(args.address, timeout=args.timeout) as robot:
-        missing = [name for name in args.names if name not in robot]
-        if missing:
-            raise NotThere(f"{robot.address} has no variable {', '.join(map(repr, missing))}; `rhdlink vars` lists all")
+        check_names(args.names, robot, robot.address)
         until = None if args.duration is None else time.monotonic() + args.duration
         with Interruption() as interruption:
             (_lines if args.json else _views)(robot, args, until, interruption)
@@ -81,21 +78,21 @@ def _left(most: float, until: float | None) -> float:
     return most if until is None else max(min(most, until - time.monotonic()), 0.0)
 
 
-def _check(background: Background) -> None:
-    if background.failure is not None:
-        raise background.failure
+def _check(sync_thread: SyncThread) -> None:
+    if sync_thread.failure is not None:
+        raise sync_thread.failure
 
 
 def _lines(robot: Variables, args: argparse.Namespace, until: float | None, interruption: Interruption) -> None:
     """One JSON object for each update."""
     inbox = Inbox(drop_oldest(16384))
     robot.subscribe(lambda update: inbox.offer([update]), *args.names, policy=drop_oldest(16384))
-    background = robot.background(args.period)
+    sync_thread = robot.background(args.period)
     shown = 0
     while interruption.number is None and not _over(until):
         update: Update | None = inbox.next(_left(0.05, until))
         if update is None:
-            _check(background)
+            _check(sync_thread)
             continue
         print(strict_json(update_as_json(update)), flush=True)
         shown += 1
@@ -105,38 +102,29 @@ def _lines(robot: Variables, args: argparse.Namespace, until: float | None, inte
         tell(f"{inbox.dropped} updates were dropped: the output was too slow for them")
 
 
-def update_as_json(update: Update) -> dict[str, Any]:
-    """What was set, and when it came."""
-    return {
-        "received": update.received.wall,
-        "variables": {name: change.value.tolist() for name, change in update.changes.items()},
-        "stamps": {name: list(change.stamp) for name, change in update.changes.items()},
-    }
-
-
 def _views(robot: Variables, args: argparse.Namespace, until: float | None, interruption: Interruption) -> None:
-    gauge = Gauge(time.monotonic())
-    robot.subscribe(gauge.on_update, *args.names)
-    robot.subscribe_connection(gauge.on_connection)
-    background = robot.background(args.period)
+    counter = RateCounter(time.monotonic())
+    robot.subscribe(counter.on_update, *args.names)
+    robot.subscribe_connection(counter.on_connection)
+    sync_thread = robot.background(args.period)
     show, pause = _painter(args.plain)
     shown = 0
     with show as draw:
         # The first look is at what the first syncs brought, and not at what came with the handshake.
         is_over = interruption.wait(_left(min(0.2, pause), until))
         while True:
-            _check(background)
-            draw(_look(robot, gauge, frozenset(args.names)))
+            _check(sync_thread)
+            draw(_view(robot, counter, frozenset(args.names)))
             shown += 1
             if is_over or shown == args.count or _over(until):
                 break
             is_over = interruption.wait(_left(pause, until))
 
 
-def _look(robot: Variables, gauge: Gauge, names: frozenset[str]) -> Sight:
+def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:
     now = Stamp.now().monotonic
-    rate, rates = gauge.rates(now)
-    return Sight(
+    rate, rates = counter.rates(now)
+    return View(
         robot=robot.address,
         connection=robot.connection,
         age=max(now - robot.received.monotonic, 0.0),
@@ -144,15 +132,15 @@ def _look(robot: Variables, gauge: Gauge, names: frozenset[str]) -> Sight:
         rates=rates,
         variables=[each for each in robot.variables if not names or each.name in names],
         reconnects=robot.reconnects,
-        trouble=gauge.trouble,
+        trouble=counter.trouble,
     )
 
 
-_Draw = Callable[[Sight], None]
+_Draw = Callable[[View], None]
 
 
 def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], float]:
-    """What shows sights, and how many seconds apart."""
+    """What shows views, and how many seconds apart."""
     if plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
         return _plain(), 1.0
     try:
@@ -160,39 +148,22 @@ def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], flo
     except ImportError:
         tell("plain lines, since rich is missing; pip install 'urlink[cli]' paints them")
         return _plain(), 1.0
-    return _pictures(), 0.1
-
-
-def line(sight: Sight, clock: str) -> str:
-    """A sight on one line; old values say that they are old."""
-    parts = [f"{clock} {sight.connection.name}", safe(sight.robot)]
-    if not sight.is_fresh:
-        parts.append(f"OLD DATA, {sight.age:.1f} s")
-        if sight.trouble is not None:
-            parts.append(safe(sight.trouble))
-    else:
-        parts.append("- syncs/s" if sight.rate is None else f"{sight.rate:.1f} syncs/s")
-    for variable in sight.variables:
-        text = f"{safe(variable.name)} {words_text(variable.value)}"
-        meaning = in_units(variable.direction, variable.name, variable.value)
-        rate = sight.rates.get(variable.name)
-        parts.append(text + (f" = {meaning}" if meaning else "") + (f" ({rate:.1f}/s)" if rate else ""))
-    return " | ".join(parts)
+    return _panels(), 0.1
 
 
 @contextlib.contextmanager
 def _plain() -> Iterator[_Draw]:
-    yield lambda sight: print(line(sight, time.strftime("%H:%M:%S")), flush=True)
+    yield lambda view: print(view.as_line(time.strftime("%H:%M:%S")), flush=True)
 
 
 @contextlib.contextmanager
-def _pictures() -> Iterator[_Draw]:
+def _panels() -> Iterator[_Draw]:
     from rich.console import Console
     from rich.live import Live
 
-    from .picture import Picture
+    from .panel import ViewPanel
 
-    # The last picture stays on the screen, where it can be read and copied.
+    # The last panel stays on the screen, where it can be read and copied.
     console, to_terminal = Console(), sys.stderr.isatty()
     with Live(console=console, auto_refresh=False, vertical_overflow="crop", redirect_stderr=to_terminal) as live:
-        yield lambda sight: live.update(Picture(sight), refresh=True)
+        yield lambda view: live.update(ViewPanel(view), refresh=True)

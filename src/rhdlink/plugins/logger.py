@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import itertools
+import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Protocol, TextIO
+from typing import Any, NamedTuple, Protocol, TextIO
 
 import numpy as np
 
@@ -18,26 +20,35 @@ from linkcore.streaming.policy import drop_oldest
 from linkcore.streaming.statistics import SubscriptionStatistics
 from linkcore.streaming.subscription import Subscription
 
-from ..config import Element
-from ..database import Database
-from ..entries import Stamps, Words
-from ..plugin import Plugin
-from ..wire import END, encode_data
+from ..host.config import Element
+from ..host.plugin import Plugin
+from ..recording.recorder import CHANNEL
+from ..variables.database import Database
+from ..variables.declarations import Declaration
+from ..variables.value_types import Order
+from ..wire.data import Stamps, Words
+from ..wire.messages import END, encode_data
 
 __all__ = ["Logger"]
 
+_log = logging.getLogger(__name__)
+
 #: Ticks that wait for the disk; at 10 ms, 40 s of them.
 _WAITING = 4096
+#: Files with the same name and a number that are looked past for a free one.
+_MOST_FILES = 10_000
+
+#: (direction, name) of a variable -> what some plugin declares of it, and the order of its words.
+_Declared = Mapping[tuple[str, str], tuple[Declaration[Any, Any], Order]]
 
 
 class _Moment:
     """Everything there is to know at one tick."""
 
-    __slots__ = ("stamp", "stamps", "tick", "values")
+    __slots__ = ("stamp", "stamps", "values")
 
-    def __init__(self, database: Database, tick: int) -> None:
+    def __init__(self, database: Database) -> None:
         tables = (database.read, database.write)
-        self.tick = tick
         self.stamp = Stamp.now()
         self.values: list[Words] = [table.values.copy() for table in tables]
         self.stamps: list[Stamps] = [table.stamps.copy() for table in tables]
@@ -46,7 +57,7 @@ class _Moment:
 class _Sheet(Protocol):
     """A file that is being written."""
 
-    def begin(self, database: Database) -> None:
+    def begin(self, database: Database, declared: _Declared) -> None:
         """Say what the entries hold; the variables are all there."""
 
     def write(self, moment: _Moment) -> None:
@@ -57,11 +68,16 @@ class _Sheet(Protocol):
 
 
 class Logger(Plugin):
-    """Logs all variables at each tick to a file that does not exist yet.
+    """Logs all variables at each tick to a new file.
 
-    The suffix chooses the format. ``.csv`` is a table: ``tick``, ``time`` (s since 1970), and a column for each word,
-    of the read variables and then of the write variables. ``.urlog`` is a recording of linkcore: the bytes that a
-    reader would have been sent that is told everything at every tick, so that whatever reads a connection reads it.
+    The suffix chooses the format. ``.csv`` is a table: ``time`` (s since 1970), then a column for each value of each
+    variable, read variables first. Values are typed as the plugins declare them: a double is one number, a `Scaled` is
+    in its unit, text is text, and a structure has a column for each field. What no plugin declares is in words.
+    ``.urlog`` is a recording of linkcore: the bytes that a reader would have been sent that is told everything at
+    every tick, so that whatever reads a connection reads it.
+
+    No file is ever overwritten. Where ``run.csv`` exists, the log goes to ``run-1.csv``, then to ``run-2.csv``, so a
+    robot that is started with the same configuration each day keeps each day's log; `path` says which it is.
 
     It runs last, and writes in a thread of its own: a slow disk costs entries, which are counted, and never a tick.
 
@@ -81,8 +97,13 @@ class Logger(Plugin):
         if every < 1:
             raise BadValue(f"every is {every}; expected at least 1 tick")
         self._every = every
-        self._inbox = Inbox(drop_oldest(_WAITING))
+        self._queue = Inbox(drop_oldest(_WAITING))
         self._subscription: Subscription | None = None
+
+    @property
+    def path(self) -> Path | None:
+        """The file: from `init` on the one that is written, with its number; None where none was given."""
+        return self._path
 
     @property
     def stats(self) -> SubscriptionStatistics | None:
@@ -94,7 +115,7 @@ class Logger(Plugin):
 
         Raises:
             BadValue: no path is given, or one with another suffix.
-            BadRecording: the file exists, or cannot be made.
+            BadRecording: the file cannot be made.
         """
         path = config.get("path")
         if path is not None:
@@ -102,19 +123,21 @@ class Logger(Plugin):
         if self._path is None:
             raise BadValue('a logger needs a path="..."')
         self._every = config.integer("every", self._every, least=1)
+        self._path = _free(self._path)
         # Now, so that a mistake shows at the start; the variables are known at the first tick only.
-        self._sheet: _Sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _Tape(self._path)
+        self._sheet: _Sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
+        _log.info("logging into %s", self._path)
 
     def periodic(self, tick: int) -> None:
         """Take down what is there."""
         database = self.host.database
         if self._subscription is None:
-            self._sheet.begin(database)
+            self._sheet.begin(database, self._by_name())
             self._subscription = Subscription(
-                self._inbox, self._sheet.write, name=f"rhdlink {self.name}", detach=lambda subscription: None
+                self._queue, self._sheet.write, name=f"rhdlink {self.name}", detach=lambda subscription: None
             )
         if tick % self._every == 0:
-            self._inbox.offer([_Moment(database, tick)])
+            self._queue.offer([_Moment(database)])
 
     def terminate(self) -> None:
         """Write what still waits, and close the file.
@@ -127,6 +150,14 @@ class Logger(Plugin):
         if not done:
             raise LinkTimeout(f"{self._path}: the disk did not take all entries in time")
 
+    def _by_name(self) -> _Declared:
+        declared: dict[tuple[str, str], tuple[Declaration[Any, Any], Order]] = {}
+        for plugin in self.host.plugins:
+            for declaration in plugin.declared().values():
+                key = (declaration.direction, declaration.name)
+                declared.setdefault(key, (declaration, declaration.order or plugin._word_order))
+        return declared
+
 
 def _checked(path: Path) -> Path:
     if path.suffix not in (".csv", ".urlog"):
@@ -134,47 +165,108 @@ def _checked(path: Path) -> Path:
     return path
 
 
+def _free(path: Path) -> Path:
+    """The path, with a number before its suffix if there is such a file already."""
+    names = itertools.chain([path], (path.with_stem(f"{path.stem}-{n}") for n in range(1, _MOST_FILES)))
+    free = next((name for name in names if not name.exists()), None)
+    if free is None:
+        raise BadRecording(f"{path} and {_MOST_FILES - 1} files with a number after its name exist already")
+    return free
+
+
 class _CsvSheet:
     def __init__(self, path: Path) -> None:
         try:
             self._file: TextIO = open(path, "x", newline="", encoding="utf-8")  # noqa: SIM115
-        except FileExistsError:
-            raise BadRecording(f"{path} exists; a log never overwrites one") from None
         except OSError as error:
             raise BadRecording(f"cannot write {path}: {error.strerror or error}") from error
         self._writer = csv.writer(self._file)
 
-    def begin(self, database: Database) -> None:
-        self._writer.writerow(["tick", "time", *_columns(database)])
+    def begin(self, database: Database, declared: _Declared) -> None:
+        self._cells = [list(_cells(database, direction, declared)) for direction in "rw"]
+        names = ["time"]
+        for direction, cells in zip("rw", self._cells, strict=True):
+            for name in itertools.chain.from_iterable(each.names for each in cells):
+                # A read and a write variable may have the same name, and a variable may be called "time".
+                names.append(f"{name} ({'read' if direction == 'r' else 'write'})" if name in names else name)
+        self._writer.writerow(names)
 
     def write(self, moment: _Moment) -> None:
-        words = np.concatenate(moment.values).tolist()
-        self._writer.writerow([moment.tick, f"{moment.stamp.wall:.6f}", *words])
+        row: list[object] = [f"{moment.stamp.wall:.6f}"]
+        for cells, values in zip(self._cells, moment.values, strict=True):
+            for each in cells:
+                row += each.read(values[each.words])
+        self._writer.writerow(row)
 
     def close(self) -> None:
         self._file.close()
 
 
-def _columns(database: Database) -> Iterator[str]:
-    for table in (database.read, database.write):
-        for name, length in table:
-            yield from [name] if length == 1 else (f"{name}[{index}]" for index in range(length))
+class _Cells(NamedTuple):
+    """Some neighbouring columns: their names, and how they come from which words of a table."""
+
+    names: list[str]
+    words: slice
+    read: Callable[[Words], list[Any]]
 
 
-class _Tape:
+def _cells(database: Database, direction: str, declared: _Declared) -> Iterator[_Cells]:
+    table = database.table(direction)
+    for identity, (name, length) in enumerate(table):
+        start = table.start(identity)
+        words = slice(start, start + length)
+        found = declared.get((direction, name))
+        if found is None or found[0].length != length:
+            names = [name] if length == 1 else [f"{name}[{index}]" for index in range(length)]
+            yield _Cells(names, words, np.ndarray.tolist)
+        else:
+            declaration, order = found
+            names = list(_names(name, declaration.unpack(table.value(identity), order)))
+            yield _Cells(names, words, _typed(declaration, order))
+
+
+def _typed(declaration: Declaration[Any, Any], order: Order) -> Callable[[Words], list[Any]]:
+    return lambda words: list(_values(declaration.unpack(words, order)))
+
+
+def _names(name: str, value: Any) -> Iterator[str]:
+    """The names of the columns of a value: ``a``, ``a[0]``, ``a.field``, ``a[0].field``."""
+    if isinstance(value, np.void):
+        for field in value.dtype.names or ():
+            yield from _names(f"{name}.{field}", value[field])
+    elif isinstance(value, (np.ndarray, tuple)):
+        for index, each in enumerate(value):
+            yield from _names(f"{name}[{index}]", each)
+    else:
+        yield name
+
+
+def _values(value: Any) -> Iterator[Any]:
+    """The values of those columns."""
+    if isinstance(value, np.void):
+        for field in value.dtype.names or ():
+            yield from _values(value[field])
+    elif isinstance(value, (np.ndarray, tuple)):
+        for each in value:
+            yield from _values(each)
+    else:
+        yield value.item() if isinstance(value, np.generic) else value
+
+
+class _RecordingSheet:
     def __init__(self, path: Path) -> None:
         self._writer = RecordingWriter(path)
 
-    def begin(self, database: Database) -> None:
-        self._channel = self._writer.add_channel({"name": "rhd", "interface": "rhd", "width": 2})
+    def begin(self, database: Database, declared: _Declared) -> None:
+        self._channel = self._writer.add_channel({"name": CHANNEL, "interface": "rhd", "width": 2})
         self._writer.write(Kind.BYTES, self._channel, Stamp.now(), database.encode_handshake("r"))
         tables = (database.read, database.write)
         self._all = [(table.direction, table.select(range(len(table)))) for table in tables]
 
     def write(self, moment: _Moment) -> None:
         read, written = (
-            encode_data(direction, entries, values, stamps)
-            for (direction, entries), values, stamps in zip(self._all, moment.values, moment.stamps, strict=True)
+            encode_data(direction, selection, values, stamps)
+            for (direction, selection), values, stamps in zip(self._all, moment.values, moment.stamps, strict=True)
         )
         self._writer.write(Kind.BYTES, self._channel, moment.stamp, written + read + END)
 

@@ -23,7 +23,7 @@ class Odometer:
     begins. A heading that jumps by a turn, as one does that is kept within +-pi, is continued.
 
     Args:
-        linear_scale: counts per m; the robots of section 15 and MRC use 100000, or what their wheels give.
+        linear_scale: counts per m; the known robots and MRC use 100000, or what their wheels give.
         angular_scale: counts per rad; MRC's 40000 cannot be changed there.
 
     Attributes:

@@ -11,10 +11,10 @@ import math
 
 from linkcore.errors import BadValue
 
-from ..config import Element
-from ..kinds import Int32
-from ..plugin import Plugin
-from ..variables import Read, Write
+from ..host.config import Element
+from ..host.plugin import Plugin
+from ..variables.declarations import Read, Write
+from ..variables.value_types import Int32
 from ..world import World
 from .odometer import wrapped
 
@@ -176,7 +176,8 @@ class SmrTurtle(_InWorld):
 
 
 def _limited(speed: int) -> int:
-    # The driver has 8 bits for it (section 15), and the recorded drives show that it limits rather than wraps.
+    # The driver has 8 bits for it (docs/protocols/rhd.md, Names of variables), and the recorded drives show that
+    # it limits rather than wraps.
     return max(-127, min(127, speed))
 
 

@@ -17,10 +17,10 @@ from linkcore.streaming.policy import latest
 from linkcore.streaming.statistics import SubscriptionStatistics
 from linkcore.streaming.subscription import Subscription
 
-from ..config import Element
-from ..kinds import Int32
-from ..plugin import Plugin
-from ..variables import Read, Write
+from ..host.config import Element
+from ..host.plugin import Plugin
+from ..variables.declarations import Read, Write
+from ..variables.value_types import Int32
 from .odometer import Odometer
 
 __all__ = ["DEAD_BAND", "Twist", "VelocityBridge"]
@@ -88,7 +88,7 @@ class VelocityBridge(Plugin):
         self._dead_band = dead_band
         self._needs_master = needs_master
         self._own_thread = own_thread
-        self._inbox = Inbox(latest)
+        self._queue = Inbox(latest)
         self._subscription: Subscription | None = None
         self._poses: deque[tuple[float, float, float]] = deque(maxlen=_MOST_POSES)
         self._last: Twist | None = None
@@ -112,7 +112,7 @@ class VelocityBridge(Plugin):
         """Start the thread of the function."""
         if self._own_thread:
             self._subscription = Subscription(
-                self._inbox, self._on_twist, name=f"rhdlink {self.name}", detach=lambda subscription: None
+                self._queue, self._on_twist, name=f"rhdlink {self.name}", detach=lambda subscription: None
             )
 
     def periodic(self, tick: int) -> None:
@@ -143,6 +143,6 @@ class VelocityBridge(Plugin):
             return
         self._last = twist
         if self._own_thread:
-            self._inbox.offer([twist])
+            self._queue.offer([twist])
         else:
             self._on_twist(twist)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhdlink import Database
-from rhdlink.cli.anatomy import Piece, dissect, guess_sender, tables_in
-from rhdlink.wire import END, encode_ready
+from rhdlink.wire.dissection import Piece, dissect, guess_sender, tables_in
+from rhdlink.wire.messages import END, encode_ready
 from tests import real_captures
 from tests.harm import assert_harmless, strict
 
@@ -129,15 +129,15 @@ def test_nothing_is_declared_of_a_client_that_sends_no_values() -> None:
 @pytest.mark.parametrize(
     ("data", "error"),
     [
-        (server()[:50], "cut off in row 1: expected 37 bytes, got 5"),
+        (server()[:50], "cut off in row 1, in its name"),
         (server()[:5], "cut off before its count"),
-        (server()[:-3], "cut off in entry 1: expected 20 bytes, got 19"),
+        (server()[:-3], "cut off in entry 1, in its data"),
         (b"awtw\xff\xff\xff\xff", "counts -1; expected 0 to 8192"),
         (b"awx", "one byte of a package"),
         (b"awxx", "b'xx' begins no package of a server"),
         (b"rr", "b'rr' begins no package of a server"),
         (server() + b"dr" + b"\0\0\0\1" + b"\0\0\0\2", "entry 0 is of variable 2; expected 0 to 1"),
-        (b"tr\0\0\0\1" + b"\xff\xff\xff\xff" + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0: "),
+        (b"tr\0\0\0\1" + b"\xff" * 4 + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0 is of a variable of -1 words"),
     ],
 )
 def test_what_cannot_be_is_shown_with_the_reason(data: bytes, error: str) -> None:

@@ -74,7 +74,7 @@ def test_serve_ends_in_order_by_a_signal(spawn: Spawn, config: str, number: int,
     assert process.stdout is not None
     with rhdlink.connect(process.stdout.readline().strip()) as robot:
         robot.sync()
-        assert robot["counter"] == [7]
+        assert robot["counter"] == 7
         process.send_signal(number)
         _, err = process.communicate(timeout=20)
     assert process.returncode == status

@@ -5,24 +5,22 @@ from pathlib import Path
 
 import pytest
 
-import rhdlink.cli
 from rhdlink import Host
 
 from .conftest import Run, Spawn
 
-COMMANDS = tuple(module.__name__.rpartition(".")[2] for module in rhdlink.cli._COMMANDS)
-NAMES = {"variables": "vars", "write": "set"}
+COMMANDS = ("serve", "turtle", "vars", "get", "set", "watch", "record", "replay", "dissect")
 
 
 def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
     status, out, err = run("--help")
     assert (status, err) == (0, "")
-    for command in COMMANDS:
-        assert f"\n    {NAMES.get(command, command)} " in out
+    listed = out.partition("commands:\n")[2].partition("\n\n")[0].splitlines()[1:]
+    assert tuple(line.split()[0] for line in listed if line[4] != " ") == COMMANDS
     assert "130" in out
 
 
-@pytest.mark.parametrize("command", [NAMES.get(command, command) for command in COMMANDS])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
     status, out, _ = run(command, "--help")
     assert status == 0

@@ -13,10 +13,10 @@ import rhdlink
 from linkcore.recording.file import Kind, Recording, RecordingWriter
 from linkcore.stamp import Stamp
 from rhdlink import Database, Host, TimeStamp
-from rhdlink.playback import play
 from rhdlink.plugins.logger import Logger
 from rhdlink.plugins.turtle import Turtle
-from rhdlink.wire import END
+from rhdlink.recording.playback import play
+from rhdlink.wire.messages import END
 from tests.harm import assert_harmless, strict
 
 from .conftest import Run, Spawn
@@ -34,7 +34,7 @@ def robot() -> Database:
 def batch(database: Database, tick: int, rotpos: int) -> bytes:
     database.read.set(0, tick, TimeStamp(1000 + tick, 0))
     database.read.set(1, rotpos, TimeStamp(1000 + tick, 0))
-    return database.read.encode(database.read.pending.take()) + END
+    return database.read.encode(database.read.dirty.take()) + END
 
 
 def write(path: Path, chunks: Sequence[bytes | None], *, name: str = "rhd") -> Path:

@@ -10,8 +10,7 @@ import rhdlink
 from linkcore.stamp import Stamp
 from linkcore.streaming.events import ConnectionState
 from rhdlink import Change, Host, TimeStamp, Update
-from rhdlink.cli.gauge import Gauge
-from rhdlink.cli.watch import line
+from rhdlink.cli.view import RateCounter
 from rhdlink.plugins.turtle import Turtle
 from tests.harm import strict
 
@@ -77,35 +76,35 @@ def updates(times: int, *, names: tuple[str, ...]) -> Iterator[Update]:
 
 
 def test_rates_are_counted_over_two_seconds() -> None:
-    gauge = Gauge(began=100.0)
+    counter = RateCounter(began=100.0)
     for update in updates(50, names=("a", "b")):
-        gauge.on_update(update)
-    assert gauge.rates(100.49) == (None, {})
-    assert gauge.rates(100.5) == (100.0, {"a": 100.0, "b": 100.0})
+        counter.on_update(update)
+    assert counter.rates(100.49) == (None, {})
+    assert counter.rates(100.5) == (100.0, {"a": 100.0, "b": 100.0})
     for update in updates(1000, names=("a",)):
-        gauge.on_update(update)
-    rate, rates = gauge.rates(109.99)
+        counter.on_update(update)
+    rate, rates = counter.rates(109.99)
     assert rate == pytest.approx(100.0, abs=1.0)
     assert rates == {"a": rate}
-    assert gauge.rates(200.0) == (0.0, {})
+    assert counter.rates(200.0) == (0.0, {})
 
 
 def test_a_lost_connection_is_told_until_it_is_back() -> None:
-    gauge = Gauge(began=0.0)
+    counter = RateCounter(began=0.0)
     lost = rhdlink.ConnectionLost("gone")
-    gauge.on_connection(rhdlink.ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
-    assert str(gauge.trouble) == "gone"
-    gauge.on_connection(rhdlink.ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
-    assert gauge.trouble is None, "it is back"
-    assert gauge.rates(2.4) == (None, {})
+    counter.on_connection(rhdlink.ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
+    assert str(counter.trouble) == "gone"
+    counter.on_connection(rhdlink.ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
+    assert counter.trouble is None, "it is back"
+    assert counter.rates(2.4) == (None, {})
 
 
 def test_old_values_say_so(address: str) -> None:
-    from rhdlink.cli.gauge import Sight
+    from rhdlink.cli.view import View
 
     with rhdlink.connect(address) as robot:
-        sight = Sight("x\x1b", ConnectionState.LOST, 3.2, 10.0, {}, robot.variables[:1], 1, "gone\x07")
-    text = line(sight, "12:00:00")
+        view = View("x\x1b", ConnectionState.LOST, 3.2, 10.0, {}, robot.variables[:1], 1, "gone\x07")
+    text = view.as_line("12:00:00")
     assert text.startswith("12:00:00 LOST | x\\x1b | OLD DATA, 3.2 s | gone\\x07 | tick ")
 
 

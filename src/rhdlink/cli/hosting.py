@@ -1,0 +1,165 @@
+"""`rhdlink serve` and `turtle`: be a robot, from an `rhdconfig.xml` or without hardware."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from linkcore.cli.interruption import Interruption
+from linkcore.cli.options import Subparsers, add_command, seconds
+
+from ..address import PORT
+from ..drawing import save
+from ..host.config import read_config
+from ..host.host import Host
+from ..plugins.turtle import SmrTurtle, Turtle
+from ..wire.schema import WIDTHS
+from .options import port, tell
+
+__all__ = ["add_parser"]
+
+_SERVE = """\
+Be a robot: run the plugins that an rhdconfig.xml names, and serve their variables, until Ctrl-C, SIGTERM or
+--duration. Plugins are ended in order.
+
+The file is that of the original daemon, with plugins in Python: lib="package.module:Class". Modules are
+looked for where Python finds them, and then beside the file. Without <address value="..."/> in <server>
+only programs on this machine can connect: whoever can connect can drive the robot. When a plugin with
+critical="true" fails, the robot ends in order with exit status 1; others are disabled."""
+
+_SERVE_EXAMPLES = (
+    "rhdlink serve rhdconfig.xml",
+    "rhdlink serve rhdconfig.xml --port 0 --duration 10",
+    "rhdlink serve rhdconfig.xml --listen 0.0.0.0 -v",
+)
+
+_TURTLE = """\
+Run a robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration; programs connect to it as
+to a real one.
+
+  --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
+  --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor
+
+It stops when its master leaves, and at walls. With --lockstep the time of the world goes on with each request
+of the master and not otherwise: the same each time, and as fast as the program asks. With --picture the way
+it went is drawn at the end."""
+
+_TURTLE_EXAMPLES = (
+    "rhdlink turtle",
+    "rhdlink turtle --drive smr --picture way.svg --duration 60",
+    "rhdlink turtle --port 0 --lockstep",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the commands."""
+    parser = add_command(subparsers, "serve", "run plugins and serve their variables", _SERVE, _SERVE_EXAMPLES)
+    parser.add_argument("config", metavar="CONFIG.xml", help="an rhdconfig.xml")
+    parser.add_argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free one (the file's)")
+    parser.add_argument("--listen", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)")
+    _add_width(parser, "the file's, or 2")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.set_defaults(run=_serve)
+
+    parser = add_command(subparsers, "turtle", "run a robot in a square world", _TURTLE, _TURTLE_EXAMPLES)
+    parser.add_argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (velocity)")
+    parser.add_argument(
+        "--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free one ({PORT})"
+    )
+    parser.add_argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (0.01)")
+    parser.add_argument("--lockstep", action="store_true", help="one tick with each request of the master")
+    _add_width(parser, "2")
+    parser.add_argument("--picture", metavar="FILE", help="draw the way into FILE at the end: .svg or .png")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.set_defaults(run=_turtle)
+
+
+def _add_width(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument(
+        "--width",
+        type=int,
+        choices=WIDTHS,
+        help="32-bit words of a time stamp, as the clients have it: 4 for 64-bit builds of the ordinary sources of "
+        f"the original, which read garbage otherwise ({default})",
+    )
+
+
+def _serve(args: argparse.Namespace) -> int:
+    """Serve until told to stop.
+
+    Raises:
+        BadConfiguration: the file, or a plugin in it, cannot be used.
+        PluginFailed: a critical plugin raised.
+    """
+    config = read_config(args.config)
+    folder = str(Path(args.config).resolve().parent)
+    # Last, so that no file there takes the place of a module that others mean.
+    sys.path.append(folder)
+    try:
+        options: dict[str, Any] = {"port": args.port, "address": args.listen, "width": args.width}
+        host = Host.from_config(config, **{name: value for name, value in options.items() if value is not None})
+        names = ", ".join(plugin.name for plugin in host.plugins) or "no plugin"
+        ended = _serve_until_told(host, f"{args.config}: {names}", args.duration)
+    finally:
+        sys.path.remove(folder)
+    ended.raise_if_any()
+    return 0
+
+
+def _turtle(args: argparse.Namespace) -> int:
+    """Serve until told to stop.
+
+    Raises:
+        BadAddress: the port is taken.
+        BadValue: the picture cannot be written.
+    """
+    robot = Turtle() if args.drive == "velocity" else SmrTurtle()
+    if args.picture is not None:
+        save(robot.world, args.picture)  # says at once whether it can be written
+    host = Host(
+        [robot],
+        period=args.period,
+        port=args.port,
+        pacing="lockstep" if args.lockstep else "period",
+        width=args.width or 2,
+    )
+    ended = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
+    pose = robot.world.pose
+    tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
+    if args.picture is not None:
+        save(robot.world, args.picture)
+    ended.raise_if_any()
+    return 0
+
+
+def _serve_until_told(host: Host, what: str, duration: float | None) -> Interruption:
+    """Serve until Ctrl-C, SIGTERM or the end of `duration`; end in order, and tell how it went.
+
+    The address to connect to is printed on stdout, once it can be connected to. Returned is whether a signal ended it.
+
+    Raises:
+        PluginFailed: a critical plugin raised.
+        BadAddress: the port cannot be listened on.
+    """
+    with Interruption() as interruption:
+        with host:
+            tell(f"{what}; Ctrl-C ends it; connect to")
+            print(host.address, flush=True)
+            until = None if duration is None else time.monotonic() + duration
+            while until is None or time.monotonic() < until:
+                left = 0.1 if until is None else min(0.1, max(until - time.monotonic(), 0.0))
+                if host.wait(0.0) or interruption.wait(left):
+                    break
+        stats = host.stats
+        tell(
+            f"{stats.ticks} ticks, late by {1e3 * stats.late_median:.3f} ms (median), {1e3 * stats.late_p99:.3f} ms "
+            f"(99 of 100 less), {stats.overruns} overruns; {stats.refused_writes} writes refused, "
+            f"{stats.bad_clients} clients closed for what they sent"
+        )
+        if stats.failed_plugins:
+            tell(f"failed plugins: {', '.join(stats.failed_plugins)}")
+    return interruption

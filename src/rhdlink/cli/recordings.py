@@ -1,0 +1,166 @@
+"""`rhdlink record` and `replay`: keep what a robot sends; tell what was kept, or play it."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Iterator
+
+from linkcore.cli.interruption import Interruption
+from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
+from linkcore.cli.terminal import safe, strict_json
+from linkcore.errors import BadRecording
+from linkcore.recording.file import Recording
+from linkcore.recording.player import ReplayClock
+
+from ..client import connect
+from ..recording.playback import play
+from ..recording.summary import Summary, summarise
+from ..variables.snapshot import Update
+from .options import add_address, tell
+from .units import in_units, update_as_json, words_of, words_text
+
+__all__ = ["add_parser"]
+
+_RECORD = """\
+Record the raw bytes that a robot sends to a reader, with the times at which they came, into a new file.
+
+Every variable is in it from the first batch on, whether this library knows what it means or not. A lost
+connection is noted and made again. Ctrl-C or SIGTERM ends the recording in order; so does --duration or
+--count. After a crash the file is still readable up to the crash. Play it with `rhdlink replay`, look into it
+with `rhdlink dissect`."""
+
+_RECORD_EXAMPLES = (
+    "rhdlink record localhost drive.urlog",
+    "rhdlink record smr12 drive.urlog --duration 10",
+    "rhdlink record localhost drive.urlog --period 0.1 --count 100",
+)
+
+_REPLAY = """\
+Tell what is in a recording: how long it is, how many batches, how often each variable was set.
+
+With --rate print what was set instead, a line for each batch that brought something new: at R times the speed
+at which it was recorded, or at once with --rate max. A recording is what `rhdlink record` makes, or the
+logger plugin in a file that ends in .urlog."""
+
+_REPLAY_EXAMPLES = (
+    "rhdlink replay drive.urlog",
+    "rhdlink replay drive.urlog transpos rotpos --rate 1",
+    "rhdlink replay drive.urlog --rate max --json > drive.jsonl",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the commands."""
+    parser = add_command(subparsers, "record", "record what a robot sends", _RECORD, _RECORD_EXAMPLES)
+    add_address(parser)
+    parser.add_argument("file", metavar="FILE", help="file to make; it must not exist yet")
+    parser.add_argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N syncs (never)")
+    parser.set_defaults(run=_record)
+
+    parser = add_command(subparsers, "replay", "tell what is in a recording, or play it", _REPLAY, _REPLAY_EXAMPLES)
+    parser.add_argument("file", metavar="FILE", help="a recording")
+    parser.add_argument("names", metavar="NAME", nargs="*", help="print only these variables")
+    parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.set_defaults(run=_replay, trailing="names")
+
+
+def _rate(text: str) -> float:
+    """Of a `ReplayClock`: 0 is as fast as possible."""
+    try:
+        value = 0.0 if text == "max" else float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf") or (value == 0 and text != "max"):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max")
+    return value
+
+
+def _record(args: argparse.Namespace) -> int:
+    """Record until told to stop, and say what is in the file.
+
+    Raises:
+        BadRecording: the file exists, or cannot be made, or the disk failed.
+        RemoteError: nobody is there.
+    """
+    with Interruption() as interruption, connect(args.address, timeout=args.timeout, record=args.file) as robot:
+        tell(f"recording {robot.address} into {args.file}; Ctrl-C ends it")
+        until = None if args.duration is None else time.monotonic() + args.duration
+        sync_thread = robot.background(args.period)
+        while until is None or time.monotonic() < until:
+            left = 0.02 if until is None else min(0.02, max(until - time.monotonic(), 0.0))
+            if interruption.wait(left) or (args.count is not None and sync_thread.syncs >= args.count):
+                break
+            if sync_thread.failure is not None:
+                raise sync_thread.failure
+    print(_summary_text(summarise(Recording(args.file))))
+    interruption.raise_if_any()
+    return 0
+
+
+def _replay(args: argparse.Namespace) -> int:
+    """Summarise, or play.
+
+    Raises:
+        BadRecording: no such file, or it is none, or it holds no such variable.
+        PacketError: it holds bytes that are no batch.
+    """
+    recording = Recording(args.file)
+    if args.rate is None:
+        if args.names or args.count is not None:
+            args.usage_error("what to print can be chosen only when the recording is played, with --rate")
+        summary = summarise(recording)
+        print(strict_json(summary.as_json()) if args.json else _summary_text(summary))
+        return 0
+    with Interruption() as interruption:
+        for update in itertools.islice(_updates(recording, args, interruption), args.count):
+            print(strict_json(update_as_json(update)) if args.json else _line(update), flush=True)
+    interruption.raise_if_any()
+    return 0
+
+
+def _updates(recording: Recording, args: argparse.Namespace, interruption: Interruption) -> Iterator[Update]:
+    clock = ReplayClock(recording, args.rate)
+    clock.start()
+    names = frozenset(args.names) or None
+    for moment in play(recording):
+        if moment.is_handshake and names is not None:
+            there = {row.name for table in (moment.database.read, moment.database.write) for row in table}
+            missing = [name for name in args.names if name not in there]
+            if missing:
+                raise BadRecording(f"{recording.path} holds no variable {', '.join(map(repr, missing))}")
+        if interruption.number is not None or interruption.wait(max(clock.delay(moment.received), 0.0)):
+            return
+        update = moment.update(names)
+        if update.changes:
+            yield update
+
+
+def _line(update: Update) -> str:
+    clock = time.strftime("%H:%M:%S", time.localtime(update.received.wall))
+    parts = [f"{clock}.{int(update.received.wall * 1000) % 1000:03d}"]
+    for name, change in update.changes.items():
+        # The direction is not told with an update; a name has the same meaning in both.
+        words = words_of(change.value)
+        meaning = in_units("r", name, words) or in_units("w", name, words)
+        parts.append(f"{safe(name)} {words_text(words)}" + (f" = {meaning}" if meaning else ""))
+    return " | ".join(parts)
+
+
+def _summary_text(summary: Summary) -> str:
+    state = "complete" if summary.is_complete else "not closed in order"
+    left_out = f", {summary.left_out} bytes at its end unreadable" if summary.left_out else ""
+    rate = f", {summary.batches / summary.seconds:.1f}/s" if summary.seconds else ""
+    connections = f"{summary.connections} connection{'' if summary.connections == 1 else 's'}"
+    lines = [
+        f"{safe(summary.file)}: {summary.seconds:.1f} s, {summary.size} bytes, {state}{left_out}",
+        f"{summary.batches} batches{rate}, {connections}, time stamps of {summary.width} words",
+    ]
+    width = max(map(len, map(safe, summary.variables)), default=0)
+    lines += [f"  {safe(name):{width}}  set {count} times" for name, count in summary.variables.items()]
+    return "\n".join(lines)

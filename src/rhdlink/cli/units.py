@@ -1,0 +1,97 @@
+"""What the words of a variable mean, where its name is one that everybody uses.
+
+A robot tells names and lengths, and neither types nor units. The ready-made classes know them for the conventional
+names; they are taken where direction and length are theirs, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from linkcore.cli.terminal import safe
+
+from ..robots import Ackerman, Gps, Smr, VelocityOmega
+from ..variables.declarations import Declaration
+from ..variables.snapshot import Update, Variable
+from ..wire.data import Words
+
+__all__ = ["as_columns", "as_json", "in_units", "update_as_json", "words_of", "words_text"]
+
+#: Words of a variable that are shown on one line.
+_MOST_WORDS = 16
+
+
+def _known() -> dict[tuple[str, str, int], Declaration[Any, Any]]:
+    known: dict[tuple[str, str, int], Declaration[Any, Any]] = {}
+    for robot in (Smr, VelocityOmega, Ackerman, Gps):
+        for declaration in robot.declared().values():
+            known.setdefault((declaration.direction, declaration.name, declaration.length), declaration)
+    return known
+
+
+_KNOWN = _known()
+
+
+def in_units(direction: str, name: str, words: Words) -> str:
+    """The value with its unit: ``0.3 m/s``; "" where the name has none."""
+    declaration = _KNOWN.get((direction, name, len(words)))
+    if declaration is None or not declaration.unit:
+        return ""
+    value = declaration.unpack(words, declaration.order or "little")
+    if isinstance(value, (np.ndarray, tuple)):
+        text = " ".join(f"{each:.6g}" for each in value)
+    else:
+        text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{text} {declaration.unit}"
+
+
+def words_of(value: int | Words) -> Words:
+    """The words of a variable that was declared by nobody, as `rhdlink.Variable` has it: an int or an array."""
+    return np.atleast_1d(np.asarray(value, np.int32))
+
+
+def words_text(words: Sequence[int] | Words, most: int | None = _MOST_WORDS) -> str:
+    """The words of a variable, on one line."""
+    shown = [str(int(word)) for word in words[:most]]
+    left = len(words) - len(shown)
+    return " ".join(shown) + (f" … {left} more" if left else "")
+
+
+def as_json(variable: Variable) -> dict[str, Any]:
+    """A variable as a JSON object; its value always as a list of words."""
+    words = words_of(variable.value)
+    return {
+        "name": variable.name,
+        "direction": variable.direction,
+        "id": variable.identity,
+        "length": variable.length,
+        "words": words.tolist(),
+        "stamp": [variable.stamp.seconds, variable.stamp.microseconds],
+        "meaning": in_units(variable.direction, variable.name, words) or None,
+    }
+
+
+def as_columns(variable: Variable) -> tuple[str, ...]:
+    """A variable for a table: direction, id, name, words, meaning, time stamp."""
+    words = words_of(variable.value)
+    meaning = in_units(variable.direction, variable.name, words)
+    return (
+        {"r": "read", "w": "write"}[variable.direction],
+        str(variable.identity),
+        safe(variable.name),
+        words_text(words),
+        f"= {meaning}" if meaning else "",
+        f"{variable.stamp.seconds}.{variable.stamp.microseconds:06d}",
+    )
+
+
+def update_as_json(update: Update) -> dict[str, Any]:
+    """What was set, and when it came."""
+    return {
+        "received": update.received.wall,
+        "variables": {name: words_of(change.value).tolist() for name, change in update.changes.items()},
+        "stamps": {name: list(change.stamp) for name, change in update.changes.items()},
+    }

@@ -1,0 +1,141 @@
+"""`rhdlink vars`, `get` and `set`: the variables of a robot, once."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from collections.abc import Collection, Iterable
+
+from linkcore.cli.interruption import Interruption
+from linkcore.cli.options import Subparsers, add_command, seconds
+from linkcore.cli.terminal import safe, strict_json
+
+from ..client import Variables, connect
+from ..errors import NotThere
+from .options import add_address, tell
+from .units import as_columns, as_json, in_units, words_of, words_text
+
+__all__ = ["add_parser", "check_names"]
+
+_LIST = """\
+List the variables of a robot: direction, id, name, words, meaning, and when each was set.
+
+`read` variables go from the robot to programs, `write` variables from programs to the robot. A robot tells
+the name and the length of a variable and nothing else; the meaning after the `=` is that which the name has
+by convention. A time of 0 says that a variable was never set."""
+
+_LIST_EXAMPLES = (
+    "rhdlink vars localhost",
+    "rhdlink vars smr12:24902 --json",
+    "rhdlink vars localhost --json | jq -r .name",
+)
+
+_GET = """\
+Print the values of variables, one line each, in the order in which they are named.
+
+The words come first, as they are on the wire; after the `=` stands what they mean, where the name has a
+meaning by convention. Of a read and a write variable with the same name it is the read variable."""
+
+_GET_EXAMPLES = (
+    "rhdlink get localhost tick",
+    "rhdlink get smr12 encl encr linesensor",
+    "rhdlink get localhost transpos rotpos --json",
+)
+
+_SET = """\
+Write a variable, as the master of the robot. A robot has one master at a time: while another program is
+it, this fails.
+
+VALUEs are the words of the variable as they are on the wire, whole numbers of 32 bits, as many as it is
+long: 30000, and not 0.3 m/s. Many robots stop when their master leaves, which this does at once unless
+--hold says how long to stay; Ctrl-C ends that earlier. THIS MOVES A REAL ROBOT."""
+
+_SET_EXAMPLES = (
+    "rhdlink set localhost cmdtransvel 30000 --hold 2",
+    "rhdlink set smr12 speedl 10 --hold 1",
+    "rhdlink set localhost cmdrotvel -- -20000",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the commands."""
+    parser = add_command(subparsers, "vars", "list the variables of a robot", _LIST, _LIST_EXAMPLES)
+    add_address(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each variable")
+    parser.set_defaults(run=_list)
+
+    parser = add_command(subparsers, "get", "print the values of variables", _GET, _GET_EXAMPLES)
+    add_address(parser)
+    parser.add_argument("names", metavar="NAME", nargs="+", help="a variable of the robot")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each variable")
+    parser.set_defaults(run=_get, trailing="names")
+
+    parser = add_command(subparsers, "set", "write a variable, as master", _SET, _SET_EXAMPLES)
+    add_address(parser)
+    parser.add_argument("name", metavar="NAME", help="a write variable of the robot")
+    parser.add_argument("values", metavar="VALUE", nargs="+", type=_word, help="its words")
+    parser.add_argument("--hold", type=seconds, metavar="S", help="stay master for S seconds (leave at once)")
+    parser.set_defaults(run=_set)
+
+
+def check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
+    """Raise `NotThere` for names that are no variables."""
+    missing = [name for name in names if name not in robot]
+    if missing:
+        raise NotThere(f"{where} has no variable {', '.join(map(repr, missing))}; `rhdlink vars` lists all")
+
+
+def _word(text: str) -> int:
+    if not re.fullmatch(r"[+-]?[0-9]{1,10}", text) or not -(2**31) <= int(text) < 2**31:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 32 bits")
+    return int(text)
+
+
+def _list(args: argparse.Namespace) -> int:
+    with connect(args.address, timeout=args.timeout) as robot:
+        # What came with the handshake is the newest there is.
+        found = robot.variables
+        if args.json:
+            for variable in found:
+                print(strict_json(as_json(variable)))
+            return 0
+        print(safe(f"{robot.address}: {len(found)} variables, time stamps of {robot.width} words"))
+        rows = [as_columns(variable) for variable in found]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        # A long array does not push the columns after it off the screen.
+        widths[3] = min(widths[3], 40)
+        for row in rows:
+            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    return 0
+
+
+def _get(args: argparse.Namespace) -> int:
+    with connect(args.address, timeout=args.timeout) as robot:
+        by_name = {variable.name: variable for variable in reversed(robot.variables)}
+        check_names(args.names, by_name, robot.address)
+        for name in args.names:
+            variable = by_name[name]
+            if args.json:
+                print(strict_json(as_json(variable)))
+                continue
+            words = words_of(variable.value)
+            meaning = in_units(variable.direction, name, words)
+            print(f"{safe(name)} {words_text(words, None)}" + (f" = {meaning}" if meaning else ""))
+    return 0
+
+
+def _set(args: argparse.Namespace) -> int:
+    with connect(args.address, access="w", timeout=args.timeout) as robot, Interruption() as interruption:
+        robot[args.name] = args.values if len(args.values) > 1 else args.values[0]
+        robot.sync()  # the answer says that it was taken
+        (value,) = (each.value for each in robot.variables if (each.direction, each.name) == ("w", args.name))
+        words = words_of(value)
+        meaning = in_units("w", args.name, words)
+        tell(f"{args.name} is {words_text(words)}" + (f" = {meaning}" if meaning else ""))
+        if args.hold is not None:
+            until = time.monotonic() + args.hold
+            while interruption.number is None and time.monotonic() < until:
+                robot.sync()
+    interruption.raise_if_any()
+    return 0

@@ -1,0 +1,110 @@
+"""What `watch` shows of a robot at one moment: the newest values, and how often each is set."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from linkcore.cli.terminal import safe
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+
+from ..variables.snapshot import Update, Variable
+from .units import in_units, words_of, words_text
+
+__all__ = ["RateCounter", "View"]
+
+#: Seconds over which rates are counted.
+WINDOW = 2.0
+
+
+@dataclass(frozen=True)
+class View:
+    """One moment of a robot.
+
+    Attributes:
+        robot: its address.
+        connection: what the connection is doing.
+        age: seconds since the newest values came.
+        rate: syncs that brought something, a second; None where that cannot be told yet.
+        rates: name -> how often a second it was set.
+        variables: those that are watched.
+        reconnects: connections after the first.
+        trouble: what ended the connection last, or None while it stands.
+    """
+
+    robot: str
+    connection: ConnectionState
+    age: float
+    rate: float | None
+    rates: dict[str, float]
+    variables: Sequence[Variable]
+    reconnects: int
+    trouble: str | None
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the values show what is, and not what was."""
+        return self.connection is ConnectionState.CONNECTED
+
+    def as_line(self, clock: str) -> str:
+        """On one line; old values say that they are old."""
+        parts = [f"{clock} {self.connection.name}", safe(self.robot)]
+        if not self.is_fresh:
+            parts.append(f"OLD DATA, {self.age:.1f} s")
+            if self.trouble is not None:
+                parts.append(safe(self.trouble))
+        else:
+            parts.append("- syncs/s" if self.rate is None else f"{self.rate:.1f} syncs/s")
+        for variable in self.variables:
+            words = words_of(variable.value)
+            meaning = in_units(variable.direction, variable.name, words)
+            rate = self.rates.get(variable.name)
+            text = f"{safe(variable.name)} {words_text(words)}"
+            parts.append(text + (f" = {meaning}" if meaning else "") + (f" ({rate:.1f}/s)" if rate else ""))
+        return " | ".join(parts)
+
+
+class RateCounter:
+    """Counts updates over a window of two seconds; called by subscriptions, asked by the view."""
+
+    def __init__(self, began: float) -> None:
+        self._lock = threading.Lock()
+        self._began = began
+        self._updates: deque[tuple[float, tuple[str, ...]]] = deque()
+        self.trouble: str | None = None
+
+    def on_update(self, update: Update) -> None:
+        """Note which variables were set."""
+        now = update.received.monotonic
+        with self._lock:
+            self._updates.append((now, tuple(update.changes)))
+            self._forget(now)
+
+    def on_connection(self, event: ConnectionEvent) -> None:
+        """Note what is wrong, until it is right again."""
+        if event.error is not None:
+            self.trouble = str(event.error)
+        elif event.state is ConnectionState.CONNECTED:
+            self.trouble = None
+            with self._lock:
+                self._began = event.received.monotonic
+                self._updates.clear()
+
+    def rates(self, now: float) -> tuple[float | None, dict[str, float]]:
+        """Updates a second, and how often a second each variable was set; None and nothing in the first half second."""
+        with self._lock:
+            self._forget(now)
+            seconds = min(now - self._began, WINDOW)
+            if seconds < 0.5:
+                return None, {}
+            counts: dict[str, int] = {}
+            for _, names in self._updates:
+                for name in names:
+                    counts[name] = counts.get(name, 0) + 1
+            return len(self._updates) / seconds, {name: count / seconds for name, count in counts.items()}
+
+    def _forget(self, now: float) -> None:
+        while self._updates and self._updates[0][0] < now - WINDOW:
+            self._updates.popleft()

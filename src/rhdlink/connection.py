@@ -1,0 +1,230 @@
+"""One connection to a server: handshake, and a batch for each request, in step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from linkcore.stamp import Stamp
+
+from .errors import AccessDenied
+from .wire.decoder import Limits, ServerDecoder
+from .wire.messages import END, Batch, Handshake, encode_access, encode_ready
+
+__all__ = ["Connection", "Transport"]
+
+#: Seconds that the unsolicited batch is waited for at most, once in a connection. Robots tick every 10 to 25 ms
+#: (docs/protocols/rhd.md, Configuration file), so this covers four ticks of the slowest.
+_MOST_UNSOLICITED_WAIT = 0.1
+
+
+class Transport(Protocol):
+    """What carries the bytes: `linkcore.net.transport.TcpTransport`."""
+
+    name: str
+
+    def open(self, timeout: float) -> None:
+        """Connect."""
+
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        """Wait for bytes."""
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        """Bytes that have come already."""
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send all of it."""
+
+    def close(self) -> None:
+        """Disconnect."""
+
+
+class Connection:
+    """A connection that has been granted access.
+
+    A server of the original sends one batch that nobody asked for, at its first tick after the handshake, unless a
+    request reaches it before (docs/protocols/rhd.md, The unsolicited batch). A client that takes this batch for the
+    reply to a request stays one reply behind for ever. Nothing in a batch says which it is, so replies are counted:
+    those that are outstanding are waited for, and a batch that comes while none is outstanding is delivered and not
+    counted.
+
+    Args:
+        transport: not yet open.
+        access: to ask for, "r" or "w".
+        fallback: "r" accepts reader access where there is a master already; else None.
+        width: words of a time stamp; None finds out.
+        limits: what the server may ask for.
+        until: when the handshake has to be done, by `time.monotonic`.
+
+    Attributes:
+        access: what was granted, "r" or "w".
+        handshake: what the server said.
+        received: when the newest bytes came.
+
+    Raises:
+        AccessDenied: write access was refused, and there is no fallback.
+        ConnectFailed, ConnectionLost, LinkTimeout: nobody is there, or no longer, or silent.
+        WrongPeer: something else is listening.
+        PacketError: what came is no handshake.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        access: str,
+        fallback: str | None,
+        width: int | None,
+        limits: Limits | None,
+        until: float,
+        deliver: Callable[[Batch], object],
+    ) -> None:
+        self._transport = transport
+        self._deliver = deliver
+        self._width = width
+        self._limits = limits
+        self._outstanding = 0  # requests without a reply
+        self._is_settled = False  # the unsolicited batch has come, or will not come any more
+        self._has_answered = False
+        try:
+            self._greet(access, until)
+            if self.handshake.granted != access:
+                if fallback != "r":
+                    raise AccessDenied(f"{transport.name} refuses write access; it has a master already")
+                if self.handshake.granted != "r":
+                    # The original names no access when it refuses. It would serve this connection all the same, but
+                    # only by an oversight (docs/protocols/rhd.md, Access): ask again, as a reader.
+                    self._greet("r", until)
+                    if self.handshake.granted != "r":
+                        raise AccessDenied(f"{transport.name} refuses even reader access")
+        except BaseException:
+            transport.close()
+            raise
+
+    def _greet(self, access: str, until: float) -> None:
+        transport = self._transport
+        transport.open(_left(until))
+        self._decoder = decoder = ServerDecoder(width=self._width, limits=self._limits)
+        handshake = None
+        try:
+            transport.send(encode_access(access), _left(until))
+            while handshake is None:
+                data, self.received = transport.receive(_left(until))
+                decoder.feed(data)
+                handshake = decoder.take_handshake()
+        except ConnectionLost as error:
+            if decoder.waiting:
+                raise
+            raise ConnectFailed(f"{error} without a word; are all its client slots in use?") from error
+        except LinkTimeout as error:
+            raise LinkTimeout(f"{transport.name}: no handshake in time; {decoder.waiting} bytes of it came") from error
+        except PacketError as error:
+            if error.offset == 0:
+                raise WrongPeer(f"{transport.name} is no RHD server: {error.reason}") from error
+            raise
+        self.handshake: Handshake = handshake
+        self.access = access if handshake.granted is None else handshake.granted
+
+    @property
+    def width(self) -> int:
+        """Words of a time stamp."""
+        return self.handshake.width
+
+    def take_waiting(self, until: float) -> None:
+        """Deliver the batches that have come already; does not wait.
+
+        Raises:
+            LinkTimeout: more and more of them come.
+            ConnectionLost, PacketError: as `request`.
+        """
+        self._deliver_decoded()
+        while (arrived := self._transport.receive_waiting()) is not None:
+            data, self.received = arrived
+            self._decoder.feed(data)
+            self._deliver_decoded()
+            _left(until)
+
+    def settle(self, period: float | None, until: float) -> None:
+        """Make sure that the unsolicited batch is not still to come.
+
+        Waits once in a connection, after the first answer. If that was the unsolicited batch, the reply to the request
+        follows one tick later, and is delivered here. So a tick and a half has to pass without a batch.
+
+        Args:
+            period: seconds between ticks, as far as known.
+            until: when to be done at the latest, by `time.monotonic`.
+        """
+        if self._is_settled or self._outstanding or not self._has_answered:
+            return
+        seconds = _MOST_UNSOLICITED_WAIT if period is None else min(1.5 * period + 2e-3, _MOST_UNSOLICITED_WAIT)
+        enough = time.monotonic() + seconds
+        while not self._is_settled and (left := min(enough, until) - time.monotonic()) > 0:
+            try:
+                data, self.received = self._transport.receive(left)
+            except LinkTimeout:
+                break
+            self._decoder.feed(data)
+            self._deliver_decoded()
+        if enough <= until:
+            self._is_settled = True  # else there was no time to be sure; the next sync goes on
+
+    def collect(self, until: float) -> None:
+        """Wait for the replies that are outstanding, and deliver them.
+
+        So no more than one request ever waits at a server: it would take one at each tick, and a program that is late
+        would drive the robot by what it said long ago.
+
+        Raises:
+            LinkTimeout: no reply in time; it stays outstanding.
+            ConnectionLost: the connection is gone.
+            PacketError: the reply cannot be understood.
+        """
+        while self._outstanding:
+            arrived, self.received = self._transport.receive(_left(until))
+            self._decoder.feed(arrived)
+            self._deliver_decoded()
+            self._has_answered = not self._outstanding
+
+    def request(self, data: bytes, until: float) -> None:
+        """Ask for a batch, and deliver it.
+
+        Args:
+            data: data packages to send with it.
+            until: when to be done at the latest, by `time.monotonic`.
+
+        Raises:
+            LinkTimeout: no reply in time; it stays outstanding.
+            ConnectionLost: the connection is gone, or did not take the request.
+            PacketError: the reply cannot be understood.
+        """
+        try:
+            self._transport.send(encode_ready(self.access) + data + END, max(until - time.monotonic(), 0.0))
+        except LinkTimeout as error:
+            # Half a request may have gone out: whatever followed would be taken for its other half.
+            raise ConnectionLost(str(error)) from error
+        except BaseException:  # interrupted: likewise
+            self._transport.close()
+            raise
+        self._outstanding += 1
+        self.collect(until)
+
+    def close(self) -> None:
+        """Disconnect; wakes who waits. Idempotent, from any thread."""
+        self._transport.close()
+
+    def _deliver_decoded(self) -> None:
+        while (batch := self._decoder.take_batch()) is not None:
+            if self._outstanding:
+                self._outstanding -= 1
+            else:
+                self._is_settled = True
+            self._deliver(batch)
+
+
+def _left(until: float) -> float:
+    left = until - time.monotonic()
+    if left <= 0:
+        raise LinkTimeout("no time is left")
+    return left

@@ -1,0 +1,375 @@
+"""`rhdconfig.xml`: what the original daemon reads to know its period, its port and its plugins.
+
+The elements are those of docs/protocols/rhd.md, Configuration file::
+
+    <rhd>
+      <scheduler> <period value="10000"/> <type value="itimer"/> </scheduler>      (or <sheduler>; microseconds)
+      <server> <port value="24902"/> <clients number="10" allwriters="0"/> <mode value="synchronized"/>
+               <address value="0.0.0.0"/> <width value="2"/> </server>      (the last two are this library's own)
+      <plugins> <turtle enable="true" lib="rhdlink.plugins.turtle:Turtle" critical="true" safety="1"/> </plugins>
+    </rhd>
+
+The file may come from anywhere, so it is parsed with limits, and without what XML has for hiding or fetching things: a
+document type, entities, external references.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NoReturn
+from xml.parsers import expat
+
+from linkcore.errors import BadValue
+
+from ..wire.schema import WIDTHS
+
+__all__ = ["BadConfiguration", "Configuration", "Element", "PluginEntry", "parse_config", "read_config"]
+
+#: Bytes of a file, levels and elements in it, that are read.
+LARGEST = 1 << 20
+DEEPEST = 32
+MOST_ELEMENTS = 10_000
+
+#: Scheduler types of the original that mean "at a period".
+_PERIODIC = ("usleep", "itimer", "LXRT", "RTAI")
+_TYPES = (*_PERIODIC, "freerunning", "synchronized")
+
+
+class BadConfiguration(BadValue):
+    """A configuration that cannot be read, or that asks for what cannot be done; names the file and the line."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element of the file, with what is in it.
+
+    Attributes:
+        tag: its name.
+        attributes: name -> text.
+        children: the elements in it, in order.
+        text: the characters in it, without those of its children, stripped.
+        line: where it begins in the file; 0 for one that comes from no file.
+        source: name of the file, for messages.
+    """
+
+    tag: str
+    attributes: Mapping[str, str] = field(default_factory=dict)
+    children: tuple[Element, ...] = ()
+    text: str = ""
+    line: int = 0
+    source: str = ""
+
+    def find(self, tag: str) -> Element | None:
+        """The first child of that name, or None."""
+        return next(self.find_all(tag), None)
+
+    def find_all(self, tag: str) -> Iterator[Element]:
+        """The children of that name, in order."""
+        return (child for child in self.children if child.tag == tag)
+
+    def get(self, name: str, default: str | None = None) -> str | None:
+        """What the file says of `name`: the attribute, or the attribute `value` of the child of that name.
+
+        Both styles are in use by the original's plugins.
+        """
+        if name in self.attributes:
+            return self.attributes[name]
+        child = self.find(name)
+        return default if child is None else child.attributes.get("value", default)
+
+    def number(self, name: str, default: float, *, least: float = -math.inf, most: float = math.inf) -> float:
+        """`get` as a finite number between `least` and `most`.
+
+        Raises:
+            BadConfiguration: it is none.
+        """
+        text = self.get(name)
+        if text is None:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and least <= value <= most):
+            self.reject(f"{name}={text!r} is not a number{_between(least, most)}")
+        return value
+
+    def integer(self, name: str, default: int, *, least: int = -(2**31), most: int = 2**31 - 1) -> int:
+        """`get` as a whole number between `least` and `most`.
+
+        Raises:
+            BadConfiguration: it is none.
+        """
+        text = self.get(name)
+        if text is None:
+            return default
+        # Not int() alone: it takes underscores and the digits of every script.
+        if not re.fullmatch(r"\s*[+-]?[0-9]{1,10}\s*", text) or not least <= int(text) <= most:
+            self.reject(f"{name}={text!r} is not a whole number{_between(least, most)}")
+        return int(text)
+
+    def reject(self, reason: str) -> NoReturn:
+        """Say that this element asks for what cannot be.
+
+        Raises:
+            BadConfiguration: always.
+        """
+        raise BadConfiguration(f"{_place(self.source, self.line)}<{self.tag}>: {reason}")
+
+
+def _between(least: float, most: float) -> str:
+    return f" from {least:g} to {most:g}" if math.isfinite(least) and math.isfinite(most) else ""
+
+
+def _place(source: str, line: int) -> str:
+    return f"{source}:{line}: " if source and line else f"{source}: " if source else ""
+
+
+@dataclass(frozen=True)
+class PluginEntry:
+    """One plugin of the file.
+
+    Attributes:
+        name: name of the element.
+        lib: what to load, ``package.module:Class``.
+        is_enabled: only the exact text "true" enables, as with the original.
+        is_critical: whether the host ends when it fails.
+        safety: 0, or the rank among the plugins that run last.
+        config: its element, for its own settings.
+    """
+
+    name: str
+    lib: str
+    is_enabled: bool
+    is_critical: bool
+    safety: int
+    config: Element
+
+    def load(self) -> Any:
+        """An instance of the class that `lib` names, called without arguments.
+
+        This imports and runs code that the file names, as the original loads the library that it names.
+
+        Raises:
+            BadConfiguration: it is a C library, there is no such module or class, or it cannot be made.
+        """
+        lib = self.lib
+        if re.search(r"\.so(\.[0-9.]*)?$|\.dll$|\.dylib$", lib) or "/" in lib:
+            self.config.reject(
+                f"lib={lib!r} is a plugin in C, which this host cannot load: run it in the original rhd, or port it "
+                'to Python and name it as lib="package.module:Class" (see docs/rhd.md, writing a plugin)'
+            )
+        module_name, colon, class_name = lib.partition(":")
+        if not colon or not class_name.isidentifier() or not all(map(str.isidentifier, module_name.split("."))):
+            self.config.reject(f'lib={lib!r} names no plugin; it is written lib="package.module:Class"')
+        try:
+            module = importlib.import_module(module_name)
+        except Exception as error:
+            # Whatever an imported module does wrong is the plugin's trouble, and is named with its place in the file.
+            raise BadConfiguration(
+                f"{_place(self.config.source, self.config.line)}<{self.name}>: cannot import {module_name}: {error}"
+            ) from error
+        made: Callable[[], object] | None = getattr(module, class_name, None)
+        if not isinstance(made, type):
+            self.config.reject(f"{module_name} has no class {class_name}")
+        try:
+            return made()
+        except Exception as error:
+            raise BadConfiguration(
+                f"{_place(self.config.source, self.config.line)}<{self.name}>: cannot make a {class_name}: {error}"
+            ) from error
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What an `rhdconfig.xml` says. What it leaves out has the value given here, not the original's zero.
+
+    Attributes:
+        period: of the tick, seconds.
+        scheduler: type of the scheduler as the file names it.
+        realtime_priority: whether it asks for real-time priority; this host does not take it, and says so.
+        port: TCP port.
+        address: to listen on; ``<server> <address value="0.0.0.0"/>``. The original has no such element and listens
+            everywhere.
+        clients: how many may be connected.
+        allwriters: whether every client may write.
+        synchronized: whether each tick waits for the master's request, at most one period.
+        width: words of a time stamp, 2 or 4, as the clients have it; ``<server> <width value="4"/>``. The original has
+            no such element: its width is that of the machine it was built for.
+        plugins: in the order of the file, those not enabled among them.
+    """
+
+    period: float = 0.01
+    scheduler: str = "usleep"
+    realtime_priority: bool = False
+    port: int = 24902
+    address: str = "127.0.0.1"
+    clients: int = 10
+    allwriters: bool = False
+    synchronized: bool = False
+    width: int = 2
+    plugins: tuple[PluginEntry, ...] = ()
+
+    @property
+    def pacing(self) -> str:
+        """When the next tick comes: after the "period", at once ("free"), or with each request ("lockstep")."""
+        if self.scheduler in _PERIODIC:
+            return "period"
+        return "lockstep" if self.scheduler == "synchronized" and self.synchronized else "free"
+
+
+def read_config(path: str | os.PathLike[str]) -> Configuration:
+    """The configuration in a file.
+
+    Raises:
+        BadConfiguration: it cannot be read, or is none.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(LARGEST + 1)
+    except (OSError, ValueError) as error:
+        raise BadConfiguration(f"cannot read {os.fspath(path)}: {getattr(error, 'strerror', None) or error}") from error
+    return parse_config(data, Path(path).name)
+
+
+def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configuration:
+    """The configuration in a text.
+
+    Args:
+        data: XML.
+        source: what to call it in messages.
+
+    Raises:
+        BadConfiguration: it is none, or beyond the limits of what is read.
+    """
+    root = _Tree(source).parse(data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data)
+    if root.tag != "rhd":
+        root.reject("the file has to begin with <rhd>")
+    nothing = Element("rhd")
+    scheduler = root.find("scheduler") or root.find("sheduler") or nothing
+    server = root.find("server") or nothing
+    # 2**31 us is 36 minutes; the original has an int.
+    period = scheduler.find("period") or nothing
+    kind = scheduler.get("type", "usleep")
+    if kind not in _TYPES:
+        (scheduler.find("type") or scheduler).reject(f"value={kind!r} is none of {', '.join(_TYPES)}")
+    clients = server.find("clients") or nothing
+    mode = server.get("mode")
+    if mode not in (None, "normal", "synchronized"):
+        server.reject(f"mode {mode!r} is neither normal nor synchronized")
+    width = server.find("width") or nothing
+    if width.integer("value", 2) not in WIDTHS:
+        width.reject("a time stamp has 2 or 4 words")
+    plugins = root.find("plugins") or nothing
+    priority = scheduler.find("realtimepriority")
+    default = Configuration()
+    return Configuration(
+        period=period.integer("value", 10000, least=100) / 1e6,
+        scheduler=kind or default.scheduler,
+        realtime_priority=priority is not None and priority.attributes.get("enable") == "true",
+        port=(server.find("port") or nothing).integer("value", default.port, least=0, most=65535),
+        address=(server.find("address") or nothing).attributes.get("value", default.address),
+        clients=clients.integer("number", default.clients, least=1, most=10_000),
+        allwriters=clients.integer("allwriters", 0) != 0,
+        synchronized=mode == "synchronized",
+        width=width.integer("value", default.width),
+        plugins=tuple(map(_entry, plugins.children)),
+    )
+
+
+def _entry(element: Element) -> PluginEntry:
+    is_enabled = element.attributes.get("enable") == "true"
+    lib = element.attributes.get("lib", "")
+    if is_enabled and not lib:
+        element.reject('it is enabled, but no lib="package.module:Class" says what it is')
+    return PluginEntry(
+        name=element.tag,
+        lib=lib,
+        is_enabled=is_enabled,
+        is_critical=element.attributes.get("critical") == "true",
+        # Only the attribute: a plugin may have an element of that name of its own.
+        safety=Element(element.tag, element.attributes, line=element.line, source=element.source).integer(
+            "safety", 0, least=0, most=127
+        ),
+        config=element,
+    )
+
+
+class _Open:
+    """An element whose end has not come."""
+
+    def __init__(self, tag: str, attributes: dict[str, str], line: int) -> None:
+        self.tag = tag
+        self.attributes = attributes
+        self.line = line
+        self.children: list[Element] = []
+        self.text: list[str] = []
+
+
+class _Tree:
+    """Builds the elements of one file, and stops at the first thing that has no business in it."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._open: list[_Open] = [_Open("", {}, 0)]
+        self._elements = 0
+        self._parser = parser = expat.ParserCreate()
+        parser.buffer_text = True
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._data
+        # Refusing the document type refuses every entity, since they are declared in it: no bombs, nothing fetched.
+        parser.StartDoctypeDeclHandler = self._refuse
+        parser.EntityDeclHandler = self._refuse
+        parser.ExternalEntityRefHandler = self._refuse
+
+    def parse(self, data: bytes) -> Element:
+        if len(data) > LARGEST:
+            raise BadConfiguration(f"{self._source} is larger than {LARGEST} bytes")
+        try:
+            self._parser.Parse(data, True)
+        except expat.ExpatError as error:
+            text = expat.errors.messages.get(error.code, str(error))
+            raise BadConfiguration(f"{_place(self._source, error.lineno)}this is not XML: {text}") from None
+        except (LookupError, ValueError) as error:
+            if isinstance(error, BadConfiguration):
+                raise
+            self._fail(f"an encoding that nobody knows: {error}")
+        return self._open[0].children[0]
+
+    def _fail(self, reason: str) -> NoReturn:
+        raise BadConfiguration(f"{_place(self._source, self._parser.CurrentLineNumber)}{reason}")
+
+    def _refuse(self, *_: object) -> NoReturn:
+        self._fail("a document type or an entity is not accepted here")
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._elements += 1
+        if self._elements > MOST_ELEMENTS:
+            self._fail(f"more than {MOST_ELEMENTS} elements")
+        if len(self._open) > DEEPEST:
+            self._fail(f"elements in more than {DEEPEST} levels")
+        self._open.append(_Open(tag, attributes, self._parser.CurrentLineNumber))
+
+    def _end(self, tag: str) -> None:
+        done = self._open.pop()
+        self._open[-1].children.append(
+            Element(
+                tag,
+                MappingProxyType(done.attributes),
+                tuple(done.children),
+                "".join(done.text).strip(),
+                done.line,
+                self._source,
+            )
+        )
+
+    def _data(self, text: str) -> None:
+        self._open[-1].text.append(text)

@@ -1,0 +1,77 @@
+"""A part of a robot: declares its variables, and moves them on at each tick."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ..variables.declarations import Declaration, Declarations, refuse_hiding
+from .config import Element
+
+if TYPE_CHECKING:
+    from .host import Host
+
+__all__ = ["Plugin"]
+
+
+class Plugin(Declarations):
+    """A part of a robot; subclass it::
+
+        class Battery(Plugin):
+            battcapacity = Read(Int32, unit="mAh")
+            calibratebattery = Write(Int32)
+
+            def periodic(self, tick: int) -> None:
+                self.battcapacity = measured()
+                if self.is_updated(Battery.calibratebattery):
+                    calibrate()
+
+    The variables are declared as a program declares them, seen from there: `Read` ones are set here and `Write` ones
+    read. Those that another plugin has made already are shared with it. They are for the three methods below, which the
+    host calls in its own thread, one plugin after another; each call holds up the tick, so what takes long belongs in a
+    thread of the plugin's own.
+
+    Attributes:
+        name: for messages; by default that of the class in small letters, and in a file that of the element.
+        is_critical: whether the host ends, in order, when the plugin raises, or goes on without it.
+        safety: 0, or a rank. Plugins with a rank are initialised last, and run last, the highest after all others, so
+            that they have the last word on what the others have set.
+        host: that runs it, from `init` on.
+    """
+
+    name: str = ""
+    is_critical: bool = True
+    safety: int = 0
+    host: Host
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        refuse_hiding(cls, Plugin)
+
+    def init(self, config: Element) -> None:
+        """Begin: open devices, set first values. Further variables can be made in `host.database` here and only here.
+
+        Args:
+            config: the plugin's element of `rhdconfig.xml`; an empty one if it comes from no file.
+        """
+
+    def periodic(self, tick: int) -> None:
+        """Read what the program has written, and set what it is to know.
+
+        Args:
+            tick: the number of the round that clients were last told; 0 in the first call.
+        """
+
+    def terminate(self) -> None:
+        """End: stop the motors, close devices. Called once for each plugin whose `init` returned, last one first."""
+
+    def is_updated(self, declaration: Declaration[Any, Any]) -> bool:
+        """Whether a program has written the variable, be it the same value, since the last `periodic`.
+
+        Args:
+            declaration: of this class: ``self.is_updated(Battery.calibratebattery)``.
+
+        Raises:
+            NotThere: an optional one that there is not.
+        """
+        table, identity = self._place(declaration)
+        return bool(table.updated[identity])

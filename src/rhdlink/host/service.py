@@ -1,0 +1,340 @@
+"""A variable database served to many clients, sans-IO: who may write, and who is told what.
+
+`Server` brings the bytes of each connection and takes the replies away. A request is answered at the next `sync`, as by
+the original: what it writes is seen by the plugins in the round that follows, and what they set then goes out with the
+reply after it (docs/protocols/rhd.md, Server tick).
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Literal
+
+import numpy as np
+
+from linkcore.errors import BadValue, PacketError
+
+from ..arguments import check_choice
+from ..variables.database import Database, Table
+from ..variables.dirty_set import DirtySet
+from ..wire.data import DataPackage, Ids
+from ..wire.decoder import ClientDecoder, Limits
+from ..wire.messages import END, Request, encode_data
+
+__all__ = ["Client", "Resend", "Service"]
+
+_log = logging.getLogger(__name__)
+
+#: What of the read variables a reply holds: those set since the client's last one, or, as in the original, all that
+#: were ever set.
+Resend = Literal["changed", "original"]
+
+#: Bytes kept of a client that sends ahead of the replies.
+AHEAD = 4096
+
+
+class Client:
+    """One client.
+
+    Attributes:
+        name: address and port, for messages.
+        slot: number of its slot, None until access has been granted and after it has gone.
+        access: "r" or "w" once it has been granted.
+        request: what it asks for, until the next sync; None if nothing is complete.
+        requests: how many requests it has completed.
+        refused_writes: values that it sent without the right to.
+        failure: why its connection is to be closed, or None.
+        is_reading: whether it has taken all that was sent to it; until then it gets no more.
+        dirty_read: the read variables that it has not been told of yet.
+        dirty_write: likewise the write variables, set by others.
+    """
+
+    __slots__ = (
+        "access",
+        "decoder",
+        "dirty_read",
+        "dirty_write",
+        "failure",
+        "is_reading",
+        "name",
+        "refused_writes",
+        "request",
+        "requests",
+        "slot",
+    )
+
+    def __init__(self, name: str, decoder: ClientDecoder) -> None:
+        self.name = name
+        self.decoder = decoder
+        self.slot: int | None = None
+        self.access: str | None = None
+        self.request: Request | None = None
+        self.requests = 0
+        self.refused_writes = 0
+        self.failure: str | None = None
+        self.is_reading = True
+        self.dirty_read = DirtySet(0)
+        self.dirty_write = DirtySet(0)
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether a handshake or a request is begun and not complete."""
+        return self.access is None or (self.request is None and self.decoder.waiting > 0)
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether it has a request that the next sync will take."""
+        return self.request is not None and self.is_reading
+
+    @property
+    def may_send(self) -> bool:
+        """Whether more of what it sends is to be read, with one request complete."""
+        return self.request is None or self.decoder.waiting <= AHEAD
+
+
+class Service:
+    """Serves one database.
+
+    Args:
+        database: the variables; frozen from now on.
+        clients: how many may be connected.
+        allwriters: whether every client that asks for it may write, rather than the first only.
+        resend: what of the read variables a reply holds.
+        width: words of a time stamp, 2 or 4; what the clients have, since nothing they send tells.
+        limits: what a client may ask for; by default no more than all write variables at once, and a little.
+
+    Attributes:
+        refused_writes: values sent by clients that may not write, and not taken.
+        refused_clients: connections for which there was no slot.
+        bad_clients: connections closed because of what they sent.
+
+    Raises:
+        BadValue: no such width, or no slots.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        *,
+        clients: int = 10,
+        allwriters: bool = False,
+        resend: Resend = "changed",
+        width: int = 2,
+        limits: Limits | None = None,
+    ) -> None:
+        if clients < 1:
+            raise BadValue(f"a host for {clients} clients serves nobody")
+        check_choice("resend", resend, ("changed", "original"))
+        database.freeze()
+        self._database = database
+        self._allwriters = allwriters
+        self._resend = resend
+        self._width = width
+        # All variables once, and room for empty packages: nobody needs more, and it is the longest that is parsed.
+        layout = database.write.layout
+        self._limits = limits or Limits(batch=1024 + 4 * (layout.words + layout.count * (1 + width)))
+        ClientDecoder(layout, width=width, limits=self._limits)
+        self._slots: list[Client | None] = [None] * clients
+        self._sole_writer: Client | None = None
+        self._final_writes: list[DataPackage] = []
+        self.refused_writes = 0
+        self.refused_clients = 0
+        self.bad_clients = 0
+
+    @property
+    def clients(self) -> list[Client]:
+        """The clients that have been granted access, by slot."""
+        return [client for client in self._slots if client is not None]
+
+    @property
+    def slots(self) -> int:
+        """How many clients may be connected."""
+        return len(self._slots)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether every slot is taken."""
+        return None not in self._slots
+
+    @property
+    def most_output(self) -> int:
+        """Bytes that can wait for one client: a handshake and one batch, which is no longer."""
+        return 2 * len(self._database.encode_handshake("r", self._width))
+
+    @property
+    def writers(self) -> int:
+        """How many of them may write: `isMasterAlive` of the original."""
+        return sum(client.access == "w" for client in self.clients)
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the sole writer asks for the next tick; or any client, while there is none."""
+        sole = self._sole_writer
+        if sole is not None:
+            return sole.is_asking
+        return any(client is not None and client.is_asking for client in self._slots)
+
+    # -- connections -----------------------------------------------------------------------------------
+
+    def connect(self, name: str) -> Client | None:
+        """A client has connected; None if there is no slot for it."""
+        if self.is_full:
+            self.refused_clients += 1
+            return None
+        return Client(name, ClientDecoder(self._database.write.layout, width=self._width, limits=self._limits))
+
+    def receive(self, client: Client, data: bytes) -> bytes:
+        """Bytes have come from a client; what is to be sent to it at once: the handshake, or nothing.
+
+        Sets `failure` of the client where it is to be closed.
+        """
+        decoder = client.decoder
+        decoder.feed(data)
+        try:
+            if client.access is None:
+                wanted = decoder.take_access()
+                return b"" if wanted is None else self._grant(client, wanted)
+            if client.request is None:
+                self._take_request(client)
+        except PacketError as error:
+            self._fail(client, str(error))
+        return b""
+
+    def disconnect(self, client: Client) -> None:
+        """A client is gone. What it had written completely still counts: it may be the command to stop."""
+        if client.slot is None:
+            return
+        self._slots[client.slot] = None
+        client.slot = None
+        self._find_sole_writer()
+        while client.failure is None and client.access == "w" and client.request is not None:
+            self._final_writes += client.request.data
+            client.request = None
+            try:
+                self._take_request(client)
+            except PacketError:
+                break
+        client.request = None
+
+    def _grant(self, client: Client, wanted: str) -> bytes:
+        if self.is_full:
+            self.refused_clients += 1
+            client.failure = "all slots were taken meanwhile"
+            return b""
+        # A second writer becomes a reader and is told so; the original leaves the answer out (docs/protocols/rhd.md,
+        # Defects, 7).
+        client.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
+        client.slot = self._slots.index(None)
+        self._slots[client.slot] = client
+        self._find_sole_writer()
+        database = self._database
+        # Others may not have been told yet of what was set before now. This client is told by the handshake.
+        self._spread_dirty()
+        client.dirty_read, client.dirty_write = DirtySet(len(database.read)), DirtySet(len(database.write))
+        self._take_request(client)
+        return database.encode_handshake(client.access, self._width)
+
+    def _find_sole_writer(self) -> None:
+        writers = [client for client in self.clients if client.access == "w"]
+        self._sole_writer = writers[0] if len(writers) == 1 else None
+
+    def _take_request(self, client: Client) -> None:
+        request = client.request = client.decoder.take_request()
+        if request is not None:
+            client.requests += 1
+            if request.ready == "w" and client.access != "w":
+                # As the original does (docs/protocols/rhd.md, Access).
+                self._fail(client, "asks as a writer without being one")
+
+    def _fail(self, client: Client, reason: str) -> None:
+        client.failure = reason
+        self.bad_clients += 1
+
+    # -- one round ------------------------------------------------------------------------------------
+
+    def sync(self) -> list[tuple[Client, bytes]]:
+        """Take what clients have written, and answer those who asked: one request of each client."""
+        database = self._database
+        database.write.begin_round()
+        written: list[tuple[Client | None, DataPackage]] = []
+        for data in self._final_writes:
+            self._write(None, data, written)
+        self._final_writes.clear()
+        taken, ready = [], []
+        for client in self._slots:
+            if client is None or client.request is None or not client.is_reading or client.failure is not None:
+                continue
+            request, client.request = client.request, None
+            taken.append(client)
+            if request.data:
+                # Whether it asks as a reader or as a writer does not matter: a writer may ask with `rr`.
+                if client.access == "w":
+                    for data in request.data:
+                        self._write(client, data, written)
+                else:
+                    self._refuse(client, sum(map(len, request.data)))
+            if request.ready is not None:
+                ready.append(client)
+        self._spread_dirty()
+        for author, data in written:
+            for client in self._slots:
+                # The sole writer knows what it wrote (docs/protocols/rhd.md, Sync cycle).
+                if client is not None and not (client is author and client is self._sole_writer):
+                    client.dirty_write.add_many(data.ids, ordered=data.selection.is_ordered)
+        replies = self._replies(ready)
+        for client in taken:
+            # It may have sent ahead.
+            if client.decoder.waiting:
+                try:
+                    self._take_request(client)
+                except PacketError as error:
+                    self._fail(client, str(error))
+        return replies
+
+    def _write(
+        self, author: Client | None, data: DataPackage, written: list[tuple[Client | None, DataPackage]]
+    ) -> None:
+        self._database.write.receive(data)
+        written.append((author, data))
+
+    def _refuse(self, client: Client, count: int) -> None:
+        if not client.refused_writes:
+            _log.warning("%s may only read, and sends values: they are not taken", client.name)
+        client.refused_writes += count
+        self.refused_writes += count
+
+    def _spread_dirty(self) -> None:
+        """What the robot has set is news to every client."""
+        dirty = self._database.read.dirty.take()
+        if len(dirty) and self._resend == "changed":
+            for client in self._slots:
+                if client is not None:
+                    client.dirty_read.add_many(dirty, ordered=True)
+
+    def _replies(self, ready: list[Client]) -> list[tuple[Client, bytes]]:
+        read, write = self._database.read, self._database.write
+        packages = _Packages(self._width)
+        all_read = np.flatnonzero(read.updated) if self._resend == "original" and ready else None
+        replies = []
+        for client in ready:
+            # What others had written before it became the sole writer waits until it is not the only one.
+            own = b"" if client is self._sole_writer else packages.of(write, client.dirty_write.take())
+            ids = client.dirty_read.take() if all_read is None else all_read
+            replies.append((client, own + packages.of(read, ids) + END))
+        return replies
+
+
+class _Packages:
+    """The data packages of one round, each made once, however many clients are sent it."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._made: list[tuple[Table, Ids, bytes]] = []
+
+    def of(self, table: Table, ids: Ids) -> bytes:
+        for known, known_ids, data in self._made:
+            if known is table and (known_ids is ids or np.array_equal(known_ids, ids)):
+                return data
+        data = encode_data(table.direction, table.select(ids, self._width), table.values, table.stamps)
+        self._made.append((table, ids, data))
+        return data

@@ -1,0 +1,262 @@
+"""The robot's variables as a client has them: a copy of its database, brought up to date by each batch."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import threading
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue, LocalError
+
+from .errors import NotThere
+from .variables.database import Database, Table
+from .variables.declarations import Declaration
+from .variables.snapshot import Change, Variable
+from .variables.value_types import Order
+from .wire.messages import Batch, Handshake
+
+__all__ = ["Replica", "Unsent", "database_of", "similar"]
+
+_log = logging.getLogger(__name__)
+
+#: What becomes of values that were set and not sent when the connection is lost.
+Unsent = Literal["discard", "send"]
+
+#: A writer's request that sets nothing holds a data package all the same, as librhd's does.
+_NOTHING_SET = b"dw\0\0\0\0"
+
+
+class Replica:
+    """A copy of a robot's database that threads share.
+
+    Args:
+        robot: its address, for messages.
+        unsent: "discard" forgets what was set and not sent when the connection is lost; "send" keeps it.
+
+    Attributes:
+        lock: held around every access to the database.
+        discarded: values that were set and will not be sent.
+        period: seconds between ticks of the robot, once two batches of a connection have shown it.
+    """
+
+    def __init__(self, robot: str, unsent: Unsent) -> None:
+        self.lock = threading.RLock()
+        self.discarded = 0
+        self.period: float | None = None
+        self._robot = robot
+        self._unsent = unsent
+        self._has_warned = False
+        self._database: Database | None = None
+        self._first_tick: tuple[int, float] | None = None
+
+    @property
+    def database(self) -> Database:
+        """The tables of the newest connection.
+
+        Raises:
+            LocalError: there was none yet.
+        """
+        if self._database is None:
+            raise LocalError(f"{self._robot} has not been connected to")
+        return self._database
+
+    # -- one variable --------------------------------------------------------------------------
+
+    def find(self, name: str) -> tuple[Table, int]:
+        """Where a variable is; of a read and a write variable with the same name the read variable.
+
+        Raises:
+            NotThere: the robot has no such variable.
+        """
+        for table in (self.database.read, self.database.write):
+            identity = table.find(name)
+            if identity is not None:
+                return table, identity
+        raise NotThere(f"{self._robot} has no variable {name!r}{similar(name, self.names())}")
+
+    def names(self) -> list[str]:
+        """The names of all variables, read variables first."""
+        return [row.name for table in (self.database.read, self.database.write) for row in table]
+
+    def find_to_set(self, name: str) -> tuple[Table, int]:
+        """Where a write variable is.
+
+        Raises:
+            NotThere: the robot has no such write variable.
+        """
+        database = self.database
+        identity = database.write.find(name)
+        if identity is None:
+            names = [row.name for row in database.write]
+            more = "; it is a read variable" if name in database.read else similar(name, names)
+            raise NotThere(f"{self._robot} has no write variable {name!r}{more}")
+        return database.write, identity
+
+    def set(self, name: str, value: ArrayLike) -> None:
+        """Set a write variable: a whole number, or as many as it is long.
+
+        Raises:
+            NotThere: the robot has no such write variable.
+            BadValue: it is no such number, or as many.
+        """
+        with self.lock:
+            table, identity = self.find_to_set(name)
+            length = table.rows[identity].length
+            try:
+                if length > 1 and np.ndim(value) != 1:
+                    raise BadValue(f"expected {length} words, got {value!r}")
+                table.set(identity, value)
+            except ValueError as error:  # BadValue, or numpy's own for what is no array at all
+                raise BadValue(f"{name}: {error}") from None
+
+    # -- all of them ---------------------------------------------------------------------------
+
+    def snapshot(self, declared: Mapping[str, Declaration[Any, Any]], order: Order) -> Iterator[Variable]:
+        """Every variable at this moment, read variables first; the caller holds the lock."""
+        by_name = _by_name(declared)
+        for table in (self.database.read, self.database.write):
+            for identity, row in enumerate(table):
+                declaration = by_name.get((table.direction, row.name))
+                yield Variable(
+                    name=row.name,
+                    direction=table.direction,
+                    identity=identity,
+                    length=row.length,
+                    value=self._typed(table, identity, declaration, order),
+                    stamp=table.stamp(identity),
+                    updated=bool(table.updated[identity]),
+                    changed=bool(table.changed[identity]),
+                    fresh=bool(table.fresh[identity]),
+                    unit="" if declaration is None else declaration.unit,
+                    doc="" if declaration is None else declaration.doc,
+                )
+
+    def changes(
+        self, names: frozenset[str] | None, declared: Mapping[str, Declaration[Any, Any]], order: Order
+    ) -> dict[str, Change]:
+        """What came with another time stamp or value in the newest batch; of these variables, or of all for None."""
+        by_name = _by_name(declared)
+        changes: dict[str, Change] = {}
+        with self.lock:
+            # Of a read and a write variable with the same name the read variable stands.
+            for table in (self.database.write, self.database.read):
+                for identity in table.fresh.nonzero()[0].tolist():
+                    name = table.rows[identity].name
+                    if names is None or name in names:
+                        value = self._typed(table, identity, by_name.get((table.direction, name)), order)
+                        changes[name] = Change(value, table.stamp(identity), bool(table.changed[identity]))
+        return changes
+
+    def _typed(self, table: Table, identity: int, declaration: Declaration[Any, Any] | None, order: Order) -> Any:
+        if declaration is None or declaration.length != table.rows[identity].length:
+            return table.words(identity)
+        return declaration.unpack(table.value(identity), declaration.order or order)
+
+    # -- a connection --------------------------------------------------------------------------
+
+    def adopt(self, database: Database) -> None:
+        """Go over to the tables of a new connection, with what was set since the last sync.
+
+        The caller holds the lock.
+        """
+        before, self._database = self._database, database
+        self.period = None
+        self._first_tick = self._tick()
+        if before is None:
+            return
+        lacking = []
+        for identity in before.write.dirty.take().tolist():
+            row = before.write.rows[identity]
+            new = database.write.find(row.name)
+            if new is not None and database.write.rows[new].length == row.length:
+                database.write.set(new, before.write.value(identity), before.write.stamp(identity))
+            else:
+                lacking.append(row.name)
+        self._note_discarded(lacking, "it no longer has them")
+
+    def give_up(self) -> None:
+        """The connection is lost, or could not be made: forget what has not been sent, unless that is to be kept.
+
+        What is given up is never sent. A robot stops when its master is gone, and a command of before that would set
+        it moving again however much later the network is back.
+        """
+        if self._unsent == "send":
+            return
+        with self.lock:
+            write = self.database.write
+            ids = write.dirty.take()
+            write.updated[ids] = False
+            self._note_discarded([write.rows[identity].name for identity in ids.tolist()], "the connection was lost")
+
+    def _note_discarded(self, names: list[str], reason: str) -> None:
+        self.discarded += len(names)
+        if names and not self._has_warned:  # once for each outage: a control loop would fill the disk
+            self._has_warned = True
+            _log.warning("%s is not sent %s, which had been set: %s", self._robot, ", ".join(map(repr, names)), reason)
+
+    def begin_round(self) -> None:
+        """Clear the flags of the batch before."""
+        with self.lock:
+            self.database.read.begin_round()
+            # `updated` of a write variable says that it waits to be sent, which a batch does not change.
+            self.database.write.begin_round(updates=False)
+
+    def outgoing(self, access: str, width: int) -> bytes:
+        """The data package of a request; a reader's request has none."""
+        if access != "w":
+            return b""
+        with self.lock:
+            write = self.database.write
+            if not write.dirty:
+                return _NOTHING_SET
+            ids = write.dirty.take()
+            write.updated[ids] = False
+            return write.encode(ids, width)
+
+    def apply(self, batch: Batch) -> None:
+        """Take what the robot says."""
+        with self.lock:
+            for data in batch.data:
+                self.database.table(data.direction).receive(data, updates=data.direction == "r")
+            self._has_warned = False
+            if self.period is None:
+                self._measure_period()
+
+    def _tick(self) -> tuple[int, float] | None:
+        """The robot's count of ticks, and when it counted: `tick` is variable 0 of every server."""
+        table = self.database.read
+        identity = table.find("tick")
+        if identity is None:
+            return None
+        return int(table.value(identity)[0]), table.stamp(identity).time
+
+    def _measure_period(self) -> None:
+        """Work the time between ticks out from the first batch that shows it."""
+        before, after = self._first_tick, self._tick()
+        if before is not None and after is not None and after[0] > before[0] and after[1] > before[1]:
+            self.period = (after[1] - before[1]) / (after[0] - before[0])
+
+
+def database_of(handshake: Handshake) -> Database:
+    """The tables and the values of a handshake; nothing in them counts as new."""
+    database = Database(handshake.read, handshake.write)
+    for data in handshake.data:
+        database.table(data.direction).receive(data, updates=False)
+    for table in (database.read, database.write):
+        table.begin_round()
+    return database
+
+
+def similar(name: str, names: list[str]) -> str:
+    """ "; did you mean 'x'?", or nothing where no name is similar."""
+    found = difflib.get_close_matches(name, names, 1)
+    return f"; did you mean {found[0]!r}?" if found else ""
+
+
+def _by_name(declared: Mapping[str, Declaration[Any, Any]]) -> dict[tuple[str, str], Declaration[Any, Any]]:
+    return {(each.direction, each.name): each for each in declared.values()}

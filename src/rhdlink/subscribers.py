@@ -1,0 +1,125 @@
+"""Who is told of what a robot does: each subscriber with a queue and a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from linkcore.errors import BadValue, Closed
+from linkcore.stamp import Stamp
+from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.policy import Policy
+from linkcore.streaming.subscription import Subscription
+
+from .arguments import check_seconds
+from .variables.snapshot import Change, Update
+
+__all__ = ["Subscribers"]
+
+
+class _Subscriber(NamedTuple):
+    event_type: type  # of what it is told
+    queue: Inbox
+    names: frozenset[str] | None
+    subscription: Subscription
+
+
+class Subscribers:
+    """The subscribers of one robot.
+
+    Args:
+        name: of the robot, for messages.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._lock = threading.Lock()
+        self._subscribers: tuple[_Subscriber, ...] = ()  # replaced, never changed: read without the lock
+        self._is_closed = False
+
+    def subscribe(
+        self,
+        event_type: type,
+        callback: Callable[[Any], object],
+        names: frozenset[str] | None,
+        policy: Policy,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+    ) -> Subscription:
+        """Call `callback` with each event of a type; where that is `Update`, with these variables of it.
+
+        Raises:
+            Closed: after `close`.
+            BadValue: arguments that cannot be.
+        """
+        _check(callback, policy, deadline, on_deadline)
+        queue = Inbox(policy)
+
+        def detach(subscription: Subscription) -> None:
+            with self._lock:
+                self._subscribers = tuple(each for each in self._subscribers if each.subscription is not subscription)
+
+        with self._lock:
+            if self._is_closed:
+                raise Closed(f"{self._name} was closed")
+            subscription = Subscription(
+                queue,
+                callback,
+                name=f"{self._name} {event_type.__name__}",
+                deadline=deadline,
+                on_deadline=on_deadline,
+                detach=detach,
+            )
+            self._subscribers = (*self._subscribers, _Subscriber(event_type, queue, names, subscription))
+        return subscription
+
+    def has(self, event_type: type) -> bool:
+        """Whether anybody is told of events of this type."""
+        return any(each.event_type is event_type for each in self._subscribers)
+
+    def wanted(self) -> frozenset[str] | None:
+        """The variables that anybody wants updates of; None for all."""
+        names: set[str] = set()
+        for each in self._subscribers:
+            if each.event_type is Update:
+                if each.names is None:
+                    return None
+                names |= each.names
+        return frozenset(names)
+
+    def tell(self, event: object) -> None:
+        """Hand out an event to those who subscribed to its type."""
+        for each in self._subscribers:
+            if each.event_type is type(event):
+                each.queue.offer((event,))
+
+    def update(self, changes: Mapping[str, Change], received: Stamp) -> None:
+        """Hand out what changed, to each the variables that it wants; nothing to those who want none of them."""
+        for each in self._subscribers:
+            if each.event_type is Update:
+                names = each.names
+                own = changes if names is None else {name: changes[name] for name in changes if name in names}
+                if own:
+                    each.queue.offer((Update(own, received),))
+
+    def close(self, until: float) -> None:
+        """Deliver what waits, until then by `time.monotonic`, and nothing more."""
+        with self._lock:
+            self._is_closed = True
+            subscribers = self._subscribers
+        for each in subscribers:
+            each.subscription.finish(max(until - time.monotonic(), 0.0))
+
+
+def _check(callback: object, policy: object, deadline: float | None, on_deadline: object) -> None:
+    for name, called in (("callback", callback), ("on_deadline", on_deadline)):
+        if not callable(called) and not (name == "on_deadline" and called is None):
+            raise BadValue(f"{name} is {called!r}; expected something that can be called")
+    if not isinstance(policy, Policy):
+        raise BadValue(f"policy is {policy!r}; expected rhdlink.latest, rhdlink.block or rhdlink.drop_oldest(n)")
+    if deadline is not None:
+        check_seconds("deadline", deadline)
+    if on_deadline is not None and deadline is None:
+        raise BadValue("on_deadline was given without a deadline")

@@ -1,0 +1,102 @@
+"""What users are shown of the variables: one at a moment, and what changed with a sync."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from linkcore.stamp import Stamp
+
+from .database import TimeStamp
+
+__all__ = ["Change", "Update", "Variable", "to_html"]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable at one moment.
+
+    Attributes:
+        name: in the robot's database.
+        direction: "r" from robot to program, "w" from program to robot.
+        identity: its id, the place in its table.
+        length: 32-bit words.
+        value: typed as it was declared; where it was not, an int if it is one word, else a read-only int32 array.
+        stamp: when it was set, by the clock of who set it.
+        updated: see `rhdlink.Variables.updated`.
+        changed: see `rhdlink.Variables.changed`.
+        fresh: see `rhdlink.Variables.fresh`.
+        unit: as declared; "" for none.
+        doc: as declared.
+    """
+
+    name: str
+    direction: str
+    identity: int
+    length: int
+    value: Any
+    stamp: TimeStamp
+    updated: bool
+    changed: bool
+    fresh: bool
+    unit: str
+    doc: str
+
+
+@dataclass(frozen=True)
+class Change:
+    """A variable that came with another time stamp or another value.
+
+    Attributes:
+        value: typed as it was declared; where it was not, an int if it is one word, else a read-only int32 array.
+        stamp: when it was set, by the clock of who set it.
+        changed: whether the value differs from the one before.
+    """
+
+    value: Any
+    stamp: TimeStamp
+    changed: bool
+
+
+@dataclass(frozen=True)
+class Update:
+    """What changed with one sync.
+
+    Attributes:
+        changes: by name; never empty.
+        received: when it came, by the clocks of this machine.
+    """
+
+    changes: Mapping[str, Change]
+    received: Stamp
+
+    def __getitem__(self, name: str) -> Any:
+        """The value of a variable that changed; KeyError if it did not."""
+        return self.changes[name].value
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.changes
+
+
+def to_html(title: str, variables: Iterable[Variable]) -> str:
+    """The variables as a table, for notebooks. Names and text come from the robot, so they are escaped."""
+    columns = ("name", "", "value", "unit", "stamp", "", "")
+    head = "".join(f"<th>{column}</th>" for column in columns)
+    rows = "".join(_row(variable) for variable in variables)
+    return f"<table><caption>{html.escape(title)}</caption><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+
+
+def _row(variable: Variable) -> str:
+    value = str(variable.value)
+    cells = (
+        variable.name,
+        "read" if variable.direction == "r" else "write",
+        value if len(value) <= 80 else value[:79] + "…",
+        variable.unit,
+        f"{variable.stamp.seconds}.{variable.stamp.microseconds:06d}",
+        "fresh" if variable.fresh else "",
+        variable.doc,
+    )
+    return "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"

@@ -1,0 +1,1 @@
+"""The RHD byte format, sans-IO: declared in `schema`, encoded and decoded beside it."""

@@ -1,0 +1,285 @@
+"""Data packages, in numpy: which words of a package belong to which words of a table.
+
+A data package is a row of entries: id, time stamp, data. As long as the same variables come in the same order, the
+places of all their words are the same too. So the places are worked out once, as a `Selection`, and every further
+package is moved by a few numpy calls, whatever the lengths of its variables: 1000 variables take 20 us instead of the
+milliseconds of a loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .schema import INT, WORD
+
+__all__ = ["Cursor", "DataPackage", "Ids", "Selection", "Stamps", "TableLayout", "Words"]
+
+#: Ids of variables.
+Ids = NDArray[np.int64]
+#: Values of variables, one after another.
+Words = NDArray[np.int32]
+#: Time stamps: a row of seconds and microseconds for each variable.
+Stamps = NDArray[np.int64]
+
+#: A word on the wire.
+_WIRE = np.dtype(">i4")
+_LOW = 0xFFFFFFFF
+
+
+class TableLayout:
+    """How the variables of one table lie in its flat storage, in the order of their ids.
+
+    Attributes:
+        count: variables.
+        lengths: words of each variable.
+        offsets: first word of each variable.
+        words: words of all variables.
+        sizes: `lengths` as a list, for loops.
+        uniform: the length that all variables have, or None if they differ.
+    """
+
+    def __init__(self, lengths: Sequence[int]) -> None:
+        self.sizes = list(lengths)
+        self.count = len(self.sizes)
+        self.lengths: Ids = np.array(self.sizes, np.int64)
+        self.offsets: Ids = np.cumsum(self.lengths) - self.lengths
+        self.words = sum(self.sizes)
+        self.uniform = self.sizes[0] if len(set(self.sizes)) == 1 else None
+
+
+class Selection:
+    """Some variables of a table: the places of their words in a data package and in the table's flat storage.
+
+    Attributes:
+        ids: the variables, in the order of the package.
+        width: words of a time stamp, 2 or 4.
+        at: word of the package at which each entry begins.
+        size: words of all entries.
+        is_ordered: the ids ascend, and none is there twice.
+        starts: first word of each variable among the values of the package.
+        rows: the variables, as an index of arrays with an element for each variable of the table.
+        cells: their words, as an index of the table's flat storage.
+    """
+
+    __slots__ = (
+        "_expected",
+        "_key",
+        "_stamped",
+        "_stride",
+        "_valued",
+        "at",
+        "cells",
+        "ids",
+        "is_ordered",
+        "rows",
+        "size",
+        "starts",
+        "width",
+    )
+
+    def __init__(self, layout: TableLayout, ids: Ids, width: int) -> None:
+        count = len(ids)
+        head = 1 + width  # words of an entry before its data: id and stamp
+        lengths = layout.lengths[ids]
+        sums = np.cumsum(lengths)
+        total = int(sums[-1]) if count else 0
+        self.ids = ids
+        self._key = ids.tobytes()
+        self._expected = ids.astype(np.int32).tobytes()
+        self.width = width
+        self.starts: Ids = sums - lengths
+        self.at: Ids = self.starts + head * np.arange(count)
+        self.size = total + head * count
+        first = int(ids[0]) if count else 0
+        self.is_ordered = count == 0 or bool((np.diff(ids) > 0).all())
+        is_contiguous = count == 0 or (self.is_ordered and int(ids[-1]) - first == count - 1)
+        # A slice where that is possible: numpy copies it several times as fast as an array of indices.
+        self.rows: slice | Ids = slice(first, first + count) if is_contiguous else ids
+        if is_contiguous:
+            begin = int(layout.offsets[first]) if count else 0
+            self.cells: slice | Ids = slice(begin, begin + total)
+        else:
+            self.cells = np.arange(total) + np.repeat(layout.offsets[ids] - self.starts, lengths)
+        # With all lengths equal a package is a table of so many columns; otherwise each word's place is listed.
+        self._stride = None if layout.uniform is None else head + layout.uniform
+        self._valued: Ids | None = None
+        self._stamped: Ids | None = None
+        if self._stride is None:
+            # The data of entry k stands behind k + 1 heads and the data of the entries before it.
+            self._valued = np.arange(total) + np.repeat(head * np.arange(1, count + 1), lengths)
+            self._stamped = (self.at + 1)[:, None] + np.arange(width)
+
+    def selects(self, ids: Ids) -> bool:
+        """Whether these are its variables, in this order."""
+        return ids is self.ids or ids.tobytes() == self._key
+
+    # -- reading -------------------------------------------------------------------------------
+
+    def fits(self, words: Words) -> bool:
+        """Whether the words of a package are of these variables: whether their ids stand where they should."""
+        return words[self.at].tobytes() == self._expected
+
+    def values(self, words: Words) -> Words:
+        """The values in the words of a package."""
+        if self._stride is not None:
+            return words.reshape(-1, self._stride)[:, 1 + self.width :].reshape(-1)
+        return words[self._valued]
+
+    def stamps(self, words: Words) -> Stamps:
+        """The stamps in the words of a package."""
+        if self._stride is not None:
+            raw = words.reshape(-1, self._stride)[:, 1 : 1 + self.width].astype(np.int64)
+        else:
+            raw = words[self._stamped].astype(np.int64)
+        raw &= _LOW
+        if self.width == 2:
+            return raw
+        # A little-endian 64-bit host sends sec_low, sec_high, usec_low, usec_high (docs/protocols/rhd.md, Time stamps).
+        return raw[:, 0::2] | (raw[:, 1::2] << 32)
+
+    # -- writing -------------------------------------------------------------------------------
+
+    def pack(self, values: Words, stamps: Stamps) -> bytes:
+        """The entries as bytes, from the flat storage and the stamps of the whole table."""
+        own = stamps[self.rows]
+        if self.width == 4:
+            wide = np.empty((len(self.ids), 4), np.int64)
+            wide[:, 0::2] = own & _LOW
+            wide[:, 1::2] = own >> 32
+            own = wide
+        words = np.empty(self.size, np.int32)
+        words[self.at] = self.ids
+        if self._stride is not None:
+            table = words.reshape(-1, self._stride)
+            table[:, 1 : 1 + self.width] = own
+            table[:, 1 + self.width :] = values[self.cells].reshape(-1, self._stride - 1 - self.width)
+        else:
+            words[self._stamped] = own
+            words[self._valued] = values[self.cells]
+        return words.astype(_WIRE).tobytes()
+
+
+class DataPackage:
+    """One data package, checked: values for variables. Of a variable that is in it twice, the last value counts.
+
+    Attributes:
+        direction: "r" from robot to program, or "w" from program to robot.
+        selection: which variables.
+        words: the words of all entries, in the machine's own order.
+    """
+
+    __slots__ = ("direction", "selection", "words")
+
+    def __init__(self, direction: str, selection: Selection, words: Words) -> None:
+        self.direction = direction
+        self.selection = selection
+        self.words = words
+
+    @classmethod
+    def empty(cls, direction: str, layout: TableLayout, width: int) -> DataPackage:
+        """A package without entries."""
+        return cls(direction, Selection(layout, np.empty(0, np.int64), width), np.empty(0, np.int32))
+
+    @classmethod
+    def read(cls, direction: str, selection: Selection, buffer: bytes | bytearray, start: int) -> DataPackage:
+        """The package of these variables whose entries begin at `start`; does not look at their ids."""
+        return cls(direction, selection, np.frombuffer(buffer, _WIRE, selection.size, start).astype(np.int32))
+
+    def __len__(self) -> int:
+        return len(self.selection.ids)
+
+    @property
+    def ids(self) -> Ids:
+        """The variables, in the order of the package."""
+        return self.selection.ids
+
+    @property
+    def values(self) -> Words:
+        """Their values, one after another."""
+        return self.selection.values(self.words)
+
+    @property
+    def stamps(self) -> Stamps:
+        """Their time stamps, shape (n, 2): seconds and microseconds."""
+        return self.selection.stamps(self.words)
+
+    def items(self) -> Iterator[tuple[int, tuple[int, int], Words]]:
+        """Each entry: id, (seconds, microseconds), values."""
+        values, selection = self.values, self.selection
+        sizes = np.diff(selection.starts, append=len(values))
+        for identity, start, size, (seconds, micros) in zip(
+            self.ids.tolist(), selection.starts.tolist(), sizes.tolist(), self.stamps.tolist(), strict=True
+        ):
+            yield identity, (seconds, micros), values[start : start + size]
+
+
+class Cursor:
+    """A position in a data package of which some is still to come; moves from entry to entry, as far as they are there.
+
+    The entries are first compared with those of an earlier package of as many. From the first that differs they are
+    found one by one, since where an entry ends is only known from its id.
+
+    Attributes:
+        layout: of the table.
+        width: words of a time stamp.
+        count: entries of the package.
+        at: bytes of the entries found, of which some may be still to come.
+    """
+
+    __slots__ = ("_guess", "_ids", "at", "count", "layout", "width")
+
+    def __init__(self, layout: TableLayout, width: int, count: int, guess: Selection | None) -> None:
+        self.layout = layout
+        self.width = width
+        self.count = count
+        self.at = 0
+        self._guess = guess
+        self._ids: list[int] = []
+
+    def advance(self, buffer: bytes | bytearray, start: int) -> int | None:
+        """Find the entries that are there. Returns the offset of an id that no variable has, or None.
+
+        Args:
+            buffer: what has come.
+            start: offset of the first entry in it.
+        """
+        if self._guess is not None:
+            self._compare(self._guess, buffer, start)
+        ids, at, end = self._ids, start + self.at, len(buffer)
+        sizes, head, count, read = self.layout.sizes, WORD * (1 + self.width), self.layout.count, INT.unpack_from
+        try:
+            while len(ids) < self.count and at + WORD <= end:
+                (identity,) = read(buffer, at)
+                if not 0 <= identity < count:
+                    return at
+                ids.append(identity)
+                at += head + WORD * sizes[identity]
+        finally:
+            self.at = at - start
+        return None
+
+    def _compare(self, guess: Selection, buffer: bytes | bytearray, start: int) -> None:
+        """Take the entries that are as guessed; forget the guess if one is not."""
+        there = (len(buffer) - start) // WORD
+        known, upto = len(self._ids), int(np.searchsorted(guess.at, there))
+        if upto == known:
+            return
+        words = np.frombuffer(buffer, _WIRE, there, start)[guess.at[known:upto]]
+        same = words == guess.ids[known:upto]
+        if not same.all():
+            upto = known + int(same.argmin())
+            self._guess = None
+        self._ids += guess.ids[known:upto].tolist()
+        if upto:
+            self.at = WORD * (int(guess.at[upto - 1]) + 1 + self.width + self.layout.sizes[self._ids[-1]])
+
+    def is_done(self, buffer: bytes | bytearray, start: int) -> bool:
+        """Whether the whole package has come."""
+        return len(self._ids) == self.count and start + self.at <= len(buffer)
+
+    def selection(self) -> Selection:
+        """The variables of the package, once it has come."""
+        return self._guess or Selection(self.layout, np.array(self._ids, np.int64), self.width)

@@ -1,0 +1,449 @@
+"""Bytes to checked batches, sans-IO, both directions.
+
+`ServerDecoder` reads what a server sends, `ClientDecoder` what a client sends: feed them bytes as they come, cut
+anywhere, and take whole batches out. Nothing of a batch is handed out, and nothing allocated for it, before its counts,
+ids and lengths have been checked: the original has no such checks, and one hostile number ends it
+(docs/protocols/rhd.md, Defects).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NoReturn
+
+import numpy as np
+
+from linkcore.errors import BadValue, PacketError
+
+from .data import Cursor, DataPackage, Selection, TableLayout
+from .messages import Batch, Handshake, Request, Row
+from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, READY, TABLE, WIDTHS, WORD
+
+__all__ = ["ClientDecoder", "Limits", "ServerDecoder"]
+
+#: Selections that a decoder remembers, one for each direction and number of entries. A robot whose plugins set things
+#: at different rates has a few kinds of batches that come again and again.
+_REMEMBERED = 8
+
+_ACCESS, _TABLE, _DATA, _READY, _END = (ord(package.letter) for package in (ACCESS, TABLE, DATA, READY, END))
+_ROW = TABLE.item_struct
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds on what comes over the wire.
+
+    The defaults are far above what any robot is known to use, which is some hundred variables of at most 127 words.
+
+    Attributes:
+        variables: variables in one table.
+        length: 32-bit words of one variable.
+        words: words of all variables of one table together.
+        batch: bytes of one batch, the handshake among them.
+
+    Raises:
+        BadValue: a limit below 1.
+    """
+
+    variables: int = 8192
+    length: int = 4096
+    words: int = 1 << 20
+    batch: int = 16 << 20
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if getattr(self, field.name) < 1:
+                raise BadValue(f"Limits.{field.name} is {getattr(self, field.name)}; expected at least 1")
+
+
+class _Decoder:
+    """Bytes of one connection in one direction, cut into batches.
+
+    Args:
+        limits: what the peer may ask for.
+
+    Attributes:
+        offset: bytes of the batches taken so far.
+    """
+
+    def __init__(self, limits: Limits | None) -> None:
+        self.limits = limits or Limits()
+        self.offset = 0
+        self._buffer: bytes | bytearray = b""
+        self._start = 0  # of the batch in the buffer
+        self._at = 0  # of the package in the buffer
+        self._cursor: Cursor | None = None
+        self._known: dict[tuple[str, int], Selection] = {}
+        self._data: list[DataPackage] = []
+        self._failure: PacketError | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that came and belong to no batch taken so far."""
+        return len(self._buffer) - self._start
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes as they came, cut anywhere."""
+        if self._failure is not None:
+            return
+        if self._start == len(self._buffer):
+            self._buffer, self._start, self._at = data, 0, 0
+            return
+        if self._start:
+            # What was taken makes room, so that the buffer never holds more than a batch and a chunk.
+            self._buffer = self._buffer[self._start :]
+            self._at -= self._start
+            self._start = 0
+        if isinstance(self._buffer, bytes):
+            self._buffer = bytearray(self._buffer)
+        self._buffer += data
+
+    def _refuse(self, reason: str, at: int | None = None) -> NoReturn:
+        """The peer cannot be understood from here on."""
+        offset = (self._at if at is None else at) - self._start
+        packet = f"batch at byte {self.offset} of the connection"
+        self._failure = PacketError(reason, packet=packet, offset=offset)
+        self._buffer = b""  # it is of no more use, and may be large
+        raise self._failure
+
+    def _refuse_package(self, expected: str, at: int | None = None, *, letters: int = 2) -> NoReturn:
+        """What stands here, by its first two letters or by the first alone, begins no package that may stand here."""
+        there = bytes(self._buffer[self._at : self._at + letters])
+        self._refuse(f"{there!r} cannot begin a package here; expected {expected}", at)
+
+    def _check(self) -> None:
+        """Raise again what was wrong."""
+        if self._failure is not None:
+            raise self._failure
+
+    def _bound(self, size: int) -> None:
+        """Refuse a batch that is, or is going to be, larger than it may be."""
+        if size > self.limits.batch:
+            self._refuse(f"no end within {self.limits.batch} bytes")
+
+    def _take_count(self, what: str, most: int) -> int | None:
+        """The count of the package at hand, None if it has not come."""
+        if len(self._buffer) - self._at < HEAD_SIZE:
+            return None
+        (count,) = INT.unpack_from(self._buffer, self._at + 2)
+        if not 0 <= count <= most:
+            self._refuse(f"{what} counts {count}; expected 0 to {most}", self._at + 2)
+        return int(count)
+
+    def _take_data(self, direction: str, layout: TableLayout, width: int) -> DataPackage | None:
+        """The data package at hand, None if it has not come whole."""
+        buffer, start = self._buffer, self._at + HEAD_SIZE
+        cursor = self._cursor
+        if cursor is None:
+            count = self._take_count(f"data package 'd{direction}'", layout.count)
+            if count is None:
+                return None
+            if count == 0:
+                self._at = start
+                return DataPackage.empty(direction, layout, width)
+            guess = self._known.get((direction, count))
+            if guess is not None and len(buffer) - start >= WORD * guess.size:
+                package = DataPackage.read(direction, guess, buffer, start)
+                if guess.fits(package.words):
+                    self._at = start + WORD * guess.size
+                    return package
+            cursor = self._cursor = Cursor(layout, width, count, guess)
+        wrong = cursor.advance(buffer, start)
+        if wrong is not None:
+            (identity,) = INT.unpack_from(buffer, wrong)
+            self._refuse(f"entry of variable {identity} in 'd{direction}'; expected 0 to {layout.count - 1}", wrong)
+        self._bound(start + cursor.at - self._start)
+        if not cursor.is_done(buffer, start):
+            return None
+        selection = cursor.selection()
+        self._cursor = None
+        self._remember(direction, selection)
+        self._at = start + WORD * selection.size
+        return DataPackage.read(direction, selection, buffer, start)
+
+    def _remember(self, direction: str, selection: Selection) -> None:
+        key = (direction, len(selection.ids))
+        self._known.pop(key, None)
+        if len(self._known) >= _REMEMBERED:
+            del self._known[next(iter(self._known))]
+        self._known[key] = selection
+
+    def _end_batch(self, at: int) -> tuple[tuple[DataPackage, ...], int]:
+        """The batch ends before `at`: its data packages and its size."""
+        size = at - self._start
+        self._bound(size)
+        data, self._data = tuple(self._data), []
+        self.offset += size
+        self._start = self._at = at
+        return data, size
+
+
+class ServerDecoder(_Decoder):
+    """What a server sends: one `Handshake`, then a `Batch` for each sync.
+
+    Args:
+        width: words of a time stamp, 2 or 4; None finds it out from the handshake.
+        limits: what the server may ask for.
+
+    Attributes:
+        handshake: once it has been taken.
+
+    Raises:
+        BadValue: no such width.
+    """
+
+    def __init__(self, *, width: int | None = None, limits: Limits | None = None) -> None:
+        super().__init__(limits)
+        if width is not None and width not in WIDTHS:
+            raise BadValue(f"width is {width}; expected 2 or 4 words")
+        self.handshake: Handshake | None = None
+        self._widths = WIDTHS if width is None else (width,)
+        self._granted: str | None = None
+        self._rows: dict[str, tuple[Row, ...]] = {}
+        self._layouts: dict[str, TableLayout] = {}
+        self._probes: list[_WidthProbe] = []
+
+    def take_handshake(self) -> Handshake | None:
+        """The handshake, or None if it has not come whole.
+
+        Raises:
+            PacketError: what came is none. Every further call raises it again.
+        """
+        self._check()
+        if self.handshake is not None:
+            return self.handshake
+        buffer = self._buffer
+        # A refused writer is told of no access at all by the original (docs/protocols/rhd.md, Access).
+        if self._at == 0 and len(buffer) >= 2 and buffer[0] == _ACCESS:
+            if buffer[1:2] not in (b"r", b"w"):
+                self._refuse(f"access {bytes(buffer[:2])!r} is granted; expected 'ar' or 'aw'", 1)
+            self._granted = buffer[1:2].decode()
+            self._at = 2
+        for direction in "wr":
+            if direction not in self._rows:
+                table = self._take_table(direction) if self._is_at(f"{TABLE.letter}{direction}") else None
+                if table is None:
+                    self._bound(self.waiting)
+                    return None
+                self._rows[direction] = table
+                self._layouts[direction] = TableLayout([row.length for row in table])
+        width = self._find_width()
+        if width is None:
+            self._bound(self.waiting)
+            return None
+        data = []
+        for direction in "wr":
+            layout = self._layouts[direction]
+            if layout.count:
+                self._remember(direction, Selection(layout, np.arange(layout.count), width))
+            package = self._take_data(direction, layout, width)
+            assert package is not None  # the probe has seen all of it
+            data.append(package)
+        self._end_batch(self._at + 2)
+        self.handshake = Handshake(self._granted, width, self._rows["w"], self._rows["r"], (data[0], data[1]))
+        return self.handshake
+
+    def take_batch(self) -> Batch | None:
+        """The next batch after the handshake, or None if it has not come whole.
+
+        A symbol table in it is tolerated if it says what the handshake said: the original's threads mix their output
+        up (docs/protocols/rhd.md, Defects, 5).
+
+        Raises:
+            PacketError: what came is none. Every further call raises it again.
+        """
+        handshake = self.handshake
+        if handshake is None:
+            raise BadValue("take_batch() before the handshake has been taken")
+        self._check()
+        if self._start == len(self._buffer):
+            return None
+        while len(self._buffer) - self._at >= 2:
+            letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
+            if letter == _END:
+                return Batch(*self._end_batch(self._at + 2))
+            if letter not in (_DATA, _TABLE) or direction not in "rw":
+                self._refuse_package("'dr', 'dw' or 'ee'")
+            if letter == _DATA:
+                data = self._take_data(direction, self._layouts[direction], handshake.width)
+                if data is None:
+                    break
+                self._data.append(data)
+            else:
+                start = self._at
+                table = self._take_table(direction)
+                if table is None:
+                    break
+                if table != self._rows[direction]:
+                    self._refuse(f"another table 't{direction}' than in the handshake", start)
+            self._bound(self._at - self._start)
+        self._bound(self.waiting)
+        return None
+
+    def _is_at(self, package: str) -> bool:
+        """Whether this package begins here; False if that has not come."""
+        there = bytes(self._buffer[self._at : self._at + 2])
+        if len(there) == 2 and there != package.encode():
+            self._refuse_package(repr(package))
+        return len(there) == 2
+
+    def _take_table(self, direction: str) -> tuple[Row, ...] | None:
+        """The symbol table at hand, None if it has not come whole."""
+        name = f"table 't{direction}'"
+        count = self._take_count(name, self.limits.variables)
+        start = self._at + HEAD_SIZE
+        if count is None or len(self._buffer) - start < count * _ROW.size:
+            return None
+        rows, total = [], 0
+        for number in range(count):
+            at = start + number * _ROW.size
+            length, raw = _ROW.unpack_from(self._buffer, at)
+            if not 1 <= length <= self.limits.length:
+                self._refuse(f"{name}: variable {number} has {length} words; expected 1 to {self.limits.length}", at)
+            text, end, _ = raw.partition(b"\0")
+            if not end:
+                self._refuse(f"{name}: the name of variable {number} has no end within {len(raw)} bytes", at + WORD)
+            total += length
+            rows.append(Row(text.decode("latin-1"), length))
+        if total > self.limits.words:
+            self._refuse(f"{name} has {total} words; expected at most {self.limits.words}")
+        self._at = start + count * _ROW.size
+        return tuple(rows)
+
+    def _find_width(self) -> int | None:
+        """Words of a time stamp, by the structure of what follows the tables; None if more has to come.
+
+        Of the widths that are known, the one with which ids, counts and letters stand where they have to. Two words
+        are taken as soon as they fit: for a stream of four to look like it, some 48 bits would have to coincide
+        (docs/protocols/rhd.md, Time stamps).
+        """
+        if not self._probes:
+            self._probes = [_WidthProbe(width, self._layouts["w"], self._layouts["r"]) for width in self._widths]
+            self._bound(self._at - self._start + self._probes[0].size)
+        for probe in self._probes:
+            probe.advance(self._buffer, self._at)
+        for probe in self._probes:
+            if probe.wrong is None:
+                return probe.width if probe.is_complete else None
+        last = max(self._probes, key=lambda probe: (probe.wrong or 0, -probe.width))
+        assert last.wrong is not None
+        widths = " or ".join(str(width) for width in self._widths)
+        self._refuse(
+            f"the values after the tables fit stamps of {widths} words no longer; expected {last.expected!r}",
+            self._at + last.wrong,
+        )
+
+
+class _WidthProbe:
+    """Timestamp-width probe: whether the data packages of a handshake fit stamps of so many words.
+
+    Attributes:
+        width: the words.
+        wrong: offset of the first letter, count or id that does not fit, or None.
+        expected: what should stand there.
+        size: bytes of the data packages, with the end.
+        is_complete: all have come and fit.
+    """
+
+    def __init__(self, width: int, write: TableLayout, read: TableLayout) -> None:
+        self.width = width
+        self.wrong: int | None = None
+        self.expected = b""
+        self._marks: list[tuple[int, bytes]] = []
+        at = 0
+        for direction, layout in (("w", write), ("r", read)):
+            self._marks.append((at, f"{DATA.letter}{direction}".encode() + INT.pack(layout.count)))
+            at += HEAD_SIZE
+            for identity, length in enumerate(layout.sizes):
+                self._marks.append((at, INT.pack(identity)))
+                at += WORD * (1 + width + length)
+        self._marks.append((at, END.letter.encode()))
+        self.size = at + 2
+        self._next = 0
+        self.is_complete = False
+
+    def advance(self, buffer: bytes | bytearray, start: int) -> None:
+        """Look at what has come since the last call; the data packages begin at `start`."""
+        end = len(buffer) - start
+        marks = self._marks
+        while self.wrong is None and self._next < len(marks):
+            at, expected = marks[self._next]
+            if at + len(expected) > end:
+                return
+            if buffer[start + at : start + at + len(expected)] != expected:
+                self.wrong, self.expected = at, expected
+            self._next += 1
+        self.is_complete = self.wrong is None and self.size <= end
+
+
+class ClientDecoder(_Decoder):
+    """What a client sends: one access request, then a `Request` for each sync.
+
+    Args:
+        layout: of the write table, which is all that clients send values for.
+        width: words of a time stamp, 2 or 4. Nothing that a client sends tells (docs/protocols/rhd.md, Time stamps).
+        limits: what the client may ask for.
+
+    Attributes:
+        access: what it asked for, once that has been taken: "r" or "w".
+
+    Raises:
+        BadValue: no such width.
+    """
+
+    def __init__(self, layout: TableLayout, *, width: int = 2, limits: Limits | None = None) -> None:
+        super().__init__(limits)
+        if width not in WIDTHS:
+            raise BadValue(f"width is {width}; expected 2 or 4 words")
+        self.width = width
+        self.access: str | None = None
+        self._layout = layout
+        self._ready: str | None = None
+
+    def take_access(self) -> str | None:
+        """The access that the client asks for, "r" or "w", or None if that has not come whole.
+
+        Raises:
+            PacketError: what came is no access request. Every further call raises it again.
+        """
+        self._check()
+        if self.access is None and self._buffer:
+            if self._buffer[0] != _ACCESS:  # said now, since the second byte may never come
+                self._refuse_package("'ar' or 'aw'", letters=1)
+            if len(self._buffer) >= 2:
+                if self._buffer[1:2] not in (b"r", b"w"):
+                    self._refuse_package("'ar' or 'aw'", 1)
+                self.access = self._buffer[1:2].decode()
+                self._end_batch(2)
+        return self.access
+
+    def take_request(self) -> Request | None:
+        """The next request after the access request, or None if it has not come whole.
+
+        Raises:
+            PacketError: what came is none. Every further call raises it again.
+        """
+        if self.access is None:
+            raise BadValue("take_request() before the access request has been taken")
+        self._check()
+        if self._start == len(self._buffer):
+            return None
+        while len(self._buffer) - self._at >= 2:
+            letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
+            if letter == _END:
+                data, size = self._end_batch(self._at + 2)
+                ready, self._ready = self._ready, None
+                return Request(ready, data, size)
+            if letter == _READY and direction in "rw":
+                self._ready = direction
+                self._at += 2
+            elif letter == _DATA and direction == "w":
+                package = self._take_data("w", self._layout, self.width)
+                if package is None:
+                    break
+                self._data.append(package)
+            else:
+                self._refuse_package("'rr', 'rw', 'dw' or 'ee'")
+            self._bound(self._at - self._start)
+        self._bound(self.waiting)
+        return None

@@ -1,0 +1,226 @@
+"""The bytes of one direction of a connection, package by package, by interpreting the declarations in `schema`.
+
+Where the decoders refuse, this shows: every byte is in one piece, and what cannot be is in a piece that says why.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from linkcore.errors import PacketError
+
+from .decoder import Limits, ServerDecoder
+from .messages import Row
+from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, PACKAGES, READY, TABLE, Package
+
+__all__ = ["Part", "Piece", "dissect", "guess_sender", "tables_in"]
+
+_DIRECTION = {"r": "read", "w": "write"}
+_ROLE = {"r": "reader", "w": "master"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some bytes of a package.
+
+    Attributes:
+        offset: of the first.
+        data: the bytes.
+        meaning: in words.
+        content: what they say, ready for JSON.
+    """
+
+    offset: int
+    data: bytes
+    meaning: str
+    content: dict[str, Any]
+
+
+@dataclass
+class Piece:
+    """A package, or bytes that are none.
+
+    Attributes:
+        offset: of its first byte.
+        batch: how many batches ended before it; the handshake is the first.
+        package: its two letters; "" where it is none.
+        meaning: in words.
+        parts: its bytes, in order.
+        error: why it is none, or no whole one; None where it is.
+    """
+
+    offset: int
+    batch: int
+    package: str
+    meaning: str
+    parts: list[Part] = field(default_factory=list)
+    error: str | None = None
+
+    @property
+    def size(self) -> int:
+        """Its bytes."""
+        return sum(len(part.data) for part in self.parts)
+
+
+def guess_sender(data: bytes) -> str:
+    """ "server" or "client": a client never sends a table, and a server sends one first."""
+    after = data[2:3] if data[:1] == ACCESS.letter.encode() else data[:1]
+    return "server" if after == TABLE.letter.encode() else "client"
+
+
+def tables_in(data: bytes) -> tuple[dict[str, tuple[Row, ...]], int | None]:
+    """The tables in what a server sent, and the words of its time stamps; nothing where there is no handshake."""
+    decoder = ServerDecoder()
+    decoder.feed(data)
+    try:
+        handshake = decoder.take_handshake()
+    except PacketError:
+        return {}, None
+    if handshake is None:
+        return {}, None
+    return {"w": handshake.write, "r": handshake.read}, handshake.width
+
+
+def dissect(
+    data: bytes, sender: str, tables: dict[str, tuple[Row, ...]] | None = None, width: int = 2
+) -> Iterator[Piece]:
+    """Every byte of `data`, in order.
+
+    Args:
+        data: of one direction of a connection.
+        sender: "server" or "client".
+        tables: what the server of the connection said; those in `data` itself are found.
+        width: words of a time stamp.
+    """
+    dissector = _Dissector(data, sender, dict(tables or {}), width)
+    while dissector.at < len(data):
+        yield dissector.next()
+
+
+class _Broken(Exception):
+    """The package at hand cannot go on."""
+
+
+class _Dissector:
+    def __init__(self, data: bytes, sender: str, tables: dict[str, tuple[Row, ...]], width: int) -> None:
+        self.data = data
+        self.at = 0
+        self._sender = sender
+        self._tables = tables
+        self._width = width
+        self._batch = 0
+
+    def next(self) -> Piece:
+        """The next piece."""
+        letters = self.data[self.at : self.at + 2].decode("latin-1")
+        piece = Piece(self.at, self._batch, letters, "")
+        try:
+            package = self._package(piece, letters)
+            if package is TABLE:
+                self._add_table(piece, letters[1])
+            elif package is DATA:
+                self._add_data(piece, letters[1])
+            else:
+                piece.meaning = self._meaning(package, letters[1])
+                self._add(piece, 2, piece.meaning, {})
+            self._batch += package is END
+        except _Broken as reason:
+            piece.error = str(reason)
+            piece.meaning = piece.meaning or "no package"
+            # Nobody can know where the next package begins.
+            self._add(piece, len(self.data) - self.at, "", {})
+        return piece
+
+    def _package(self, piece: Piece, letters: str) -> Package:
+        package = PACKAGES.get(letters[0])
+        if len(letters) == 2 and package is not None and package.is_sent_by(self._sender, letters):
+            return package
+        piece.package = ""
+        if len(letters) < 2:
+            raise _Broken("one byte of a package")
+        raise _Broken(
+            f"{letters.encode('latin-1')!r} begins no package of a {self._sender}; the original takes it for the end "
+            "of a batch"
+        )
+
+    def _meaning(self, package: Package, second: str) -> str:
+        if package is ACCESS:
+            verb = "grants" if self._sender == "server" else "asks for"
+            return f"{verb} access as {_ROLE[second]}"
+        if package is READY:
+            return f"asks for the next batch, as {_ROLE[second]}"
+        return "end of the batch"
+
+    def _add(self, piece: Piece, size: int, meaning: str, content: dict[str, Any]) -> None:
+        if size:
+            piece.parts.append(Part(self.at, self.data[self.at : self.at + size], meaning, content))
+            self.at += size
+
+    def _add_count(self, piece: Piece, most: int, what: str) -> int:
+        if len(self.data) - self.at < HEAD_SIZE:
+            raise _Broken("cut off before its count")
+        (count,) = INT.unpack_from(self.data, self.at + 2)
+        piece.meaning = f"{what}: {count}"
+        if not 0 <= count <= most:
+            raise _Broken(f"counts {count}; expected 0 to {most}")
+        self._add(piece, HEAD_SIZE, piece.meaning, {"count": count})
+        return int(count)
+
+    def _add_table(self, piece: Piece, direction: str) -> None:
+        count = self._add_count(piece, Limits().variables, f"table of {_DIRECTION[direction]} variables")
+        rows: list[Row] = []
+        for number in range(count):
+            found, size = self._item(TABLE, f"row {number}", ())
+            name = found["name"].partition(b"\0")[0].decode("latin-1")
+            rows.append(Row(name, found["length"]))
+            words = f"{found['length']} word" + ("" if found["length"] == 1 else "s")
+            content = {"id": number, "name": name, "length": found["length"]}
+            self._add(piece, size, f"{number} {name}, {words}", content)
+        self._tables[direction] = tuple(rows)
+
+    def _add_data(self, piece: Piece, direction: str) -> None:
+        rows = self._tables.get(direction)
+        what = f"values of {_DIRECTION[direction]} variables"
+        if rows is None:
+            piece.meaning = what
+            if self.data[self.at + 2 : self.at + HEAD_SIZE] == INT.pack(0):
+                self._add_count(piece, 0, what)
+                return
+            raise _Broken("no table says how long the variables are; --tables names the file with the server's bytes")
+        for number in range(self._add_count(piece, len(rows), what)):
+            found, size = self._item(DATA, f"entry {number}", rows)
+            identity, stamp, words = found["id"], found["stamp"], found["data"]
+            if self._width == 4:
+                stamp = [stamp[0] | stamp[1] << 32, stamp[2] | stamp[3] << 32]
+            name = rows[identity].name
+            self._add(
+                piece,
+                size,
+                f"{identity} {name} at {stamp[0]}.{stamp[1]:06d}: {' '.join(map(str, words))}",
+                {"id": identity, "name": name, "stamp": stamp, "words": words},
+            )
+
+    def _item(self, package: Package, what: str, rows: Sequence[Row]) -> tuple[dict[str, Any], int]:
+        """The fields of the item at hand, and its bytes; `rows` are those of the table that its id is of."""
+        found: dict[str, Any] = {}
+        size = 0
+        for declared in package.item:
+            words = 1
+            if declared.words == "width":
+                words = self._width
+            elif declared.words == "length":
+                words = rows[found["id"]].length
+                if words < 0:
+                    raise _Broken(f"{what} is of a variable of {words} words")
+            layout = struct.Struct(f">{words}{declared.code}" if declared.words else f">{declared.code}")
+            if len(self.data) - self.at - size < layout.size:
+                raise _Broken(f"cut off in {what}, in its {declared.name}")
+            values = layout.unpack_from(self.data, self.at + size)
+            found[declared.name] = list(values) if declared.words else values[0]
+            size += layout.size
+            if declared.name == "id" and not 0 <= values[0] < len(rows):
+                raise _Broken(f"{what} is of variable {values[0]}; expected 0 to {len(rows) - 1}")
+        return found, size

@@ -1,0 +1,125 @@
+"""The packages of the RHD format, declared once (docs/protocols/rhd.md, Encoding).
+
+Everything on the wire is a row of packages: two letters and, where a package has items, their count and the items.
+All numbers are 32-bit words in network byte order, packed. A *batch* is a row of packages closed by `END`.
+
+The data path (`data`, `messages`, `decoder`) takes letters, struct formats and sizes from here but does not interpret
+the declarations: a package of a thousand entries would take milliseconds. `dissection` and the tables in the docs do
+interpret them. Property tests hold the three equal, and equal to construct's reading of these declarations.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+__all__ = [
+    "ACCESS",
+    "DATA",
+    "END",
+    "HEAD_SIZE",
+    "INT",
+    "NAME_SIZE",
+    "PACKAGES",
+    "READY",
+    "TABLE",
+    "WIDTHS",
+    "WORD",
+    "Field",
+    "Package",
+]
+
+#: Bytes of a word.
+WORD = 4
+#: Bytes of a name: 32 characters and a terminating NUL.
+NAME_SIZE = 33
+#: Words of a time stamp: the canonical two, and the four of 64-bit builds of the ordinary sources, where each number
+#: is a 64-bit one, low word first.
+WIDTHS = (2, 4)
+
+
+class Field(NamedTuple):
+    """A field of an item.
+
+    Attributes:
+        name: what it is called.
+        code: its struct format character, or that of each of its words.
+        doc: what it is.
+        words: what says how many words it has, where that varies: "width" (of time stamps, the same in the whole
+            connection) or "length" (of the variable).
+    """
+
+    name: str
+    code: str
+    doc: str
+    words: str = ""
+
+
+class Package(NamedTuple):
+    """A package: `letter`, a second letter, and for one with items their count and the items.
+
+    Attributes:
+        letter: the first byte.
+        second: who sends it -> what the second byte may be; "" for anything.
+        second_doc: what the second byte says.
+        item: the fields of an item; none for a package without items.
+    """
+
+    letter: str
+    second: Mapping[str, str]
+    second_doc: str
+    item: tuple[Field, ...] = ()
+
+    def is_sent_by(self, sender: str, letters: str) -> bool:
+        """Whether "server" or "client" sends a package that begins with these two letters."""
+        second = self.second.get(sender)
+        return second is not None and letters[0] == self.letter and (not second or letters[1] in second)
+
+    @property
+    def item_struct(self) -> struct.Struct:
+        """The format of an item whose fields are all of fixed size."""
+        return struct.Struct(">" + "".join(field.code for field in self.item))
+
+
+_WHOSE = "r from robot to program, w from program to robot"
+
+#: A client asks for access with its first two bytes; the server grants it with its first two.
+ACCESS = Package("a", {"client": "rw", "server": "rw"}, "r as reader, w as master")
+
+#: The symbol table of one direction.
+TABLE = Package(
+    "t",
+    {"server": "rw"},
+    _WHOSE,
+    (
+        Field("length", "i", "words of the variable; the place of the row is the variable's id"),
+        Field("name", f"{NAME_SIZE}s", "Latin-1, at most 32 characters, filled up with NUL; the last byte is NUL"),
+    ),
+)
+
+#: Values of variables, in any order of their ids. Without items it is legal and common.
+DATA = Package(
+    "d",
+    {"client": "w", "server": "rw"},
+    f"{_WHOSE}; a client sends w only",
+    (
+        Field("id", "i", "place of the variable in its table"),
+        Field("stamp", "I", "when it was set: seconds since 1970, microseconds", "width"),
+        Field("data", "i", "the whole variable, as many words as its table says", "length"),
+    ),
+)
+
+#: A client asks for the next batch.
+READY = Package("r", {"client": "rw"}, "as what it asks: r as reader, w as master")
+
+#: The end of a batch.
+END = Package("e", {"client": "", "server": ""}, "says nothing; e by convention")
+
+#: All packages by their letter.
+PACKAGES = {package.letter: package for package in (ACCESS, TABLE, DATA, READY, END)}
+
+#: A count, an id or a length.
+INT = struct.Struct(">i")
+#: Bytes of a package before its items: two letters and the count.
+HEAD_SIZE = 2 + INT.size
