@@ -26,8 +26,8 @@ from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState
 from urlink.motion.setpoints import STOP_WORD, setpoint
 from urlink.simulator import Controller
-from urlink.simulator.kinematics import pose
-from urlink.simulator.motion import Still
+from urlink.simulator.robot.kinematics import pose
+from urlink.simulator.robot.sources import Still
 from urlink.urscript import programs, source, waypoints
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))

@@ -14,8 +14,7 @@ import pytest
 
 import urlink
 from urlink import SafetyMode
-from urlink.simulator import Controller
-from urlink.simulator.motion import Still
+from urlink.simulator import Controller, Still
 
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
 

@@ -27,7 +27,7 @@ THREADS = {
     "linkcore.streaming.shortcut",  # who takes over the reading from a callback that keeps the reader
     "linkcore.streaming.subscription",  # one for each callback
     "urlink.simulator.server",  # one for each simulated controller
-    "urlink.simulator.intake",  # one at a time, for a long program
+    "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
     "rhdlink.host.host",  # one for each host that does not run in its caller's
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn

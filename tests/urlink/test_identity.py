@@ -17,7 +17,7 @@ from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.simulator import Controller
-from urlink.simulator.packets import package
+from urlink.simulator.ports.form import package
 
 #: Seconds that any answer may take beyond the timeout: the machine may be busy.
 MARGIN = 3.0

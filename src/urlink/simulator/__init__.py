@@ -7,7 +7,20 @@ from __future__ import annotations
 
 from ..ports import PORTS
 from .controller import Controller
-from .counters import Counters
 from .faults import Faults, ScheduledFault, parse_fault
+from .robot.sources import HOME, Demonstration, Setpoint, SetpointSource, Still
+from .state import Counters
 
-__all__ = ["PORTS", "Controller", "Counters", "Faults", "ScheduledFault", "parse_fault"]
+__all__ = [
+    "HOME",
+    "PORTS",
+    "Controller",
+    "Counters",
+    "Demonstration",
+    "Faults",
+    "ScheduledFault",
+    "Setpoint",
+    "SetpointSource",
+    "Still",
+    "parse_fault",
+]

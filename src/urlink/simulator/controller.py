@@ -1,10 +1,8 @@
-"""The controller: clock, arm, modes, signals, programs, and what it sends."""
+"""The controller that users hold: wires up state, programs, faults and ports, and serves or steps them."""
 
 from __future__ import annotations
 
 import ipaddress
-import logging
-import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
@@ -13,22 +11,25 @@ from typing import TYPE_CHECKING, Literal
 from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
-from urlink.firmware import NEWEST, RELEASES, Firmware, release_of
+from urlink.firmware import NEWEST, RELEASES, Firmware
+from urlink.models import Model
+from urlink.ports import PORTS, interface
 
-from ..interfaces.dashboard.commands import GREETING
-from ..ports import PORTS, interface
-from .arm import Arm
-from .assembly import Assembler
-from .counters import Counters
-from .dashboard import Responder
-from .faults import FAULTS, Faults, ScheduledFault, parse_fault
-from .messages import greeting, safety_messages
-from .modes import Modes, Stop
-from .motion import Demonstration, Motion
-from .packets import Packets
-from .pendant import Pendant
-from .programs import Programs
-from .signals import Signals
+from .control_loop import ControlLoop
+from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
+from .faults.schedule import checked
+from .ports.dashboard import DashboardPort
+from .ports.port import Client, Port, ScriptReceiver
+from .ports.primary import PrimaryPort, RobotStates, SecondaryPort
+from .ports.realtime import RealtimePort
+from .programs.loader import LineAssembler, ProgramLoader
+from .programs.pendant import Pendant
+from .programs.runner import ProgramRunner
+from .robot.arm import Arm
+from .robot.modes import Modes
+from .robot.signals import Signals
+from .robot.sources import Demonstration, SetpointSource
+from .state import ControllerState, Counters, firmware_for
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -37,14 +38,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Controller"]
 
-_log = logging.getLogger("urlink.simulator")
-
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
-#: States a second on the primary and secondary interface.
-STATE_RATE = 10
-#: Bytes of messages in one cycle after which texts and popups are lost; a program could make thousands of them.
-MOST_MESSAGES = 1 << 14
 #: Lines from clients that are kept.
 RECEIVED = 1000
 
@@ -69,29 +64,17 @@ class Controller:
             `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
         seed: of the noise on the sensors and of random garbage.
         serial: serial number of the arm.
-        motion: what the arm follows; None for the gentle demonstration.
+        motion: where the arm's set-points come from until a program commands it; None for the gentle demonstration.
         output_limit: bytes that may wait for one client before it is dropped, beside what the network holds.
         files: path -> URScript of the programs that are saved at the pendant.
         reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
             clients always are.
 
     Attributes:
-        model: the `urlink.models.Model`.
-        firmware: what the controller runs at present.
-        arm: its joints: motion, TCP, payload.
-        modes: of robot, safety and program.
-        signals: its inputs and outputs.
+        host: address that it listens on.
         faults: what can go wrong, on demand.
-        programs: that run on it.
         pendant: what is saved, loaded and shown at it; its buttons.
-        dashboard: answers the lines of dashboard clients.
-        remote_control: on an e-Series, whether it takes commands from others than the pendant.
-        speed_fraction: of the speed slider, 0 to 1.
-        flags: 64, of `set_flag`.
-        stopped_since: `time` at which the present stop began; None without one.
         received: (name of the port, line of text) of the latest lines that clients sent.
-        counters: what has happened on the ports.
-        cycle: number of the cycle since the controller was made, reboots included.
 
     Raises:
         UnknownModel: no such arm.
@@ -99,9 +82,6 @@ class Controller:
         BadValue: the firmware does not go with the model, `ports` is none of the above, or an address in `reachable`
             is not numeric.
     """
-
-    arm: Arm
-    modes: Modes
 
     def __init__(
         self,
@@ -112,99 +92,152 @@ class Controller:
         ports: Literal["free", "standard"] | Mapping[str, int] = "free",
         seed: int = 0,
         serial: str = "20230000001",
-        motion: Motion | None = None,
+        motion: SetpointSource | None = None,
         output_limit: int = 1 << 20,
         files: Mapping[str, str] | None = None,
         reachable: Iterable[str] = (),
     ) -> None:
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
-        self.model = models.model(model)
-        newest = NEWEST if self.model.generation == "e" else _NEWEST_CB3
-        self.firmware = self.suited(newest if firmware is None else firmware)
+        arm = models.model(model)
+        newest = NEWEST if arm.generation == "e" else _NEWEST_CB3
+        chosen = firmware_for(arm, newest if firmware is None else firmware)
         self.host = host
-        self.seed = seed
-        self.serial = serial
-        self.output_limit = output_limit
-        self.cycle = 0
-        self.signals = Signals()
-        self.pendant = Pendant(self, files or {})
-        self.reachable = frozenset(map(_numeric, reachable))
-        self.remote_control = True
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
-        self.counters = Counters()
-        self._wanted_ports = _wanted(ports)
-        self._motion = motion
+        self._output_limit = output_limit
+        self._numbers = _port_numbers(ports)
+        self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
-        self._schedule: list[ScheduledFault] = []
-        self._outbox: list[bytes] = []
-        self._outbox_size = 0
-        self._cycles_down = 0
-        self._next_firmware = self.firmware
-        self._boot()
-        self.dashboard = Responder(self)
-        self.faults = Faults(self, seed)
+        # Messages that were there at the end of the last step.
+        self._said = 0
 
-    def suited(self, firmware: str | Firmware) -> Firmware:
-        """The firmware, if it goes with the model.
+        def source() -> SetpointSource:
+            return motion or Demonstration()
 
-        UR3, UR5 and UR10 run 1.x (not the UR3, which came with CB3) and 3.x, all others 5.0 and later. In which later
-        release the younger arms arrived is not looked at.
+        self._state = state = ControllerState(arm, chosen, source(), serial=serial, seed=seed)
+        self._runner = ProgramRunner(state, self._may_connect)
+        self._loader = ProgramLoader(state, self._runner)
+        self.pendant = Pendant(state, self._runner, files or {})
+        self._link = LinkFaults(lambda: state.cycle)
+        self.faults = Faults(state, self._runner, self._link, seed=seed, call=self.call)
+        self._schedule = FaultSchedule(self.faults)
+        self._control = ControlLoop(state, self._runner, self._schedule, source)
+        self._states = RobotStates(state)
+        self._dashboard = DashboardPort(state, self.pendant)
+        self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
+        self._ports: dict[str, Port] = {
+            "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
+            "secondary": SecondaryPort(state, self._states, lambda client: self._script_receiver("secondary", client)),
+            "realtime": self._realtime,
+            "dashboard": self._dashboard,
+        }
 
-        Raises:
-            BadVersion: no such firmware.
-            BadValue: it does not go with the model.
-        """
-        parsed = Firmware.parse(firmware)
-        release_of(parsed)
-        if self.model.generation == "e":
-            suits, needs = parsed.is_e_series, "5.0 or later"
-        elif self.model.name == "UR3":
-            suits, needs = not parsed.is_e_series and not parsed.is_cb2, "3.x"
-        else:
-            suits, needs = not parsed.is_e_series, "1.x or 3.x"
-        if not suits:
-            raise BadValue(f"a {self.model.name} does not run firmware {parsed}; it needs {needs}")
-        return parsed
+    def _script_receiver(self, port: str, client: Client) -> ScriptReceiver:
+        return ScriptReceiver(
+            client, self.counters, lambda line: self.received.append((port, line)), self._loader.queue
+        )
 
-    def _boot(self) -> None:
-        self.firmware = self._next_firmware
-        self._uptime = 0
-        self._period = 1.0 / self.firmware.rate
-        self.modes = Modes(self.firmware)
-        motion = self._motion or Demonstration()
-        if self.cycle:
-            # The arm has not moved while the controller was down, and its tool and payload are in the installation.
-            before = self.arm
-            motion.start(before.setpoint.q)
-            self.arm = Arm(self.model, motion, self.seed)
-            self.arm.tcp = before.tcp
-            self.arm.payload = before.payload
-            self.arm.payload_cog = before.payload_cog
-            self.arm.payload_inertia = before.payload_inertia
-        else:
-            self.arm = Arm(self.model, motion, self.seed)
-        self.programs = Programs(self)
-        self.speed_fraction = 1.0
-        self.flags = [False] * 64
-        self.pendant.restart()
-        self.stopped_since: float | None = None
-        self._stop_reason = ""
-        self._packets = Packets(self)
-        self._announced = self.modes.safety_mode
-        self.show_modes()
+    def _may_connect(self, host: str) -> bool:
+        """Whether programs may open sockets to this numeric address; those of this computer they always may."""
+        return host in self._reachable or (self._server is not None and host in self._server.peers)
 
-    # -- clock -------------------------------------------------------------------------------------
+    # -- what it is ----------------------------------------------------------------------------------
+
+    @property
+    def model(self) -> Model:
+        """The arm's model."""
+        return self._state.model
+
+    @property
+    def serial(self) -> str:
+        """Serial number of the arm."""
+        return self._state.serial
+
+    @property
+    def firmware(self) -> Firmware:
+        """What the controller runs at present."""
+        return self._state.firmware
+
+    @property
+    def cycle(self) -> int:
+        """Number of the cycle since the controller was made, reboots included."""
+        return self._state.cycle
 
     @property
     def time(self) -> float:
         """Seconds since the controller started or came back from a reboot: whole cycles."""
-        return self._uptime / self.firmware.rate
+        return self._state.time
 
     @property
     def is_up(self) -> bool:
         """False while it reboots."""
-        return self._cycles_down == 0
+        return self._state.is_up
+
+    @property
+    def arm(self) -> Arm:
+        """The joints at present: set-point, sensors, TCP and payload. A reboot makes another one of it."""
+        return self._state.arm
+
+    @property
+    def modes(self) -> Modes:
+        """Of robot, safety and program. A reboot makes another one of it."""
+        return self._state.modes
+
+    @property
+    def signals(self) -> Signals:
+        """Inputs and outputs."""
+        return self._state.signals
+
+    @property
+    def flags(self) -> list[bool]:
+        """Of `set_flag`."""
+        return self._state.flags
+
+    @property
+    def dashboard(self) -> DashboardPort:
+        """Answers the lines of dashboard clients."""
+        return self._dashboard
+
+    @property
+    def counters(self) -> Counters:
+        """What has happened on the ports."""
+        return self._state.counters
+
+    @property
+    def stopped_since(self) -> float | None:
+        """`time` at which the present stop began; None without one."""
+        return self._state.stopped_since
+
+    @property
+    def remote_control(self) -> bool:
+        """On an e-Series, whether it takes commands from others than the pendant. Can be set."""
+        return self._state.remote_control
+
+    @remote_control.setter
+    def remote_control(self, is_remote: bool) -> None:
+        self._state.remote_control = is_remote
+
+    @property
+    def speed_fraction(self) -> float:
+        """Of the speed slider, 0 to 1. Can be set."""
+        return self._state.speed_fraction
+
+    @speed_fraction.setter
+    def speed_fraction(self, fraction: float) -> None:
+        self._state.speed_fraction = fraction
+
+    @property
+    def program_name(self) -> str | None:
+        """Name of the program that runs or is paused, or None."""
+        main = self._runner.main
+        return main.name if main is not None and main.is_program else None
+
+    @property
+    def is_running_program(self) -> bool:
+        """A program that was sent runs or waits for its turn, a secondary one included."""
+        return self._runner.is_running
+
+    # -- commanding it -------------------------------------------------------------------------------
 
     def step(self, cycles: int = 1) -> None:
         """Advance so many controller cycles of 8 ms (CB) or 2 ms (e-Series), without thread or socket.
@@ -214,154 +247,70 @@ class Controller:
         """
         if self._server is not None:
             raise LocalError("a controller that serves its ports cannot be stepped as well")
+        outbox = self._state.outbox
         for _ in range(cycles):
-            self.advance()
-            self.take_messages()
-
-    def advance(self) -> None:
-        """One cycle later. Only for the thread that owns the controller; others use `step`."""
-        self.cycle += 1
-        if self._schedule:
-            self._happen()
-        if self._cycles_down:
-            self._cycles_down -= 1
-            if self._cycles_down == 0:
-                self._boot()
-            return
-        self._uptime += 1
-        arm, modes, programs = self.arm, self.modes, self.programs
-        programs.advance()
-        arm.advance(self._period, modes.may_move and not programs.is_paused)
-        self.show_modes(self._period)
-        arm.is_powered = modes.is_powered
-        if modes.safety_mode is not self._announced:
-            self._announced = modes.safety_mode
-            self.stopped_since = None if modes.stop is Stop.NONE else self.time
-            reason = self._stop_reason if modes.stop is Stop.PROTECTIVE else ""
-            for message in safety_messages(self, reason):
-                self.say(message)
-        self._stop_reason = ""
-
-    def show_modes(self, seconds: float = 0.0) -> None:
-        """Let the modes show what the arm and its program do, so many seconds after they last did."""
-        self.modes.advance(seconds, self.arm.is_standing, self.arm.motion.is_program, self.programs.is_paused)
-
-    def take_messages(self) -> list[bytes]:
-        """Packages that the primary interface is to send beside its states, once each."""
-        messages, self._outbox, self._outbox_size = self._outbox, [], 0
-        return messages
-
-    def go_down(self, firmware: Firmware | None, seconds: float) -> None:
-        """Reboot; see `Faults.reboot`. Only for the thread that owns the controller."""
-        self.programs.close()
-        self._next_firmware = firmware or self.firmware
-        self._cycles_down = max(1, math.ceil(seconds * self.firmware.rate))
-        self.take_messages()
-
-    # -- programs: but for `take`, only for the thread that owns the controller -----------------------
+            outbox.forget(self._said)
+            self._control.advance()
+            self._said = len(outbox)
 
     def take(self, text: str) -> None:
         """Text that a client has sent: the lines of one or more programs, or of commands.
 
-        From any thread. What has no `end` is thrown away, as that of a client that disconnects.
+        From any thread. Programs begin in the next cycle, however long they are. What has no `end` is thrown away, as
+        that of a client that disconnects.
         """
-        assembler = Assembler()
-        programs = [program for program in map(assembler.feed, _lines(text)) if program is not None]
+        assembler = LineAssembler()
+        lines = [line.removesuffix("\r") for line in text.split("\n")]
+        programs = [program for program in map(assembler.feed, lines) if program is not None]
 
-        def take() -> None:
+        def load() -> None:
             for program in programs:
-                self.programs.take(program)
+                self._loader.load(program)
 
-        self.call(take)
+        self.call(load)
 
-    def say(self, message: bytes) -> None:
-        """Send a robot message to the clients of the primary interface, in this cycle."""
-        self._outbox.append(message)
-        self._outbox_size += len(message)
-
-    def mention(self, make: Callable[[], bytes]) -> None:
-        """Say something that is lost where this cycle has too much of it, before it is made."""
-        if self._outbox_size > MOST_MESSAGES:
-            self.counters.lost_messages += 1
-        else:
-            self.say(make())
-
-    def stop_for(self, reason: str) -> None:
-        """A protective stop, and why. Only for the thread that owns the controller."""
-        self._stop_reason = reason
-        self.modes.protective_stop()
-
-    def allows(self, host: str) -> bool:
-        """Whether programs may open sockets to this numeric address; those of this computer they always may."""
-        return host in self.reachable or (self._server is not None and host in self._server.peers)
-
-    @property
-    def program_name(self) -> str | None:
-        """Name of the program that runs or is paused, or None."""
-        main = self.programs.main
-        return main.name if main is not None and main.is_program else None
-
-    # -- faults by the clock -------------------------------------------------------------------------
+    def follow(self, source: SetpointSource) -> None:
+        """Let the arm brake, and then follow another source of set-points. From any thread."""
+        self.call(lambda: self._runner.follow(source))
 
     def schedule(self, *faults: str | ScheduledFault) -> None:
         """Let faults happen at their times, in seconds since the controller was made: `schedule("protective_stop@5")`.
 
         Raises:
-            BadValue: a text that `parse_fault` cannot read, or a reboot into firmware that does not go with the model.
+            BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not go
+                with the model.
         """
-        parsed = [parse_fault(fault) if isinstance(fault, str) else fault for fault in faults]
-        for fault in parsed:
-            if fault.name not in FAULTS:
-                raise BadValue(f"no fault is called {fault.name!r}; there are {', '.join(FAULTS)}")
-            if fault.name == "reboot" and fault.arguments and fault.arguments[0] is not None:
-                self.suited(fault.arguments[0])
+        wanted = checked(faults, self.model)
+        self.call(lambda: self._schedule.add(wanted))
 
-        def schedule() -> None:
-            self._schedule = sorted([*self._schedule, *parsed], key=lambda fault: fault.at)
-
-        self.call(schedule)
-
-    def _happen(self) -> None:
-        while self._schedule and self._cycle_of(self._schedule[0]) <= self.cycle:
-            fault = self._schedule.pop(0)
-            try:
-                fault.happen(self.faults)
-            except LocalError as error:
-                # Made by hand, with arguments that its method does not take; the controller goes on without it.
-                _log.warning("%s did not happen: %s", fault, error)
-
-    def _cycle_of(self, fault: ScheduledFault) -> int:
-        return math.ceil(fault.at * self.firmware.rate)
-
-    @property
-    def next_fault(self) -> int | None:
-        """The cycle in which the next scheduled fault happens."""
-        return self._cycle_of(self._schedule[0]) if self._schedule else None
-
-    # -- packets -------------------------------------------------------------------------------------
+    # -- what it sends -------------------------------------------------------------------------------
 
     def realtime_packet(self) -> bytes:
         """The real-time packet of this cycle."""
-        return self._packets.realtime()
+        return self._realtime.packet()
 
     def state_package(self, first: bool = False) -> bytes:
         """The robot state of this cycle; with `first` as a connection begins, with kinematics and configuration."""
-        return self._packets.state(first)
+        return self._states.package(first)
+
+    def take_messages(self) -> list[bytes]:
+        """The robot messages that wait to be sent to the primary interface, once each.
+
+        Of a controller that is stepped: those of its last cycle, and what was said since.
+        """
+        self._said = 0
+        return self._state.outbox.take()
 
     def greeting(self, port: str) -> list[bytes]:
-        """What a connection to this port begins with, package by package: nothing on the real-time ports."""
-        if interface(port) == "realtime":
-            return []
-        if port == "dashboard":
-            return [f"{GREETING}\n".encode()]
-        return [*greeting(self, interface(port)), self._packets.state(first=True)]
+        """What a connection to this port begins with, packet by packet: nothing on the real-time ports."""
+        return self._ports[interface(port)].greeting()
 
     # -- serving -------------------------------------------------------------------------------------
 
     @property
     def ports(self) -> dict[str, int]:
         """Name of each port that is served -> its number; empty until started."""
-        return {} if self._server is None else dict(self._server.ports)
+        return {} if self._server is None else self._server.numbers
 
     @property
     def address(self) -> str:
@@ -400,9 +349,19 @@ class Controller:
             # The one module that has sockets is imported by those who want them.
             from .server import Server
 
-            server = Server(self, self.host, self._wanted_ports)
-            server.start()
+            server = Server(
+                self._control,
+                self._state,
+                self._ports,
+                self._loader,
+                self._link,
+                host=self.host,
+                numbers=self._numbers,
+                output_limit=self._output_limit,
+            )
+            self._loader.on_compiled = server.wake
             self._server = server
+            server.start()
         return self
 
     def close(self) -> None:
@@ -410,8 +369,8 @@ class Controller:
         server, self._server = self._server, None
         if server is not None:
             server.close()
-            self.programs.close()
-            self.take_messages()
+            self._runner.close()
+            self._state.outbox.take()
 
     def __enter__(self) -> Self:
         return self.start()
@@ -425,10 +384,6 @@ class Controller:
         return f"<Controller {self.model.name}, firmware {self.firmware}>"
 
 
-def _lines(text: str) -> list[str]:
-    return [line.removesuffix("\r") for line in text.split("\n")]
-
-
 def _numeric(address: str) -> str:
     try:
         return str(ipaddress.ip_address(address))
@@ -436,7 +391,7 @@ def _numeric(address: str) -> str:
         raise BadValue(f"a reachable address is numeric, such as 192.168.1.2, not {address!r}") from None
 
 
-def _wanted(ports: str | Mapping[str, int]) -> dict[str, int]:
+def _port_numbers(ports: str | Mapping[str, int]) -> dict[str, int]:
     if ports == "standard":
         return dict(PORTS)
     if ports == "free":

@@ -7,7 +7,7 @@ are guesses.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from linkcore.wire.version import Since
 from urlink.interfaces.enums import MessageSource, ReportDataType, ReportLevel, RequestedType, SafetyMode
@@ -25,8 +25,7 @@ from urlink.interfaces.primary.robot_message import (
     VersionMessage,
 )
 
-if TYPE_CHECKING:
-    from .controller import Controller
+from .state import ControllerState
 
 __all__ = [
     "greeting",
@@ -45,14 +44,14 @@ _HAS_MESSAGE_12 = Since("3.3")
 _HAS_TOLERANCES = Since("3.10/5.4")
 
 
-def greeting(controller: Controller, kind: str) -> list[bytes]:
+def greeting(state: ControllerState, kind: str) -> list[bytes]:
     """What a connection begins with, package by package: on the primary and secondary interface.
 
     Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
     3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
     interface has no package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
     """
-    firmware = controller.firmware
+    firmware = state.firmware
     on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
     version = {
         "project_name": "URControl",
@@ -78,15 +77,15 @@ def greeting(controller: Controller, kind: str) -> list[bytes]:
     return packages
 
 
-def safety_messages(controller: Controller, reason: str = "") -> list[bytes]:
+def safety_messages(state: ControllerState, reason: str = "") -> list[bytes]:
     """What the primary interface says when the safety mode has changed.
 
     A report with a code, and the reason where there is one, then from 3.0 on the safety mode message. The code of a
     protective stop, C153A0 "position deviates from path", is a documented one; the others, the order, the sources and
     the levels are guesses.
     """
-    firmware, mode = controller.firmware, controller.modes.safety_mode
-    stamp = round(controller.time * 1e6)
+    firmware, mode = state.firmware, state.modes.safety_mode
+    stamp = round(state.time * 1e6)
     messages = []
     report = _REPORTS.get(mode)
     if report is not None:
@@ -117,33 +116,33 @@ _REPORTS = {
 # -- of programs ---------------------------------------------------------------------------------
 
 
-def program_started(controller: Controller, name: str) -> bytes:
+def program_started(state: ControllerState, name: str) -> bytes:
     """A program begins."""
-    return _message(controller, KeyMessage, title="PROGRAM_XXX_STARTED", text=name)
+    return _message(state, KeyMessage, title="PROGRAM_XXX_STARTED", text=name)
 
 
-def program_stopped(controller: Controller, name: str) -> bytes:
+def program_stopped(state: ControllerState, name: str) -> bytes:
     """A program is over, whyever."""
-    return _message(controller, KeyMessage, title="PROGRAM_XXX_STOPPED", text=name)
+    return _message(state, KeyMessage, title="PROGRAM_XXX_STOPPED", text=name)
 
 
-def text_message(controller: Controller, text: str) -> bytes:
+def text_message(state: ControllerState, text: str) -> bytes:
     """What a program says by `textmsg`."""
-    return _message(controller, TextMessage, text=text)
+    return _message(state, TextMessage, text=text)
 
 
-def runtime_exception(controller: Controller, line: int, column: int, text: str, is_running: bool) -> bytes:
+def runtime_exception(state: ControllerState, line: int, column: int, text: str, is_running: bool) -> bytes:
     """A program does not compile, or has failed while it was running."""
     stamp = {} if is_running else {"timestamp": NO_TIMESTAMP}
-    return _message(controller, RuntimeExceptionMessage, **stamp, line=line, column=column, text=text)
+    return _message(state, RuntimeExceptionMessage, **stamp, line=line, column=column, text=text)
 
 
 def popup_message(
-    controller: Controller, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool
+    state: ControllerState, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool
 ) -> bytes:
     """A program shows a popup."""
     return _message(
-        controller,
+        state,
         PopupMessage,
         requested_type=RequestedType.NONE,
         is_warning=is_warning,
@@ -155,7 +154,7 @@ def popup_message(
     )
 
 
-def _message(controller: Controller, kind: type[RobotMessage], **fields: Any) -> bytes:
-    common = {"timestamp": round(controller.time * 1e6), "source": MessageSource.REALTIME_MACHINE}
+def _message(state: ControllerState, kind: type[RobotMessage], **fields: Any) -> bytes:
+    common = {"timestamp": round(state.time * 1e6), "source": MessageSource.REALTIME_MACHINE}
     fields["text"] = fields["text"][:_LONGEST_TEXT]
-    return kind.LAYOUTS.of(controller.firmware).encode({**common, **fields})
+    return kind.LAYOUTS.of(state.firmware).encode({**common, **fields})

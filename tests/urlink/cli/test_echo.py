@@ -122,9 +122,9 @@ def test_unknown_tails_and_sub_packages_are_shown(run: Run, tmp_path: Path) -> N
     controller = Controller("UR5e", "5.11")
     controller.step()
     controller.faults.unknown_sub_package(77, b"one")
-    state = controller.faults.lasting("primary", controller.state_package())
+    state = controller._link.lasting("primary", controller.state_package())
     controller.faults.unknown_sub_package(78, b"two")
-    state = controller.faults.lasting("primary", state)
+    state = controller._link.lasting("primary", state)
     packet = (1228).to_bytes(4, "big") + controller.realtime_packet()[4:] + b"newfield"
     path = write(tmp_path / "x.urlog", {"realtime": [packet], "primary": [state]})
     record = strict(run("echo", played(path), "--interface", "primary", "--json")[1])

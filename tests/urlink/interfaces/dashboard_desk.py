@@ -1,4 +1,4 @@
-"""A dashboard server over TCP whose every byte a test decides, and a stand-in for the controller behind it."""
+"""A dashboard server over TCP whose every byte a test decides, and the simulated controller behind it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.commands import GREETING
-from urlink.models import Model, model
-from urlink.simulator.modes import Modes, Power
+from urlink.simulator import Controller, Still
+from urlink.simulator.ports.dashboard import DashboardPort
+from urlink.simulator.programs.pendant import Pendant
+from urlink.simulator.robot.modes import Modes
 
 #: Seconds that a test waits for what must come at once.
 PATIENCE = 10.0
@@ -20,63 +21,44 @@ PATIENCE = 10.0
 FIRMWARES = ["1.6", "1.8", "3.0", "3.1", "3.2", "3.4", "3.7", "3.12", "3.14", "5.0", "5.1", "5.4", "5.6", "5.8", "5.11"]
 
 
-@dataclass
 class StandIn:
-    """A controller with one program, and no arm; it is its own pendant."""
+    """A simulated controller that is stepped by the test, with two saved programs and an arm that stands still."""
 
-    firmware: Firmware
-    modes: Modes
-    model: Model
-    time: float = 100.0
-    stopped_since: float | None = None
-    remote_control: bool = True
-    loaded: str | None = None
-    popup: str | None = None
-    log: list[str] = field(default_factory=list)
-    serial: str = "20215500001"
-    files: tuple[str, ...] = ("pick.urp", "/programs/place it.urp")
-    has_program: bool = False
-    is_paused: bool = False
-
-    @classmethod
-    def of(cls, firmware: str) -> StandIn:
-        version = Firmware.parse(firmware)
-        return cls(version, Modes(version), model("UR5e" if version.is_e_series else "UR5"))
+    def __init__(self, firmware: str) -> None:
+        self.controller = Controller(
+            firmware=firmware,
+            motion=Still(),
+            serial="20215500001",
+            files=dict.fromkeys(("pick.urp", "/programs/place it.urp"), "while True:\n  sync()\nend\n"),
+        )
 
     @property
-    def pendant(self) -> StandIn:
-        return self
+    def dashboard(self) -> DashboardPort:
+        return self.controller.dashboard
+
+    @property
+    def firmware(self) -> Firmware:
+        return self.controller.firmware
+
+    @property
+    def modes(self) -> Modes:
+        return self.controller.modes
+
+    @property
+    def pendant(self) -> Pendant:
+        return self.controller.pendant
 
     def wait(self, seconds: float) -> None:
-        self.time += seconds
-        for _ in range(round(seconds * 100)):
-            self.modes.advance(0.01, True, self.has_program)
+        self.controller.step(round(seconds * self.firmware.rate))
 
     def protective_stop(self) -> None:
-        self.modes.protective_stop()
-        self.stopped_since = self.time
+        self.controller.faults.protective_stop()
+        self.controller.step()
 
-    def load(self, path: str) -> bool:
-        if path not in self.files:
-            return False
-        self.loaded = path
-        return True
-
-    def play(self) -> bool:
-        if self.loaded is None or self.modes.power is not Power.RUNNING:
-            return False
-        return self._set(True)
-
-    def pause(self) -> bool:
-        return self.has_program
-
-    def stop(self) -> bool:
-        return self.has_program and self._set(False)
-
-    def _set(self, has_program: bool) -> bool:
-        self.has_program = has_program
-        self.modes.advance(0.0, True, has_program)
-        return True
+    def play(self) -> None:
+        """Let a program run."""
+        assert self.pendant.load("pick.urp")
+        assert self.pendant.play()
 
 
 class Desk:

@@ -8,8 +8,8 @@ from typing import Any, Literal, cast
 from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
 from urlink.models import model
-from urlink.simulator.drive import Drive
-from urlink.simulator.motion import Setpoint
+from urlink.simulator.robot.generator import MotionGenerator
+from urlink.simulator.robot.sources import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
 from urlink.urscript.source import program
 
@@ -58,7 +58,7 @@ class Bench:
         self.model = model("UR5e" if firmware.is_e_series else "UR5")
         self.period = 1.0 / firmware.rate
         self.cycle = 0
-        self.drive = Drive(self.model, Setpoint(list(q), [0.0] * 6, [0.0] * 6))
+        self.motion = MotionGenerator(self.model, Setpoint(list(q), [0.0] * 6, [0.0] * 6))
         self.sockets = Line()
         self.texts: list[str] = []
         self.path: list[list[float]] = []
@@ -67,11 +67,11 @@ class Bench:
 
     @property
     def q_actual(self) -> Sequence[float]:
-        return self.drive.setpoint.q
+        return self.motion.setpoint.q
 
     @property
     def qd_target(self) -> Sequence[float]:
-        return self.drive.setpoint.qd
+        return self.motion.setpoint.qd
 
     def text_message(self, text: str) -> None:
         self.texts.append(text)
@@ -88,7 +88,7 @@ class Bench:
             self.cycle += 1
             self.execution.advance()
             assert self.execution.error is None, self.execution.error
-            self.path.append(list(self.drive.advance(self.period).q))
+            self.path.append(list(self.motion.advance(self.period).q))
 
     @property
     def said(self) -> list[str]:

@@ -44,7 +44,7 @@ def test_follows_what_is_streamed(firmware: Firmware) -> None:
     bench.sockets.waiting.extend(setpoint(HOME) + STOP_WORD)
     bench.run(200)
     assert bench.has_finished
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
     assert bench.said == []
     assert not bench.sockets.is_open
 
@@ -72,13 +72,13 @@ def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
     bench.run(2)
     assert bench.said == [programs.STARVED]
     bench.run(round(0.6 / bench.period))
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
     assert not bench.execution.is_over
     # What comes now comes too late.
     bench.sockets.waiting.extend(setpoint(turned(0)))
     bench.run(10)
     assert bench.has_finished
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
@@ -91,7 +91,7 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
     bench.run(round(0.6 / bench.period))
     assert bench.said == [programs.LINK_ENDED]
     assert bench.has_finished
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
@@ -179,7 +179,7 @@ def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
     bench.run(round(4.0 / bench.period), server)
     assert bench.said[0] in (programs.STARVED, programs.LINK_ENDED)
     assert bench.has_finished
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
     assert bench.path[-1][5] < 0.3
 
 
@@ -192,7 +192,7 @@ def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None
     bench.run(round(1.0 / bench.period), server)
     assert bench.said == [programs.LINK_ENDED]
     assert bench.has_finished
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
     assert 0.9 < bench.path[-1][5] < 1.2
 
 
@@ -212,6 +212,6 @@ def test_a_speed_lasts_as_long_as_it_was_told_to(version: str) -> None:
     bench = Bench(programs.speed_joints(firmware, [0, 0, 0, 0, 0, 0.5], 2.0, 0.5), firmware)
     bench.run(round(2.0 / bench.period))
     assert bench.has_finished
-    assert bench.drive.is_standing
+    assert bench.motion.is_standing
     # 3.1 counts the time only from when the speed is reached.
     assert 0.2 < bench.path[-1][5] < 0.4

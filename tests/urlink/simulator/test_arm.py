@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from linkcore.errors import BadValue
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import MODELS
-from urlink.simulator import Controller, kinematics
-from urlink.simulator.arm import Arm
-from urlink.simulator.motion import HOME, Demonstration, Setpoint, Still
-from urlink.simulator.twist import geometry, tool_speed
+from urlink.simulator import Controller
+from urlink.simulator.robot import kinematics
+from urlink.simulator.robot.arm import Arm
+from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
+from urlink.simulator.robot.tool_velocity import geometry, tool_velocity
 
 ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 
@@ -54,7 +55,7 @@ def test_the_tool_speed_in_closed_form_is_that_of_the_jacobian(
     name: str, q: list[float], qd: list[float], tcp: list[float]
 ) -> None:
     model = MODELS[name]
-    speed = tool_speed(geometry(model), q, qd, kinematics.pose(model, q, tcp).tolist())
+    speed = tool_velocity(geometry(model), q, qd, kinematics.pose(model, q, tcp).tolist())
     assert speed == pytest.approx(kinematics.jacobian(model, q, tcp) @ qd, abs=1e-9)
 
 
@@ -174,7 +175,7 @@ def test_another_motion_can_be_followed() -> None:
 
     controller = Controller("UR5e")
     controller.step(1500)
-    controller.arm.follow(Wave())  # type: ignore[arg-type, unused-ignore]
+    controller.follow(Wave())  # type: ignore[arg-type, unused-ignore]
     states = run(controller, 1000)
     assert np.abs(np.diff(column(states, "qd_target"), axis=0)).max() < 0.03
     assert not column(states, "qd_target")[-1, 1:].any()
@@ -279,7 +280,7 @@ def test_the_joints_alone_are_those_of_the_sample() -> None:
 
 
 def test_a_tcp_is_six_finite_numbers() -> None:
-    arm = Arm(MODELS["UR5e"], Still())
+    arm = Arm(MODELS["UR5e"], Still().advance(0.0))
     for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
         with pytest.raises(BadValue, match="six finite numbers"):
             arm.tcp = wrong

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from tests.urlink.interfaces.dashboard_desk import FIRMWARES, StandIn
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.enums import SafetyMode
-from urlink.simulator.dashboard import Responder
-from urlink.simulator.modes import Power, Stop
+from urlink.simulator.robot.modes import Power, Stop
 
 ARGUMENTS = {
     "load": "pick.urp",
@@ -35,12 +34,13 @@ def test_the_arguments_are_those_of_the_table() -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_on_every_firmware(name: str, firmware: str) -> None:
-    host = StandIn.of(firmware)
-    responder = Responder(host)
-    if name in ("play", "pause", "stop"):
-        host.load("pick.urp")
-        host._set(name != "play")
-    reply = responder.reply(line_of(name))
+    host = StandIn(firmware)
+    dashboard = host.dashboard
+    if name in ("pause", "stop"):
+        host.play()
+    elif name == "play":
+        host.pendant.load("pick.urp")
+    reply = dashboard.reply(line_of(name))
     command = COMMANDS[name]
     if not command.is_on(host.firmware):
         assert reply == f"could not understand: '{line_of(name)}'"
@@ -55,7 +55,7 @@ def test_every_command_on_every_firmware(name: str, firmware: str) -> None:
 
 def test_cb2_has_its_own_few() -> None:
     on = {
-        firmware: {name for name, command in COMMANDS.items() if command.is_on(StandIn.of(firmware).firmware)}
+        firmware: {name for name, command in COMMANDS.items() if command.is_on(StandIn(firmware).firmware)}
         for firmware in ("1.6", "1.8")
     }
     assert on["1.6"] == {
@@ -74,14 +74,14 @@ def test_polyscope_x_has_none() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_e_series_in_local_mode_answers_questions_and_nothing_else(name: str) -> None:
-    host = StandIn.of("5.11")
-    host.remote_control = False
-    reply = Responder(host).reply(line_of(name))
+    host = StandIn("5.11")
+    host.controller.remote_control = False
+    reply = host.dashboard.reply(line_of(name))
     if not COMMANDS[name].is_on(host.firmware) or name == "quit":
         return
     assert (reply == NOT_IN_REMOTE_CONTROL) == COMMANDS[name].needs_remote_control
     assert host.modes.power is Power.RUNNING
-    assert host.loaded is None
+    assert host.pendant.loaded is None
 
 
 @pytest.mark.parametrize("name", ["play", "load", "power on", "brake release", "unlock protective stop"])
@@ -90,89 +90,89 @@ def test_what_moves_the_arm_needs_remote_control(name: str) -> None:
 
 
 def test_a_cb3_knows_no_local_mode() -> None:
-    host = StandIn.of("3.14")
-    host.remote_control = False
-    assert Responder(host).reply("power off") == "Powering off"
+    host = StandIn("3.14")
+    host.controller.remote_control = False
+    assert host.dashboard.reply("power off") == "Powering off"
 
 
 # -- power and safety -----------------------------------------------------------------------------------
 
 
 def test_from_power_off_to_running() -> None:
-    host = StandIn.of("5.4")
-    responder = Responder(host)
-    assert responder.reply("power off") == "Powering off"
+    host = StandIn("5.4")
+    dashboard = host.dashboard
+    assert dashboard.reply("power off") == "Powering off"
     host.wait(0.1)
-    assert responder.reply("robotmode") == "Robotmode: POWER_OFF"
-    assert responder.reply("power on") == "Powering on"
-    assert responder.reply("robotmode") == "Robotmode: POWER_ON"
+    assert dashboard.reply("robotmode") == "Robotmode: POWER_OFF"
+    assert dashboard.reply("power on") == "Powering on"
+    assert dashboard.reply("robotmode") == "Robotmode: POWER_ON"
     host.wait(5)
-    assert responder.reply("robotmode") == "Robotmode: IDLE"
-    assert responder.reply("brake release") == "Brake releasing"
+    assert dashboard.reply("robotmode") == "Robotmode: IDLE"
+    assert dashboard.reply("brake release") == "Brake releasing"
     host.wait(5)
-    assert responder.reply("robotmode") == "Robotmode: RUNNING"
+    assert dashboard.reply("robotmode") == "Robotmode: RUNNING"
 
 
 def test_power_on_twice_changes_nothing() -> None:
-    host = StandIn.of("5.4")
-    responder = Responder(host)
-    responder.reply("power on")
+    host = StandIn("5.4")
+    dashboard = host.dashboard
+    dashboard.reply("power on")
     host.wait(5)
-    assert responder.reply("robotmode") == "Robotmode: RUNNING"
+    assert dashboard.reply("robotmode") == "Robotmode: RUNNING"
 
 
 def test_brake_release_powers_on() -> None:
-    host = StandIn.of("3.0")
+    host = StandIn("3.0")
     host.modes.power_off()
     host.wait(0.1)
-    Responder(host).reply("brake release")
+    host.dashboard.reply("brake release")
     host.wait(5)
     assert host.modes.power is Power.RUNNING
 
 
 def test_cb2_says_its_mode_as_a_number() -> None:
-    host = StandIn.of("1.8")
-    responder = Responder(host)
-    assert responder.reply("robotmode") == "Robotmode: 0"
+    host = StandIn("1.8")
+    dashboard = host.dashboard
+    assert dashboard.reply("robotmode") == "Robotmode: 0"
     host.protective_stop()
-    assert responder.reply("robotmode") == "Robotmode: 4"
+    assert dashboard.reply("robotmode") == "Robotmode: 4"
 
 
 def test_a_protective_stop_is_unlocked_after_five_seconds() -> None:
-    host = StandIn.of("5.11")
-    responder = Responder(host)
+    host = StandIn("5.11")
+    dashboard = host.dashboard
     host.protective_stop()
-    host.popup = "Protective stop"
-    assert responder.reply("safetymode") == "Safetymode: PROTECTIVE_STOP"
-    host.time += 4.99
-    refused = responder.reply("unlock protective stop")
+    host.pendant.popup = "Protective stop"
+    assert dashboard.reply("safetymode") == "Safetymode: PROTECTIVE_STOP"
+    host.wait(4.98)
+    refused = dashboard.reply("unlock protective stop")
     assert refused is not None
     assert refused.startswith("Cannot unlock protective stop until 5s after occurrence. ")
     assert COMMANDS["unlock protective stop"].is_refusal(refused)
-    assert responder.reply("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
-    host.time += 0.02
-    assert responder.reply("unlock protective stop") == "Protective stop releasing"
+    assert dashboard.reply("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
+    host.wait(0.02)
+    assert dashboard.reply("unlock protective stop") == "Protective stop releasing"
     assert host.modes.stop is Stop.NONE
-    assert host.popup is None
+    assert host.pendant.popup is None
 
 
 def test_an_emergency_stop_is_not_unlocked() -> None:
-    host = StandIn.of("5.11")
-    responder = Responder(host)
+    host = StandIn("5.11")
+    dashboard = host.dashboard
     host.modes.emergency_stop()
     host.wait(10)
-    responder.reply("unlock protective stop")
-    responder.reply("restart safety")
-    responder.reply("power on")
+    dashboard.reply("unlock protective stop")
+    dashboard.reply("restart safety")
+    dashboard.reply("power on")
     host.wait(5)
     assert host.modes.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP
     assert host.modes.power is Power.OFF
 
 
 def test_restart_safety_leaves_the_arm_off() -> None:
-    host = StandIn.of("5.11")
+    host = StandIn("5.11")
     host.protective_stop()
-    Responder(host).reply("restart safety")
+    host.dashboard.reply("restart safety")
     host.wait(0.1)
     assert (host.modes.stop, host.modes.power) == (Stop.NONE, Power.OFF)
 
@@ -181,108 +181,108 @@ def test_restart_safety_leaves_the_arm_off() -> None:
 
 
 def test_load_play_pause_stop() -> None:
-    host = StandIn.of("5.4")
-    responder = Responder(host)
-    assert responder.reply("get loaded program") == "No program loaded"
-    assert responder.reply("programState") == "STOPPED <unnamed>"  # as a real 5.4 says
-    assert responder.reply("running") == "Program running: false"  # likewise
-    assert responder.reply("play") == "Failed to execute: play"
-    assert responder.reply("pause") == "Failed to execute: pause"
-    assert responder.reply("stop") == "Failed to execute: stop"
-    assert responder.reply("load nothing.urp") == "File not found: nothing.urp"
-    assert responder.reply("load /programs/place it.urp") == "Loading program: /programs/place it.urp"
-    assert responder.reply("get loaded program") == "Loaded program: /programs/place it.urp"
-    assert responder.reply("play") == "Starting program"
-    assert responder.reply("running") == "Program running: true"
-    assert responder.reply("programState") == "PLAYING place it.urp"
+    host = StandIn("5.4")
+    dashboard = host.dashboard
+    assert dashboard.reply("get loaded program") == "No program loaded"
+    assert dashboard.reply("programState") == "STOPPED <unnamed>"  # as a real 5.4 says
+    assert dashboard.reply("running") == "Program running: false"  # likewise
+    assert dashboard.reply("play") == "Failed to execute: play"
+    assert dashboard.reply("pause") == "Failed to execute: pause"
+    assert dashboard.reply("stop") == "Failed to execute: stop"
+    assert dashboard.reply("load nothing.urp") == "File not found: nothing.urp"
+    assert dashboard.reply("load /programs/place it.urp") == "Loading program: /programs/place it.urp"
+    assert dashboard.reply("get loaded program") == "Loaded program: /programs/place it.urp"
+    assert dashboard.reply("play") == "Starting program"
+    assert dashboard.reply("running") == "Program running: true"
+    assert dashboard.reply("programState") == "PLAYING place it.urp"
     host.protective_stop()
-    assert responder.reply("programState") == "PAUSED place it.urp"
+    assert dashboard.reply("programState") == "PAUSED place it.urp"
     host.modes.clear()
-    assert responder.reply("stop") == "Stopped"
-    assert responder.reply("isProgramSaved") == "true place it.urp"
+    assert dashboard.reply("stop") == "Stopped"
+    assert dashboard.reply("isProgramSaved") == "true place it.urp"
 
 
 def test_power_off_stops_a_program_from_being_played() -> None:
-    host = StandIn.of("5.4")
-    host.load("pick.urp")
+    host = StandIn("5.4")
+    host.pendant.load("pick.urp")
     host.modes.power_off()
     host.wait(0.1)
-    assert Responder(host).reply("play") == "Failed to execute: play"
+    assert host.dashboard.reply("play") == "Failed to execute: play"
 
 
 # -- the rest ----------------------------------------------------------------------------------------------
 
 
 def test_popup_and_log() -> None:
-    host = StandIn.of("5.4")
-    responder = Responder(host)
+    host = StandIn("5.4")
+    dashboard = host.dashboard
     popups = []
     for line in ("popup two  blanks, and Ümlaut", "close popup"):
-        responder.reply(line)
-        popups.append(host.popup)
+        dashboard.reply(line)
+        popups.append(host.pendant.popup)
     assert popups == ["two  blanks, and Ümlaut", None]
-    responder.reply("addToLog something")
-    assert responder.reply("addToLog") == "No log message to add"
-    assert host.log == ["something"]
+    dashboard.reply("addToLog something")
+    assert dashboard.reply("addToLog") == "No log message to add"
+    assert host.pendant.log == ["something"]
     for number in range(1200):
-        responder.reply(f"addToLog {number}")
-    assert (len(host.log), host.log[-1]) == (1000, "1199")
+        dashboard.reply(f"addToLog {number}")
+    assert (len(host.pendant.log), host.pendant.log[-1]) == (1000, "1199")
 
 
 def test_user_role() -> None:
-    responder = Responder(StandIn.of("3.4"))
-    assert responder.reply("getUserRole") == "NONE"
-    assert responder.reply("setUserRole operator") == "Setting user role: operator"
-    assert responder.reply("getUserRole") == "OPERATOR"
-    assert responder.reply("setUserRole king") == "Failed setting user role: king"
-    assert responder.reply("setUserRole") == "Setting user role: none"
-    assert responder.user_role == "none"
+    dashboard = StandIn("3.4").dashboard
+    assert dashboard.reply("getUserRole") == "NONE"
+    assert dashboard.reply("setUserRole operator") == "Setting user role: operator"
+    assert dashboard.reply("getUserRole") == "OPERATOR"
+    assert dashboard.reply("setUserRole king") == "Failed setting user role: king"
+    assert dashboard.reply("setUserRole") == "Setting user role: none"
+    assert dashboard.user_role == "none"
 
 
 def test_operational_mode() -> None:
-    responder = Responder(StandIn.of("5.6"))
-    assert responder.reply("get operational mode") == "NONE"
-    assert responder.reply("set operational mode automatic") == "Operational mode AUTOMATIC is set"
-    assert responder.reply("get operational mode") == "AUTOMATIC"
-    responder.reply("set operational mode none")
-    assert responder.reply("get operational mode") == "AUTOMATIC"
-    responder.reply("clear operational mode")
-    assert responder.operational_mode == "none"
+    dashboard = StandIn("5.6").dashboard
+    assert dashboard.reply("get operational mode") == "NONE"
+    assert dashboard.reply("set operational mode automatic") == "Operational mode AUTOMATIC is set"
+    assert dashboard.reply("get operational mode") == "AUTOMATIC"
+    dashboard.reply("set operational mode none")
+    assert dashboard.reply("get operational mode") == "AUTOMATIC"
+    dashboard.reply("clear operational mode")
+    assert dashboard.operational_mode == "none"
 
 
 def test_who_it_is() -> None:
-    responder = Responder(StandIn.of("5.11"))
-    assert responder.reply("get robot model") == "UR5"
-    assert responder.reply("get serial number") == "20215500001"
-    assert responder.reply("version") == "5.11.0.0"
-    assert str(responder.reply("PolyscopeVersion")).startswith("URSoftware 5.11.0.0 (")
+    dashboard = StandIn("5.11").dashboard
+    assert dashboard.reply("get robot model") == "UR5"
+    assert dashboard.reply("get serial number") == "20215500001"
+    assert dashboard.reply("version") == "5.11.0.0"
+    assert str(dashboard.reply("PolyscopeVersion")).startswith("URSoftware 5.11.0.0 (")
 
 
 def test_upper_and_lower_case_are_alike() -> None:
-    responder = Responder(StandIn.of("5.11"))
-    assert responder.reply("ROBOTMODE") == responder.reply(" robotmode\r") == "Robotmode: RUNNING"
+    dashboard = StandIn("5.11").dashboard
+    assert dashboard.reply("ROBOTMODE") == dashboard.reply(" robotmode\r") == "Robotmode: RUNNING"
 
 
 def test_load_installation_is_not_load() -> None:
-    host = StandIn.of("5.11")
-    responder = Responder(host)
-    assert responder.reply("load installation a.installation") == "Loading installation: a.installation"
-    assert (host.loaded, responder.installation) == (None, "a.installation")
+    host = StandIn("5.11")
+    dashboard = host.dashboard
+    assert dashboard.reply("load installation a.installation") == "Loading installation: a.installation"
+    assert (host.pendant.loaded, dashboard.installation) == (None, "a.installation")
     # Firmware without it takes it for the name of a program, or does not know it; nobody knows which.
-    assert Responder(StandIn.of("3.0")).reply("load installation a") == "could not understand: 'load installation a'"
+    assert StandIn("3.0").dashboard.reply("load installation a") == "could not understand: 'load installation a'"
 
 
 @pytest.mark.parametrize("line", ["", "dance", "powerup", "play it", "stopp", "popupx", "loadpick.urp"])
 def test_what_is_no_command(line: str) -> None:
-    assert Responder(StandIn.of("5.11")).reply(line) == f"could not understand: '{line}'"
+    assert StandIn("5.11").dashboard.reply(line) == f"could not understand: '{line}'"
 
 
 @pytest.mark.property
 @given(st.text() | st.builds("{} {}".format, st.sampled_from(sorted(COMMANDS)), st.text()), st.sampled_from(FIRMWARES))
 def test_any_line_is_answered_with_one_line_or_ends_the_connection(line: str, firmware: str) -> None:
-    host = StandIn.of(firmware)
-    host.files = (line.partition(" ")[2],)
-    reply = Responder(host).reply(line)
+    host = StandIn(firmware)
+    host.pendant.files[line.partition(" ")[2].strip()] = "sync()"
+    reply = host.dashboard.reply(line)
     if reply is None:
         assert line.strip().lower() == "quit"
     else:

@@ -17,7 +17,7 @@ from urlink.interfaces.primary.robot_message import SafetyModeMessage, VersionMe
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import Controller, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
-from urlink.simulator.tampering import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
+from urlink.simulator.faults.corruption import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from linkcore.errors import BadValue
 from urlink.models import MODELS, Model, model
-from urlink.simulator.kinematics import (
+from urlink.simulator.robot.kinematics import (
     GRAVITY,
     forward,
     frames,

@@ -28,8 +28,11 @@ from urlink.interfaces.primary.robot_state import (
 )
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import MODELS, UnknownModel
-from urlink.simulator import Controller, kinematics
-from urlink.simulator.packets import _CHANGING, _UNCHANGING, Form, _realtime
+from urlink.simulator import Controller
+from urlink.simulator.ports.form import Form
+from urlink.simulator.ports.primary import _CHANGING, _UNCHANGING
+from urlink.simulator.ports.realtime import _fields
+from urlink.simulator.robot import kinematics
 
 
 def suits(release: Release, name: str) -> bool:
@@ -103,9 +106,9 @@ def test_forms_give_the_bytes_of_the_slow_encoder(release: Release, name: str) -
     controller.signals.set_digital_input(16, True)
     controller.step(77)
     layout = RealtimeState.LAYOUTS.of(release.since)
-    assert controller.realtime_packet() == layout.encode(_realtime(controller))
+    assert controller.realtime_packet() == layout.encode(_fields(controller._state))
     for kind, part in parts(controller.state_package(first=True)).items():
-        fields = (_CHANGING | _UNCHANGING)[kind](controller)
+        fields = (_CHANGING | _UNCHANGING)[kind](controller._state)
         cls: type[State] = type(decoded(part, release.since))
         known = {key: value for key, value in fields.items() if key in cls.FIELDS}
         assert part == cls.LAYOUTS.of(release.since).encode(known), cls.__name__
@@ -209,14 +212,14 @@ def test_message_12_and_the_tolerances_are_those_captured() -> None:
 def test_the_primary_interface_tells_of_a_stop() -> None:
     controller = Controller("UR5e", "5.11")
     controller.faults.protective_stop()
-    controller.advance()
+    controller.step()
     report, change = controller.take_messages()
     assert (report[4], report[14]) == (20, 6)
     assert SafetyModeMessage.LAYOUTS.decode(change).safety_mode == SafetyMode.PROTECTIVE_STOP
-    controller.advance()
+    controller.step()
     assert controller.take_messages() == []
     controller.faults.clear()
-    controller.advance()
+    controller.step()
     (change,) = controller.take_messages()
     assert SafetyModeMessage.LAYOUTS.decode(change).safety_mode == SafetyMode.NORMAL
 
@@ -224,7 +227,7 @@ def test_the_primary_interface_tells_of_a_stop() -> None:
 def test_cb2_has_no_safety_mode_message() -> None:
     controller = Controller("UR5", "1.8")
     controller.faults.emergency_stop()
-    controller.advance()
+    controller.step()
     (report,) = controller.take_messages()
     assert report[14] == 6
 

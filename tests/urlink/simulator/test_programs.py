@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 import urlink
 from urlink.interfaces.enums import ProgramState, SafetyMode
 from urlink.simulator import Controller
-from urlink.simulator.dashboard import UNLOCK_AFTER
-from urlink.simulator.modes import Power
-from urlink.simulator.motion import HOME, Still
-from urlink.simulator.programs import MOST_SECONDARY
+from urlink.simulator.ports.dashboard import UNLOCK_AFTER
+from urlink.simulator.programs.runner import MOST_SECONDARY
+from urlink.simulator.robot.modes import Power
+from urlink.simulator.robot.sources import HOME, Still
 
 TURN = "def turn():\n  movej([0.5, -1.2, 1.2, -1.2, -1.2, 0.3], a=1, v=0.5)\nend\n"
 SPIN = "def spin():\n  speedj([0.5, 0, 0, 0, 0, 0], 1, 60)\nend\n"
@@ -43,11 +43,15 @@ class Watched:
             self.cycle()
         return self
 
+    def listen(self) -> None:
+        data = b"".join(self.controller.take_messages())
+        self.said += urlink.decode(data, "primary", self.controller.firmware)
+
     def cycle(self) -> None:
         controller = self.controller
-        controller.advance()
-        data = b"".join(controller.take_messages())
-        self.said += urlink.decode(data, "primary", controller.firmware)
+        self.listen()
+        controller.step()
+        self.listen()
         self.speeds.append(controller.arm.setpoint.qd[0])
 
     def dashboard(self, line: str) -> str | None:
@@ -241,7 +245,7 @@ def test_a_secondary_program_runs_while_the_other_waits(watched: Watched) -> Non
     watched.controller.pendant.pause()
     watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.01)
     assert watched.controller.signals.digital_outputs == 8
-    assert watched.controller.programs.is_paused
+    assert watched.controller._state.is_paused
 
 
 def test_a_secondary_program_knows_whether_the_arm_moves(watched: Watched) -> None:
@@ -271,21 +275,21 @@ def test_many_secondary_programs_take_their_turn(watched: Watched) -> None:
         watched.take(f"sec s{n}():\n  textmsg({n})\nend\n")
     watched.step(0.1)
     assert watched.story == [f"'{n}'" for n in range(count)]
-    assert watched.controller.programs.refused == 0
-    assert not watched.controller.programs.is_running
+    assert watched.controller.counters.refused_programs == 0
+    assert not watched.controller.is_running_program
 
 
 def test_secondary_programs_that_never_end_do_not_pile_up(watched: Watched) -> None:
     blocked = 'sec s():\n  popup("x", blocking=True)\n  # ' + "x" * 100_000 + "\nend\n"
     for _ in range(60):
         watched.take(blocked).step(0.002)
-    assert watched.controller.programs.refused > 0
+    assert watched.controller.counters.refused_programs > 0
     assert watched.dashboard("close popup") == "closing popup"
     watched.step(0.2)
     # Those that had their turn later have shown it again.
     watched.dashboard("close popup")
     watched.step(0.2)
-    assert not watched.controller.programs.is_running
+    assert not watched.controller.is_running_program
 
 
 # -- stops ---------------------------------------------------------------------------------------------
@@ -315,7 +319,7 @@ def test_a_new_program_may_begin_after_a_protective_stop(watched: Watched) -> No
     watched.controller.faults.protective_stop()
     watched.step(1)
     watched.take(TURN).step(0.1)
-    assert watched.controller.programs.refused == 1
+    assert watched.controller.counters.refused_programs == 1
     watched.controller.faults.clear()
     watched.take(TURN).step(6)
     assert watched.story[-3:] == ["stopped spin", "started turn", "stopped turn"]
@@ -363,7 +367,7 @@ def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -
     getattr(watched.controller.faults, end)()
     watched.step(1)
     assert [line for line in watched.story if line[:1] != "C"] == ["started spin", "stopped spin"]
-    assert not watched.controller.programs.is_paused
+    assert not watched.controller._state.is_paused
     assert watched.controller.modes.program_state is ProgramState.STOPPED
 
 
@@ -400,7 +404,7 @@ def test_a_reboot_ends_everything() -> None:
     # The connections are gone that could be told of its end.
     assert watched.story == ["started f", "PopupMessage", "PopupMessage"]
     assert controller.program_name is None
-    assert not controller.programs.is_running
+    assert not controller.is_running_program
     after: list[Any] = [
         controller.pendant.popup,
         controller.pendant.loaded,
@@ -417,9 +421,9 @@ def test_a_reboot_ends_everything() -> None:
 def test_closing_a_controller_ends_its_program() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         controller.take(SPIN)
-        assert controller.programs.is_running
-        programs = controller.programs
-    assert not programs.is_running
+        is_running = [controller.is_running_program]
+    is_running.append(controller.is_running_program)
+    assert is_running == [True, False]
     # What was said then is nobody's who connects later.
     assert controller.take_messages() == []
 
@@ -456,7 +460,7 @@ def test_sending_limits_are_protective_stops_with_a_reason(watched: Watched, lin
 
 def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -> None:
     watched.controller.faults.emergency_stop()
-    watched.controller.stop_for("a joint jumped")
+    watched.controller._state.stop_protectively("a joint jumped")
     watched.step(0.1)
     watched.controller.faults.clear()
     watched.controller.faults.power_on()
@@ -475,7 +479,7 @@ def test_a_loop_without_time_is_stopped(watched: Watched) -> None:
 def test_floods_of_text_are_bounded_and_the_end_is_never_lost(watched: Watched) -> None:
     program = 'def f():\n  i = 0\n  while i < 1500:\n    textmsg("%s")\n    i = i + 1\n  end\nend\n' % ("x" * 500)
     watched.take(program)
-    watched.controller.advance()
+    watched.controller.step()
     messages = watched.controller.take_messages()
     assert 16_000 < sum(map(len, messages)) < 18_000
     decoded = urlink.decode(b"".join(messages), "primary", "5.11")
@@ -547,7 +551,7 @@ def test_local_control_refuses_text_and_commands() -> None:
     watched.controller.remote_control = False
     watched.take(TURN, "set speed 0.5", "sec s():\n  set_digital_out(0, True)\nend\n", "def f(:\nend\n").step(0.1)
     assert watched.story == []
-    assert watched.controller.programs.refused == 4
+    assert watched.controller.counters.refused_programs == 4
     assert watched.controller.speed_fraction == 1.0
     assert watched.controller.signals.digital_outputs == 0
     for command in ("load a.urp", "play", "power off", "stop"):
@@ -713,9 +717,8 @@ def test_whatever_happens_what_is_started_is_stopped(
         else:
             for _ in range(what):
                 watched.cycle()
+        watched.listen()
         running = [line for line in watched.story if line.startswith(("started ", "stopped "))]
-        pending = urlink.decode(b"".join(controller._outbox), "primary", controller.firmware)
-        running += [line for line in map(watched._short, pending) if line.startswith(("started ", "stopped "))]
         for before, after in zip(running[::2], running[1::2], strict=False):
             assert before.startswith("started ")
             assert after == before.replace("started", "stopped")
@@ -723,6 +726,5 @@ def test_whatever_happens_what_is_started_is_stopped(
         if controller.program_name is not None:
             assert running[-1] == f"started {controller.program_name}"
     assert watched.steadiest < fastest
-    controller.close()
-    controller.programs.close()
+    controller._runner.close()
     assert controller.program_name is None

@@ -15,8 +15,8 @@ from linkcore.errors import BadValue
 from tests.waiting import until
 from urlink.interfaces.enums import ProgramState, RobotMode
 from urlink.simulator import Controller
-from urlink.simulator.intake import LONG, MOST_WAITING, Intake
-from urlink.simulator.motion import Still
+from urlink.simulator.programs.loader import LONG, MOST_WAITING
+from urlink.simulator.robot.sources import Still
 
 Connect = Callable[[Controller, str], Any]
 
@@ -100,7 +100,7 @@ def test_local_control_over_the_port(controller: Controller, connect: Connect) -
     controller.remote_control = False
     primary = connect(controller, "primary")
     primary.send(TURN.encode())
-    until(lambda: controller.programs.refused == 1)
+    until(lambda: controller.counters.refused_programs == 1)
     controller.remote_control = True
     primary.send(TURN.encode())
     assert keys(primary, 2) == ["started turn", "stopped turn"]
@@ -156,21 +156,22 @@ def test_closing_waits_for_what_is_being_compiled(connect: Connect) -> None:
         connect(controller, "primary").send(f"def long():\n{PADDING * 4}  sleep(60)\nend\n".encode())
         until(is_compiling)
     assert set(threading.enumerate()) <= before
-    assert not controller.programs.is_running
+    assert not controller.is_running_program
 
 
 def test_what_waits_is_bounded() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
-    woken = threading.Event()
-    intake = Intake(controller, woken.set)
-    assert intake.put(f"def long():\n{PADDING}end\n")
-    assert intake.put("x" * (MOST_WAITING - 100))
-    assert not intake.put("y" * 101)
-    assert intake.put(TURN)
-    assert woken.wait(10)
-    intake.advance()
+    compiled = threading.Event()
+    loader = controller._loader
+    loader.on_compiled = compiled.set
+    assert loader.queue(f"def long():\n{PADDING}end\n")
+    assert loader.queue("x" * (MOST_WAITING - 100))
+    assert not loader.queue("y" * 101)
+    assert loader.queue(TURN)
+    assert compiled.wait(10)
+    loader.advance()
     assert controller.program_name == "long"
-    intake.close()
+    loader.close()
 
 
 # -- sockets of programs -------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from linkcore.errors import BadAddress, BadValue, LocalError
 from urlink.interfaces.primary.robot_message import VersionMessage
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller
-from urlink.simulator.server import LONGEST_LINE
+from urlink.simulator.ports.port import LONGEST_LINE
 
 Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]
@@ -302,18 +302,19 @@ def test_calls_run_in_the_one_thread_of_the_controller() -> None:
 def test_nothing_is_computed_while_nobody_looks(monkeypatch: pytest.MonkeyPatch, connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
         looks: list[str] = []
-        for name in ("realtime_packet", "state_package"):
-            made = getattr(controller, name)
+        ports: list[tuple[object, str]] = [(controller._realtime, "packet"), (controller._states, "package")]
+        for port, name in ports:
+            made = getattr(port, name)
 
-            def look(*args: bool, name: str = name, made: Callable[..., bytes] = made) -> bytes:
+            def look(*args: bool, name: str = name, made: Callable[..., bytes] = made, **options: bool) -> bytes:
                 looks.append(name)
-                return made(*args)
+                return made(*args, **options)
 
-            monkeypatch.setattr(controller, name, look)
+            monkeypatch.setattr(port, name, look)
         link = connect(controller, "secondary")
         for _ in range(6):
             link.packet()
-        assert set(looks) == {"state_package"}
+        assert set(looks) == {"package"}
 
 
 def test_the_simulator_is_not_imported_with_the_package() -> None:

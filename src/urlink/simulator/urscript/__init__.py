@@ -11,6 +11,6 @@ from .code import Script
 from .compiler import compile_script
 from .errors import ScriptError
 from .execution import Execution
-from .world import Drive, Move, Sockets, World
+from .world import MotionCommands, Move, Sockets, World
 
-__all__ = ["Drive", "Execution", "Move", "Script", "ScriptError", "Sockets", "World", "compile_script"]
+__all__ = ["Execution", "MotionCommands", "Move", "Script", "ScriptError", "Sockets", "World", "compile_script"]

@@ -45,6 +45,6 @@ class Execution:
         self.is_over = True
         self._machine.stop()
         if self._machine.has_moved:
-            self._world.drive.release()
+            self._world.motion.release()
         if self.script.kind == "def":
             self._world.sockets.close_all()

@@ -17,7 +17,7 @@ from typing import Any
 
 from linkcore.errors import BadValue
 
-from ..drive import Unreachable
+from ..robot.generator import Unreachable
 from .code import ENDED, SWITCHED, THREAD, WAITING, Code, Frame, Script
 from .errors import ANOTHER_THREAD, Fault, ScriptError, endless
 from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, MAX_WORK
@@ -207,7 +207,7 @@ class Machine:
         """A thread has ended: what it held is free."""
         if self._owner is thread:
             self._owner = None
-            self.world.drive.release()
+            self.world.motion.release()
 
     def moving(self, thread: ScriptThread, begin: Callable[[], Move]) -> Waiting:
         """Command the arm, and wait until that is over.

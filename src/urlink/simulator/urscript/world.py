@@ -11,9 +11,9 @@ from typing import Literal, Protocol
 from urlink.firmware import Firmware
 from urlink.models import Model
 
-from ..signals import Signals
+from ..robot.signals import Signals
 
-__all__ = ["Drive", "Move", "Sockets", "World"]
+__all__ = ["MotionCommands", "Move", "Sockets", "World"]
 
 
 class Move(Protocol):
@@ -24,7 +24,7 @@ class Move(Protocol):
         """The function that began it returns: the goal, or the blend zone about it, is reached."""
 
 
-class Drive(Protocol):
+class MotionCommands(Protocol):
     """What makes the arm's targets; each function begins a command and returns at once."""
 
     @property
@@ -113,7 +113,7 @@ class World(Protocol):
     @property
     def cycle(self) -> int: ...
     @property
-    def drive(self) -> Drive: ...
+    def motion(self) -> MotionCommands: ...
     @property
     def signals(self) -> Signals: ...
     @property

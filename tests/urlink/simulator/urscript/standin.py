@@ -8,10 +8,10 @@ from typing import Literal
 
 from urlink.firmware import Firmware
 from urlink.models import MODELS
-from urlink.simulator import kinematics
-from urlink.simulator.drive import Unreachable
-from urlink.simulator.motion import HOME
-from urlink.simulator.signals import Signals
+from urlink.simulator.robot import kinematics
+from urlink.simulator.robot.generator import Unreachable
+from urlink.simulator.robot.signals import Signals
+from urlink.simulator.robot.sources import HOME
 from urlink.simulator.urscript import Execution, compile_script
 
 State = Literal["connecting", "open", "failed", "closed"]
@@ -33,7 +33,7 @@ class StandInMove:
         return self._world.cycle >= self._end
 
 
-class StandInDrive:
+class StandInMotion:
     """Each movement takes the cycles that it is told to, and puts the arm at its goal at once."""
 
     def __init__(self, world: StandIn) -> None:
@@ -159,7 +159,7 @@ class StandIn:
         self.flags = [False] * 64
         self.has_popup = False
         self.signals = Signals()
-        self.drive = StandInDrive(self)
+        self.motion = StandInMotion(self)
         self.sockets = StandInSockets(self)
 
     def note(self, text: str) -> None:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from urlink.simulator import kinematics
-
+from ...robot import kinematics
 from ..errors import Fault, type_error
 from ..machine import ScriptThread, Waiting
 from ..values import NUMBERS, type_name
@@ -59,21 +58,21 @@ def _pose(thread: ScriptThread, target: Any, what: str) -> Sequence[float]:
 def movej(thread: ScriptThread, q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Waiting:
     target = _joints(thread, q, "movej: q")
     figures = _path("movej", a, v, t, r)
-    return thread.machine.moving(thread, lambda: thread.world.drive.movej(target, *figures))
+    return thread.machine.moving(thread, lambda: thread.world.motion.movej(target, *figures))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def movel(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "movel: pose")
     figures = _path("movel", a, v, t, r)
-    return thread.machine.moving(thread, lambda: thread.world.drive.movel(target, *figures))
+    return thread.machine.moving(thread, lambda: thread.world.motion.movel(target, *figures))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def movep(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "movep: pose")
     acceleration, speed, _, blend = _path("movep", a, v, 0, r)
-    return thread.machine.moving(thread, lambda: thread.world.drive.movep(target, acceleration, speed, blend))
+    return thread.machine.moving(thread, lambda: thread.world.motion.movep(target, acceleration, speed, blend))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
@@ -83,7 +82,7 @@ def movec(
     via, to = _pose(thread, pose_via, "movec: pose_via"), _pose(thread, pose_to, "movec: pose_to")
     acceleration, speed, _, blend = _path("movec", a, v, 0, r)
     way = integer(mode, "movec: mode", 0, 1)
-    return thread.machine.moving(thread, lambda: thread.world.drive.movec(via, to, acceleration, speed, blend, way))
+    return thread.machine.moving(thread, lambda: thread.world.motion.movec(via, to, acceleration, speed, blend, way))
 
 
 def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
@@ -119,14 +118,14 @@ def _servoj(thread: ScriptThread, q: Any, a: Any, v: Any, t: Any, ahead: float, 
     number(a, "servoj: a")
     number(v, "servoj: v")
     seconds = _not_negative(t, "servoj: t") or thread.world.period
-    return thread.machine.moving(thread, lambda: thread.world.drive.servoj(target, seconds, ahead, stiffness))
+    return thread.machine.moving(thread, lambda: thread.world.motion.servoj(target, seconds, ahead, stiffness))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Waiting:
     target = _pose(thread, pose, "servoc: pose")
     acceleration, speed, _, blend = _path("servoc", a, v, 0, r)
-    return thread.machine.moving(thread, lambda: thread.world.drive.servoc(target, acceleration, speed, blend))
+    return thread.machine.moving(thread, lambda: thread.world.motion.servoc(target, acceleration, speed, blend))
 
 
 def _change(a: Any, what: str) -> float:
@@ -143,7 +142,7 @@ def _seconds(t: Any, what: str) -> float | None:
 def speedj(thread: ScriptThread, qd: Any, a: Any = 1.4, t: Any = None) -> Waiting:
     speeds = six(qd, "speedj: qd")
     acceleration, seconds = _change(a, "speedj: a"), _seconds(t, "speedj: t")
-    return thread.machine.moving(thread, lambda: thread.world.drive.speedj(speeds, acceleration, seconds))
+    return thread.machine.moving(thread, lambda: thread.world.motion.speedj(speeds, acceleration, seconds))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
@@ -151,20 +150,20 @@ def speedl(thread: ScriptThread, xd: Any, a: Any = 1.2, t: Any = None, aRot: Any
     speeds = six(xd, "speedl: xd")
     acceleration, seconds = _change(a, "speedl: a"), _seconds(t, "speedl: t")
     turning = _turning(aRot, acceleration, "speedl: aRot")
-    return thread.machine.moving(thread, lambda: thread.world.drive.speedl(speeds, acceleration, seconds, turning))
+    return thread.machine.moving(thread, lambda: thread.world.motion.speedl(speeds, acceleration, seconds, turning))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def stopj(thread: ScriptThread, a: Any = 2.0) -> Waiting:
     acceleration = _positive(a, "stopj: a")
-    return thread.machine.moving(thread, lambda: thread.world.drive.stopj(acceleration))
+    return thread.machine.moving(thread, lambda: thread.world.motion.stopj(acceleration))
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def stopl(thread: ScriptThread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
     acceleration = _positive(a, "stopl: a")
     turning = _turning(aRot, acceleration, "stopl: aRot")
-    return thread.machine.moving(thread, lambda: thread.world.drive.stopl(acceleration, turning))
+    return thread.machine.moving(thread, lambda: thread.world.motion.stopl(acceleration, turning))
 
 
 def _turning(aRot: Any, a: float, what: str) -> float:
@@ -179,4 +178,4 @@ def _turning(aRot: Any, a: float, what: str) -> float:
 @FAMILY.declare()
 def is_steady(thread: ScriptThread) -> bool:
     """The arm stands; how long a real one must have stood is not modelled."""
-    return thread.world.drive.is_standing
+    return thread.world.motion.is_standing

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from urlink.simulator import kinematics
-
+from ...robot import kinematics
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
 from ..values import Pose, type_name

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from urlink.simulator import kinematics
-
+from ...robot import kinematics
 from ..errors import Fault
 from ..machine import ScriptThread
 from ..values import Pose

@@ -1,0 +1,9 @@
+"""What can go wrong with a simulated controller: with its arm, its connections and the bytes on them."""
+
+from __future__ import annotations
+
+from .faults import Faults
+from .link import LinkFaults
+from .schedule import FAULTS, FaultSchedule, ScheduledFault, parse_fault
+
+__all__ = ["FAULTS", "FaultSchedule", "Faults", "LinkFaults", "ScheduledFault", "parse_fault"]

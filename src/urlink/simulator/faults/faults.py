@@ -1,0 +1,194 @@
+"""What can go wrong, on demand.
+
+Faults of the arm change its modes, as on a real controller. Faults of the link change the bytes or the connections; the
+controller itself runs on. All methods may be called from any thread, and have happened when they return.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+
+from urlink.firmware import Firmware
+
+from ..ports.form import package
+from ..programs.runner import ProgramRunner
+from ..state import ControllerState, firmware_for
+from .arguments import checked_seconds, checked_sizes, package_ports, port_names, type_byte
+from .link import LinkFaults
+
+__all__ = ["Faults"]
+
+
+class Faults:
+    """The faults of one controller.
+
+    Wherever a method takes `port`, that is the name of the one port it is for (`"realtime"`,
+    `"primary_readonly"`, ...), or None for all of them.
+
+    Args:
+        state: of the controller.
+        runner: of its programs.
+        link: the faults of its connections.
+        seed: of random garbage.
+        call: does something in the thread that owns the controller, and waits until it is done.
+    """
+
+    def __init__(
+        self,
+        state: ControllerState,
+        runner: ProgramRunner,
+        link: LinkFaults,
+        *,
+        seed: int,
+        call: Callable[[Callable[[], object]], None],
+    ) -> None:
+        self._state = state
+        self._runner = runner
+        self._link = link
+        self._random = random.Random(seed)
+        self._do = call
+
+    # -- the arm -----------------------------------------------------------------------------------
+
+    def protective_stop(self) -> None:
+        """The arm brakes and stands with its motors on; its program pauses. Ends with `clear`."""
+        self._do(lambda: self._state.modes.protective_stop())
+
+    def emergency_stop(self) -> None:
+        """The arm brakes, stands and loses its power; its program stops. Ends with `clear`, then `power_on`."""
+        self._do(lambda: self._state.modes.emergency_stop())
+
+    def clear(self) -> None:
+        """Unlock a protective stop, after which the motion goes on from rest; or release the emergency stop button,
+        after which the power is still off."""
+        self._do(lambda: self._state.modes.clear())
+
+    def power_off(self) -> None:
+        """The arm brakes, stands and loses its power."""
+        self._do(lambda: self._state.modes.power_off())
+
+    def power_on(self) -> None:
+        """Power the arm up and release its brakes; the motion begins anew. Without effect in an emergency stop."""
+        self._do(lambda: self._state.modes.power_on())
+
+    # -- connections ---------------------------------------------------------------------------------
+
+    def reboot(self, firmware: Firmware | str | None = None, downtime: float = 1.0) -> None:
+        """Reset all connections, refuse new ones for `downtime` seconds, then come back with the time at 0.
+
+        The controller comes back running, which a real one does not: it waits to be powered on.
+
+        Args:
+            firmware: to come back with; None for the present one.
+            downtime: seconds.
+
+        Raises:
+            BadValue: the firmware does not go with the model, or the time is negative or not finite.
+        """
+        chosen = None if firmware is None else firmware_for(self._state.model, firmware)
+        wait = checked_seconds(downtime)
+
+        def reboot() -> None:
+            self._runner.close()
+            self._state.go_down(chosen, wait)
+
+        self._do(reboot)
+
+    def cut(self, port: str | None = None) -> None:
+        """Reset the connections; new ones are accepted at once."""
+        names = port_names(port)
+        self._do(lambda: self._link.cut(names))
+
+    def stall(self, seconds: float, port: str | None = None) -> None:
+        """Stay connected and silent for so long. What would have been sent is lost; who connects waits.
+
+        Raises:
+            BadValue: the time is negative or not finite.
+        """
+        names, cycles = port_names(port), math.ceil(checked_seconds(seconds) * self._state.firmware.rate)
+        self._do(lambda: self._link.stall(names, cycles))
+
+    # -- segments ------------------------------------------------------------------------------------
+
+    def split(self, sizes: Sequence[int] | int, port: str | None = None) -> None:
+        """Cut the stream of each connection into segments of these sizes, in turn, until `heal`.
+
+        What does not fill a segment waits for the next packet, so packets arrive in parts. `split(1460)` is what a
+        real capture shows. The receiving side may join segments again if it does not read in time.
+
+        Raises:
+            BadValue: a size is not a whole number of at least 1.
+        """
+        checked = checked_sizes([sizes] if isinstance(sizes, int) else list(sizes))
+        self._segment(port, checked, 1)
+
+    def merge(self, count: int, port: str | None = None) -> None:
+        """Send `count` packets at a time as one segment, until `heal`.
+
+        Raises:
+            BadValue: `count` is not a whole number of at least 1.
+        """
+        self._segment(port, (), checked_sizes([count])[0])
+
+    def _segment(self, port: str | None, sizes: tuple[int, ...], count: int) -> None:
+        names = port_names(port)
+        self._do(lambda: self._link.segment(names, sizes, count))
+
+    # -- bytes ---------------------------------------------------------------------------------------
+
+    def garbage(self, data: bytes | int, port: str | None = None, *, inside: bool = False) -> None:
+        """Bytes that belong to no packet, once: before the next packet of a port, or in the middle of it.
+
+        Args:
+            data: the bytes, or how many random ones; random as the controller's seed has it.
+            inside: in the middle of the next packet, which does not say so in its size.
+
+        Raises:
+            BadValue: a number of bytes that is not at least 1.
+        """
+        if isinstance(data, int):
+            data = self._random.randbytes(checked_sizes([data])[0])
+        garbage, names = data, port_names(port)
+        self._do(lambda: self._link.insert(names, garbage, inside))
+
+    def append(self, tail: bytes | int, port: str | None = None) -> None:
+        """Let packets end in bytes that no known layout explains, as those of a newer release; until `heal`.
+
+        Real-time packets grow by the tail, robot states by one tail per sub-package, and their size fields say so.
+        Messages stay as they are.
+
+        Args:
+            tail: the bytes, or how many random ones. A newer release appends whole cells of 8 bytes to a real-time
+                packet.
+
+        Raises:
+            BadValue: a number of bytes that is not at least 1.
+        """
+        if isinstance(tail, int):
+            tail = self._random.randbytes(checked_sizes([tail])[0])
+        appended, names = tail, port_names(port)
+        self._do(lambda: self._link.append(names, appended))
+
+    def unknown_package(self, kind: int = 99, payload: bytes = b"unknown", port: str | None = None) -> None:
+        """Send a package of this type once, on the primary and secondary ports.
+
+        Raises:
+            BadValue: the type is not 0 to 255, or the port is neither.
+        """
+        made, names = package(type_byte(kind), payload), package_ports(port)
+        self._do(lambda: self._link.insert(names, made))
+
+    def unknown_sub_package(self, kind: int = 77, payload: bytes = b"unknown", port: str | None = None) -> None:
+        """Let robot states end in a sub-package of this type, until `heal`.
+
+        Raises:
+            BadValue: the type is not 0 to 255, or the port is neither.
+        """
+        byte, names = type_byte(kind), package_ports(port)
+        self._do(lambda: self._link.add_sub_package(names, byte, payload))
+
+    def heal(self) -> None:
+        """End all that has been done to the link: stalls, segments, garbage, tails, unknown sub-packages."""
+        self._do(self._link.heal)

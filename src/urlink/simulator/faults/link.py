@@ -1,0 +1,117 @@
+"""What is wrong with the link at present: silence, cut connections, segments, and bytes that should not be there.
+
+The server asks it what a port sends in place of each packet. The controller itself runs on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from urlink.ports import PORTS, interface
+
+from . import corruption
+
+__all__ = ["LinkFaults"]
+
+
+class LinkFaults:
+    """The faults of the links of one controller. Only for the thread that owns it.
+
+    Args:
+        cycle: the number of the present cycle.
+    """
+
+    def __init__(self, cycle: Callable[[], int]) -> None:
+        self._cycle = cycle
+        self._stalled_until = dict.fromkeys(PORTS, 0)
+        self._cuts: set[str] = set()
+        self._segments: dict[str, tuple[tuple[int, ...], int]] = {}
+        self._generation = 0
+        self._tails: dict[str, bytes] = {}
+        self._sub_packages: dict[str, tuple[int, bytes]] = {}
+        self._before: dict[str, list[bytes]] = {name: [] for name in PORTS}
+        self._inside: dict[str, list[bytes]] = {name: [] for name in PORTS}
+
+    # -- what is to go wrong -------------------------------------------------------------------------
+
+    def cut(self, ports: Iterable[str]) -> None:
+        """Reset the connections to these ports."""
+        self._cuts.update(ports)
+
+    def stall(self, ports: Iterable[str], cycles: int) -> None:
+        """Let these ports be silent for so many cycles."""
+        self._stalled_until.update(dict.fromkeys(ports, self._cycle() + cycles))
+
+    def segment(self, ports: Iterable[str], sizes: tuple[int, ...], count: int) -> None:
+        """Cut or join what these ports send; see `corruption.Segmenter`."""
+        self._segments.update(dict.fromkeys(ports, (sizes, count)))
+        self._generation += 1
+
+    def insert(self, ports: Iterable[str], data: bytes, inside: bool = False) -> None:
+        """Send these bytes once, before the next packet of each port or in the middle of it."""
+        for name in ports:
+            (self._inside if inside else self._before)[name].append(data)
+
+    def append(self, ports: Iterable[str], tail: bytes) -> None:
+        """Let the packets of these ports grow by a tail."""
+        self._tails.update(dict.fromkeys(ports, tail))
+
+    def add_sub_package(self, ports: Iterable[str], kind: int, payload: bytes) -> None:
+        """Let the robot states of these ports end in one more sub-package."""
+        self._sub_packages.update(dict.fromkeys(ports, (kind, payload)))
+
+    def heal(self) -> None:
+        """End all of it."""
+        self._stalled_until = dict.fromkeys(PORTS, 0)
+        self._cuts.clear()
+        self._segments.clear()
+        self._generation += 1
+        self._tails.clear()
+        self._sub_packages.clear()
+        for waiting in (*self._before.values(), *self._inside.values()):
+            waiting.clear()
+
+    # -- what the server asks ------------------------------------------------------------------------
+
+    def is_stalled(self, port: str) -> bool:
+        """This port is silent at present."""
+        return self._cycle() < self._stalled_until[port]
+
+    def take_cuts(self) -> set[str]:
+        """The ports whose connections are to be reset now."""
+        cuts, self._cuts = self._cuts, set()
+        return cuts
+
+    @property
+    def segments_changed(self) -> int:
+        """A number that changes when the segments of any port do."""
+        return self._generation
+
+    def segmenter(self, port: str) -> corruption.Segmenter | None:
+        """A new one for a connection to this port, or None where packets are sent as they are."""
+        rule = self._segments.get(port)
+        return None if rule is None else corruption.Segmenter(*rule)
+
+    def lasting(self, port: str, packet: bytes) -> bytes:
+        """A packet with what lasts: tails and unknown sub-packages."""
+        tail = self._tails.get(port)
+        if interface(port) == "realtime":
+            return packet if tail is None else corruption.with_tail(packet, tail)
+        if interface(port) == "dashboard" or packet[4] != 16:
+            return packet
+        if tail is not None:
+            packet = corruption.with_tails(packet, tail)
+        added = self._sub_packages.get(port)
+        return packet if added is None else corruption.with_sub_package(packet, *added)
+
+    def on_the_wire(self, port: str, packet: bytes) -> bytes:
+        """What this port sends in place of a packet; what happens once has then happened."""
+        packet = self.lasting(port, packet)
+        inside, before = self._inside[port], self._before[port]
+        if inside:
+            packet = corruption.with_garbage_inside(packet, b"".join(inside))
+            inside.clear()
+        if before:
+            packet = b"".join(before) + packet
+            before.clear()
+        return packet

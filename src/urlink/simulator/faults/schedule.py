@@ -1,0 +1,154 @@
+"""Faults by the clock: as text for a command line, and the schedule of one controller."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from linkcore.errors import BadValue, LocalError
+from urlink.firmware import Firmware
+from urlink.models import Model
+
+from ..state import firmware_for
+from .arguments import checked_seconds, checked_sizes, port_names, type_byte
+from .faults import Faults
+
+__all__ = ["FAULTS", "FaultSchedule", "ScheduledFault", "checked", "parse_fault"]
+
+_log = logging.getLogger("urlink.simulator")
+
+
+@dataclass(frozen=True)
+class ScheduledFault:
+    """A fault with the time at which it is to happen.
+
+    Attributes:
+        name: method of `Faults`.
+        arguments: of that method.
+        at: seconds from the start of the controller; a reboot does not begin them anew.
+    """
+
+    name: str
+    arguments: tuple[Any, ...]
+    at: float
+
+    def happen(self, faults: Faults) -> None:
+        """Do it now."""
+        getattr(faults, self.name)(*self.arguments)
+
+
+def _number(text: str) -> float:
+    return checked_seconds(float(text))
+
+
+def _size(text: str) -> int:
+    return checked_sizes([int(text)])[0]
+
+
+def _sizes(text: str) -> tuple[int, ...]:
+    return checked_sizes([int(part) for part in text.split("+")])
+
+
+#: name -> how its argument is read and what it is, or None where it has none, and whether it can be left out
+FAULTS: dict[str, tuple[Callable[[str], Any], str, bool] | None] = {
+    "protective_stop": None,
+    "emergency_stop": None,
+    "clear": None,
+    "power_off": None,
+    "power_on": None,
+    "reboot": (Firmware.parse, "the firmware to come back with", True),
+    "cut": (lambda text: port_names(text)[0], "the port", True),
+    "stall": (_number, "seconds", False),
+    "split": (_sizes, "sizes of segments, such as 100+200", False),
+    "merge": (_size, "packets per segment", False),
+    "garbage": (_size, "number of bytes", False),
+    "append": (_size, "number of bytes", False),
+    "unknown_package": (lambda text: type_byte(int(text)), "the type", True),
+    "unknown_sub_package": (lambda text: type_byte(int(text)), "the type", True),
+    "heal": None,
+}
+
+
+def parse_fault(text: str) -> ScheduledFault:
+    """``"protective_stop@5"``, ``"reboot=5.12@10"``, ``"split=100+200@0"``: NAME[=ARGUMENT]@SECONDS.
+
+    Raises:
+        BadValue: no such fault, an argument too many, missing or unreadable, or no time. The message says which.
+
+    >>> parse_fault("stall=2.5@10")
+    ScheduledFault(name='stall', arguments=(2.5,), at=10.0)
+    """
+    what, at_sign, when = text.rpartition("@")
+    if not at_sign:
+        raise BadValue(f"{text!r} has no time; expected NAME[=ARGUMENT]@SECONDS, such as protective_stop@5")
+    try:
+        at = _number(when)
+    except ValueError:
+        raise BadValue(f"{text!r}: {when!r} is not a number of seconds") from None
+    name, equals, argument = what.partition("=")
+    if name not in FAULTS:
+        raise BadValue(f"{text!r}: no fault is called {name!r}; there are {', '.join(FAULTS)}")
+    kind = FAULTS[name]
+    if kind is None:
+        if equals:
+            raise BadValue(f"{text!r}: {name} takes no argument")
+        return ScheduledFault(name, (), at)
+    read, meaning, optional = kind
+    if not equals:
+        if not optional:
+            raise BadValue(f"{text!r}: {name} needs {meaning}, as in {name}=...@{when}")
+        return ScheduledFault(name, (), at)
+    try:
+        value = read(argument)
+    except (ValueError, LocalError) as error:
+        raise BadValue(f"{text!r}: {argument!r} does not do as {meaning} ({error})") from None
+    return ScheduledFault(name, (value,), at)
+
+
+def checked(faults: Iterable[str | ScheduledFault], model: Model) -> list[ScheduledFault]:
+    """The faults, read where they are texts, as they can happen to an arm.
+
+    Raises:
+        BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not go
+            with the model.
+    """
+    parsed = [parse_fault(fault) if isinstance(fault, str) else fault for fault in faults]
+    for fault in parsed:
+        if fault.name not in FAULTS:
+            raise BadValue(f"no fault is called {fault.name!r}; there are {', '.join(FAULTS)}")
+        if fault.name == "reboot" and fault.arguments and fault.arguments[0] is not None:
+            firmware_for(model, fault.arguments[0])
+    return parsed
+
+
+class FaultSchedule:
+    """The faults that are to happen to one controller.
+
+    Args:
+        faults: what they are carried out with.
+    """
+
+    def __init__(self, faults: Faults) -> None:
+        self._do = faults
+        self._faults: list[ScheduledFault] = []
+
+    def add(self, faults: Iterable[ScheduledFault]) -> None:
+        """Let them happen, each at its time."""
+        self._faults = sorted([*self._faults, *faults], key=lambda fault: fault.at)
+
+    def next_cycle(self, rate: float) -> int | None:
+        """The cycle in which the next one happens; None if there is none."""
+        return math.ceil(self._faults[0].at * rate) if self._faults else None
+
+    def advance(self, cycle: int, rate: float) -> None:
+        """Let happen what is due in this cycle."""
+        while (due := self.next_cycle(rate)) is not None and due <= cycle:
+            fault = self._faults.pop(0)
+            try:
+                fault.happen(self._do)
+            except LocalError as error:
+                # Made by hand, with arguments that its method does not take; the controller goes on without it.
+                _log.warning("%s did not happen: %s", fault, error)

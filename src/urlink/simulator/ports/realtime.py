@@ -1,0 +1,100 @@
+"""The real-time interface, 30003: one packet in each cycle, and no greeting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+
+from ..state import ControllerState
+from .form import Fields, Form
+from .port import Client, ScriptReceiver
+
+__all__ = ["RealtimePort", "robot_current"]
+
+
+class RealtimePort:
+    """The real-time interface of one controller.
+
+    Args:
+        state: what is sent.
+        receiver: makes programs of what a client sends.
+    """
+
+    def __init__(self, state: ControllerState, receiver: Callable[[Client], ScriptReceiver]) -> None:
+        self.receiver = receiver
+        self._state = state
+        self._form: Form | None = None
+        self._firmware: Firmware | None = None
+
+    def greeting(self) -> list[bytes]:
+        return []
+
+    def next_cycle(self, cycle: int) -> int:
+        return cycle + 1
+
+    def packets(self, cycle: int) -> list[bytes]:
+        return [self.packet()]
+
+    def skip(self) -> None:
+        return None
+
+    def packet(self) -> bytes:
+        """The packet of this cycle."""
+        firmware = self._state.firmware
+        if self._form is None or self._firmware is not firmware:  # there was a reboot into another one
+            self._form, self._firmware = Form(RealtimeState.LAYOUTS.of(firmware)), firmware
+        return self._form.pack(_fields(self._state))
+
+
+def _fields(state: ControllerState) -> Fields:
+    arm, modes, signals = state.arm, state.modes, state.signals
+    s = arm.sample
+    powered = modes.is_powered
+    return {
+        "time": state.time,
+        "q_target": s.q_target,
+        "qd_target": s.qd_target,
+        "qdd_target": s.qdd_target,
+        "I_target": s.I_target,
+        "M_target": s.M_target,
+        "q_actual": s.q_actual,
+        "qd_actual": s.qd_actual,
+        "I_actual": s.I_actual,
+        "I_control": s.I_control,
+        "tool_vector_actual": s.pose_actual,
+        "tcp_speed_actual": s.speed_actual,
+        "tcp_force": s.force,
+        "tool_vector_target": s.pose_target,
+        "tcp_speed_target": s.speed_target,
+        "digital_input_bits": signals.digital_inputs,
+        "motor_temperatures": s.T_motor,
+        # The real CB2 packet holds 0.0635.
+        "controller_timer": 0.06,
+        "robot_mode": modes.robot_mode,
+        "joint_modes": [modes.joint_mode] * 6,
+        "safety_mode": modes.safety_mode,
+        "tool_accelerometer": s.accelerometer,
+        "speed_scaling": modes.speed_scaling * state.speed_fraction,
+        "linear_momentum_norm": s.momentum,
+        "V_main": 48.0,
+        "V_robot": 48.0 if powered else 0.0,
+        "I_robot": robot_current(state),
+        "V_actual": s.V_actual,
+        "digital_output_bits": signals.digital_outputs,
+        "program_state": modes.program_state,
+        "elbow_position": s.elbow_position,
+        "elbow_velocity": s.elbow_velocity,
+        "safety_status": modes.safety_mode,
+        "payload_mass": arm.payload,
+        "payload_cog": arm.payload_cog,
+        "payload_inertia": arm.payload_inertia,
+    }
+
+
+def robot_current(state: ControllerState) -> float:
+    """A, a guess: what the electronics take, and a part of what the motors do."""
+    if not state.modes.is_powered:
+        return 0.0
+    return 0.3 + 0.1 * sum(map(abs, state.arm.sample.I_actual))

@@ -1,0 +1,141 @@
+"""The controller, as one of its programs sees it: the `World` of `urlink.simulator.urscript`, over the state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from urlink.firmware import Firmware
+from urlink.models import Model
+
+from ..messages import popup_message, text_message
+from ..robot.generator import MotionGenerator
+from ..robot.signals import Signals
+from ..state import ControllerState
+from .program_sockets import ProgramSockets
+
+__all__ = ["ProgramWorld"]
+
+
+class ProgramWorld:
+    """The controller as one of its programs sees it: the `World` of `urlink.simulator.urscript`.
+
+    Args:
+        state: of the controller.
+        allows: whether a numeric address beyond this computer may be connected to.
+        generator: what the program moves the arm with; None for a secondary program, which may only ask whether the arm
+            moves.
+    """
+
+    def __init__(
+        self, state: ControllerState, allows: Callable[[str], bool], generator: MotionGenerator | None = None
+    ) -> None:
+        self._state = state
+        self._generator = generator
+        self.sockets = ProgramSockets(allows)
+        self.period = state.period
+
+    @property
+    def motion(self) -> MotionGenerator:
+        if self._generator is None:
+            return MotionGenerator(self._state.model, self._state.arm.setpoint)
+        return self._generator
+
+    @property
+    def firmware(self) -> Firmware:
+        return self._state.firmware
+
+    @property
+    def model(self) -> Model:
+        return self._state.model
+
+    @property
+    def cycle(self) -> int:
+        return self._state.cycle
+
+    @property
+    def signals(self) -> Signals:
+        return self._state.signals
+
+    @property
+    def flags(self) -> list[bool]:
+        return self._state.flags
+
+    @property
+    def q_actual(self) -> Sequence[float]:
+        return self._state.arm.q_actual
+
+    @property
+    def qd_actual(self) -> Sequence[float]:
+        return self._state.arm.sample.qd_actual
+
+    @property
+    def q_target(self) -> Sequence[float]:
+        return self._state.arm.setpoint.q
+
+    @property
+    def qd_target(self) -> Sequence[float]:
+        return self._state.arm.setpoint.qd
+
+    @property
+    def pose_actual(self) -> Sequence[float]:
+        return self._state.arm.sample.pose_actual
+
+    @property
+    def pose_target(self) -> Sequence[float]:
+        return self._state.arm.sample.pose_target
+
+    @property
+    def speed_actual(self) -> Sequence[float]:
+        return self._state.arm.sample.speed_actual
+
+    @property
+    def force(self) -> Sequence[float]:
+        return self._state.arm.sample.force
+
+    @property
+    def torques(self) -> Sequence[float]:
+        return self._state.arm.sample.M_target
+
+    @property
+    def tcp(self) -> Sequence[float]:
+        return self._state.arm.tcp
+
+    def set_tcp(self, pose: Sequence[float]) -> None:
+        self._state.arm.tcp = list(pose)
+        if self._generator is not None:
+            # A movement may follow in the same cycle.
+            self._generator.tcp = pose
+
+    @property
+    def payload(self) -> float:
+        return self._state.arm.payload
+
+    @property
+    def payload_cog(self) -> Sequence[float]:
+        return self._state.arm.payload_cog
+
+    def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
+        arm = self._state.arm
+        arm.payload = mass
+        if cog is not None:
+            arm.payload_cog = tuple(cog)
+        if inertia is not None:
+            arm.payload_inertia = tuple(inertia)
+
+    def set_gravity(self, vector: Sequence[float]) -> None:
+        """Without effect: the simulated arm stands upright."""
+
+    def text_message(self, text: str) -> None:
+        self._state.outbox.offer(lambda: text_message(self._state, text))
+
+    def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
+        state = self._state
+        state.popup = text
+        state.outbox.offer(lambda: popup_message(state, text, title, is_warning, is_error, is_blocking))
+
+    @property
+    def has_popup(self) -> bool:
+        return self._state.popup is not None
+
+    def protective_stop(self, reason: str) -> None:
+        self._state.stop_protectively(reason)

@@ -1,0 +1,212 @@
+"""What runs on a controller: the program that commands the arm, and the secondary ones that run beside it.
+
+In each cycle the threads of the program run first; then its motion generator makes one set-point of what they have
+commanded. The arm follows that set-point, and knows nothing of programs.
+
+Guesses: that a protective stop pauses a program, which `play` then continues, and that an emergency stop or switching
+off ends it; that secondary programs run on through all of these.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from .. import messages
+from ..robot.generator import LimitViolation, MotionGenerator
+from ..robot.sources import Setpoint, SetpointSource
+from ..state import ControllerState
+from ..urscript import Execution, Script, ScriptError
+from .program_world import ProgramWorld
+
+__all__ = ["ProgramRunner", "RunningProgram"]
+
+#: Secondary programs that run at once; more than that wait until one of them is over. Nearly all are within a cycle.
+MOST_SECONDARY = 32
+#: Characters of the secondary programs that wait.
+MOST_WAITING = 1 << 20
+
+
+class RunningProgram:
+    """A program that commands the arm: a source of set-points.
+
+    Attributes:
+        name: of the program.
+        is_program: it is not over. When it is, what still moves brakes, and holds.
+        error: what has ended it, or None.
+    """
+
+    def __init__(
+        self,
+        state: ControllerState,
+        script: Script,
+        allows: Callable[[str], bool],
+        on_end: Callable[[RunningProgram], object],
+    ) -> None:
+        self.name = script.name
+        self.is_program = True
+        self._state = state
+        self._on_end = on_end
+        # It takes over from what moved the arm before, at its speed.
+        self._generator = MotionGenerator(state.model, state.arm.setpoint)
+        self._world = ProgramWorld(state, allows, self._generator)
+        self._execution = Execution(script, self._world)
+
+    @property
+    def error(self) -> ScriptError | None:
+        return self._execution.error
+
+    def start(self, q: Sequence[float]) -> None:
+        """Go on from rest at six joint positions in rad, to which the arm has braked meanwhile."""
+        self._generator.start(q)
+
+    def advance(self, seconds: float) -> Setpoint:
+        """Run the threads, and return the set-point one cycle of that many seconds later."""
+        generator, state = self._generator, self._state
+        generator.speed_fraction = state.speed_fraction
+        if self.is_program:
+            generator.tcp = state.arm.tcp
+            self._execution.advance()
+            if self._execution.is_over:
+                self.end()
+        try:
+            return generator.advance(seconds)
+        except LimitViolation as violation:
+            state.stop_protectively(violation.reason)
+            return generator.setpoint
+
+    def end(self) -> None:
+        """Stop it, if it is not over by itself."""
+        if self.is_program:
+            self.is_program = False
+            self._execution.stop()
+            self._world.sockets.close_all()
+            self._on_end(self)
+
+
+class ProgramRunner:
+    """Runs the programs of one controller, and gives the set-points that its arm is to follow.
+
+    Args:
+        state: of the controller.
+        allows: whether programs may open sockets to a numeric address beyond this computer.
+
+    Attributes:
+        main: the program that was started last, also when it is over; None before the first.
+    """
+
+    def __init__(self, state: ControllerState, allows: Callable[[str], bool]) -> None:
+        self.main: RunningProgram | None = None
+        self._state = state
+        self._allows = allows
+        # The arm has braked, or is to: the source begins anew from where it comes to stand.
+        self._begins_anew = False
+        self._secondary: list[tuple[Execution, ProgramWorld]] = []
+        self._waiting: deque[tuple[Script, int]] = deque()
+
+    @property
+    def is_running(self) -> bool:
+        """A program that was sent runs, so that every cycle counts."""
+        return bool(self._secondary or self._waiting) or (self.main is not None and self.main.is_program)
+
+    # -- beginning and ending ------------------------------------------------------------------------
+
+    def start(self, script: Script) -> None:
+        """Stop the program that runs, and run this one."""
+        state = self._state
+        self.stop()
+        state.is_paused = False
+        self.main = state.source = RunningProgram(state, script, self._allows, self._ended)
+        # It goes on from the speed that the arm has, also while it brakes.
+        self._begins_anew = False
+        state.outbox.put(messages.program_started(state, script.name))
+        state.update_modes(0.0)
+
+    def start_secondary(self, script: Script, length: int) -> bool:
+        """Run a program beside the others, when there is room for it; False if too many of them wait.
+
+        Args:
+            script: to run.
+            length: characters of its text.
+        """
+        if sum(waiting for _, waiting in self._waiting) + length > MOST_WAITING:
+            return False
+        self._waiting.append((script, length))
+        return True
+
+    def stop(self) -> bool:
+        """End the program that runs. False without one."""
+        if self.main is None or not self.main.is_program:
+            return False
+        self.main.end()
+        return True
+
+    def follow(self, source: SetpointSource) -> None:
+        """Brake if need be, then follow another source from where the arm comes to stand."""
+        self._state.source = source
+        self._begins_anew = True
+
+    def close(self) -> None:
+        """End everything, as the controller goes down."""
+        self.stop()
+        for execution, world in self._secondary:
+            execution.stop()
+            world.sockets.close_all()
+        self._secondary.clear()
+        self._waiting.clear()
+
+    def restart(self) -> None:
+        """The controller is up again; the source that its state has now has begun already."""
+        self.main = None
+        self._begins_anew = False
+
+    def _ended(self, program: RunningProgram) -> None:
+        state = self._state
+        state.is_paused = False
+        if program.error is not None:
+            self._report(program.error)
+        state.outbox.put(messages.program_stopped(state, program.name))
+
+    def _report(self, error: ScriptError) -> None:
+        state = self._state
+        state.outbox.put(messages.runtime_exception(state, error.line, error.column, error.text, True))
+
+    # -- one cycle -----------------------------------------------------------------------------------
+
+    def advance(self, seconds: float) -> Setpoint | None:
+        """Run every program for one cycle.
+
+        Returns:
+            The set-point that the arm is to follow; None where it is to brake, and to stand.
+        """
+        state, modes = self._state, self._state.modes
+        if modes.holds_program:
+            if self.main is not None and self.main.is_program:
+                state.is_paused = True
+        elif not modes.may_move:
+            # The demonstration may have been paused.
+            self.stop()
+            state.is_paused = False
+        if self._secondary or self._waiting:
+            self._advance_secondary()
+        if not modes.may_move or state.is_paused:
+            self._begins_anew = True
+            return None
+        if self._begins_anew:
+            if state.arm.is_moving:
+                return None
+            state.source.start(state.arm.setpoint.q)
+            self._begins_anew = False
+        return state.source.advance(seconds)
+
+    def _advance_secondary(self) -> None:
+        while self._waiting and len(self._secondary) < MOST_SECONDARY:
+            world = ProgramWorld(self._state, self._allows)
+            self._secondary.append((Execution(self._waiting.popleft()[0], world), world))
+        for execution, world in self._secondary:
+            execution.advance()
+            if execution.is_over:
+                world.sockets.close_all()
+                if execution.error is not None:
+                    self._report(execution.error)
+        self._secondary = [pair for pair in self._secondary if not pair[0].is_over]

@@ -1,0 +1,171 @@
+"""The arm: it follows set-points, brakes when it gets none, and shows what its sensors would measure.
+
+Following and braking happen in every cycle. What the sensors show is worked out when a packet asks for it, so that it
+costs nothing while nobody looks, and comes out the same whoever looks and how often; see `sensors`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from linkcore.errors import BadValue
+from urlink.models import Model
+
+from . import kinematics
+from .sensors import Sample, Sensors
+from .sources import Setpoint
+
+__all__ = ["Arm", "braking_time"]
+
+_ZERO = [0.0] * 6
+#: Part of the largest joint acceleration with which an arm brakes. How hard a controller brakes is not published; this
+#: is a guess on the gentle side.
+GENTLE = 0.25
+
+
+class Arm:
+    """Six joints of a model.
+
+    Args:
+        model: geometry, masses and limits.
+        setpoint: where the arm is in the beginning.
+        seed: of the noise on its sensors.
+
+    Attributes:
+        model: geometry, masses and limits.
+        payload: kg at the flange.
+        payload_cog: (3,) its centre of mass in the flange frame, m.
+        payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
+        is_powered: without power there is no current and no noise.
+    """
+
+    def __init__(self, model: Model, setpoint: Setpoint, seed: int = 0) -> None:
+        self.model = model
+        self.payload = 0.0
+        self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
+        self.payload_inertia: Sequence[float] = (0.0,) * 6
+        self.is_powered = True
+        self._tcp: list[float] = list(_ZERO)
+        self._setpoint = setpoint
+        self._sensors = Sensors(model, setpoint.q, seed)
+        self._is_following = True
+        # Where braking began, the seconds that it takes, and those that are over.
+        self._brake: tuple[Setpoint, float, float] | None = None
+        self._cycle = 0
+        self._time = 0.0
+        self._sample: Sample | None = None
+
+    # -- moving ------------------------------------------------------------------------------------
+
+    @property
+    def setpoint(self) -> Setpoint:
+        """The targets of this cycle."""
+        return self._setpoint
+
+    @property
+    def is_moving(self) -> bool:
+        """It follows set-points that move, or brakes."""
+        return self._brake is not None or any(self._setpoint.qd)
+
+    @property
+    def is_standing(self) -> bool:
+        """It neither moves nor follows anything."""
+        return not self.is_moving and not self._is_following
+
+    def advance(self, seconds: float, setpoint: Setpoint | None) -> None:
+        """One cycle later: at this set-point; or, where that is None, slowing down, and standing from then on."""
+        self._cycle += 1
+        self._time += seconds
+        if setpoint is not None:
+            self._setpoint, self._brake = setpoint, None
+        else:
+            if self._is_following:
+                self._begin_to_brake()
+            if self._brake is not None:
+                self._go_on_braking(*self._brake, seconds)
+        self._is_following = setpoint is not None
+        self._sample = None
+
+    def _begin_to_brake(self) -> None:
+        if any(self._setpoint.qd):
+            self._brake = (self._setpoint, braking_time(self.model, self._setpoint.qd), 0.0)
+        else:
+            self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
+
+    def _go_on_braking(self, begin: Setpoint, duration: float, past: float, seconds: float) -> None:
+        """All joints slow down in proportion, so the brake path goes straight on from where the arm was going."""
+        past += seconds
+        if past >= duration:
+            self._brake = None
+            scaling, way, change = 0.0, 0.5 * duration, 0.0
+        else:
+            self._brake = (begin, duration, past)
+            u = past / duration
+            scaling = 1.0 - u * u * (3.0 - 2.0 * u)
+            way = duration * (u - u**3 * (1.0 - 0.5 * u))
+            change = -6.0 * u * (1.0 - u) / duration
+        self._setpoint = Setpoint(
+            [q + way * v for q, v in zip(begin.q, begin.qd, strict=True)],
+            [scaling * v for v in begin.qd] if scaling else _ZERO,
+            [change * v for v in begin.qd] if scaling else _ZERO,
+        )
+
+    # -- tool ----------------------------------------------------------------------------------------
+
+    @property
+    def tcp(self) -> list[float]:
+        """The tool centre point in the flange frame: m and rotation vector in rad."""
+        return list(self._tcp)
+
+    @tcp.setter
+    def tcp(self, pose: Sequence[float]) -> None:
+        values = [float(value) for value in pose]
+        if len(values) != 6 or not all(map(math.isfinite, values)):
+            raise BadValue(f"a TCP is six finite numbers, not {pose!r}")
+        self._tcp = values
+        self._sample = None
+
+    def take_tool_of(self, other: Arm) -> None:
+        """TCP and payload of another arm: they are in the installation, which outlives a reboot."""
+        self.tcp = other.tcp
+        self.payload = other.payload
+        self.payload_cog = other.payload_cog
+        self.payload_inertia = other.payload_inertia
+
+    # -- what it shows -------------------------------------------------------------------------------
+
+    @property
+    def sample(self) -> Sample:
+        """What the sensors show in this cycle."""
+        if self._sample is None:
+            self._sample = self._sensors.sample(
+                self._setpoint, self._tcp, self.payload, self.payload_cog, self._cycle, self._time, self.is_powered
+            )
+        return self._sample
+
+    @property
+    def q_actual(self) -> list[float]:
+        """The joint positions of `sample`, rad, without working out the rest of it: programs ask in every cycle."""
+        if self._sample is not None:
+            return self._sample.q_actual
+        return self._sensors.positions(self._setpoint, self._cycle, self.is_powered)
+
+    @property
+    def dexterity(self) -> float:
+        """The square of the determinant of the flange's Jacobian: 0 in a singular posture.
+
+        This is the number that three captured force mode packets hold, to all their digits.
+        """
+        return float(np.linalg.det(kinematics.jacobian(self.model, self._setpoint.q))) ** 2
+
+
+def braking_time(model: Model, qd: Sequence[float]) -> float:
+    """Seconds in which an arm of this model comes to rest from joint speeds in rad/s."""
+    limits: list[float] = model.max_acceleration.tolist()
+    hardest = max(abs(v) / limit for v, limit in zip(qd, limits, strict=True))
+    # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less than what one can see
+    # at 125 Hz.
+    return max(1.5 * hardest / GENTLE, 0.06)

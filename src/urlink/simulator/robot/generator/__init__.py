@@ -1,0 +1,9 @@
+"""The motion generator of a simulated controller: from movej and its kin to set-points, cycle by cycle."""
+
+from __future__ import annotations
+
+from .joint_limits import LimitViolation, Unreachable
+from .motion_generator import MotionGenerator
+from .path_motion import Move
+
+__all__ = ["LimitViolation", "MotionGenerator", "Move", "Unreachable"]

@@ -1,0 +1,132 @@
+"""What a controller does not let an arm do, and the arguments that it cannot make sense of.
+
+A controller stops an arm protectively when a joint is about to leave its range or to go faster than it may, or when
+no arm could follow. How much it tolerates is a guess here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from linkcore.errors import BadValue
+from urlink.models import Model
+
+from ..sources import Setpoint
+
+__all__ = ["JOINTS", "JointLimits", "LimitViolation", "Unreachable", "checked", "positive"]
+
+JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
+
+# Part of the largest speed of a joint that a set-point may lie above it: rounding, and a client's rough interpolation.
+_TOLERANCE = 0.03
+# Times the largest acceleration of a joint, which no arm can follow. Less than that is left to the motors.
+_HARDEST = 10.0
+# rad that rounding may put a joint beyond its range
+_ROUNDING = 1e-9
+
+
+class LimitViolation(Exception):
+    """A set-point breaks a limit of the arm, for which a controller stops it protectively.
+
+    Attributes:
+        reason: which joint and which limit.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class Unreachable(Exception):
+    """The arm cannot put its tool where a motion function wants it."""
+
+
+class JointLimits:
+    """The limits of one model, as plain numbers.
+
+    Attributes:
+        speed, acceleration: of each joint, rad/s and rad/s².
+        allowed_speed: that with the tolerance, rad/s.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.speed: list[float] = model.max_speed.tolist()
+        self.acceleration: list[float] = model.max_acceleration.tolist()
+        self.allowed_speed = [(1.0 + _TOLERANCE) * speed for speed in self.speed]
+        self._hardest = [_HARDEST * limit for limit in self.acceleration]
+        self._lowest: list[float] = (model.position_limits[:, 0] - _ROUNDING).tolist()
+        self._highest: list[float] = (model.position_limits[:, 1] + _ROUNDING).tolist()
+
+    def check(self, last: Setpoint, new: Setpoint, seconds: float) -> None:
+        """Refuse a set-point that is too fast, too sudden after the last, or outside the range and further out than it.
+
+        Moving back in is allowed, since an arm may stand outside once it has braked.
+
+        Raises:
+            LimitViolation: it is refused.
+        """
+        for speed, allowed in zip(new.qd, self.allowed_speed, strict=True):
+            if not -allowed <= speed <= allowed:
+                raise LimitViolation(self._too_fast(new.qd))
+        for old, speed, hardest in zip(last.qd, new.qd, self._hardest, strict=True):
+            if abs(speed - old) > hardest * seconds:
+                raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
+        if not any(new.qd):
+            # At its end a path puts the joints where they belong, which is no leap, unless it ends in a singularity.
+            way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
+            if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
+                raise LimitViolation(self._too_fast(way))
+        for q, lowest, highest in zip(new.q, self._lowest, self._highest, strict=True):
+            if not lowest <= q <= highest:
+                self._check_range(last, new)
+                break
+
+    def check_target(self, q: Sequence[float]) -> None:
+        """Refuse a target of the joints outside the range.
+
+        Raises:
+            LimitViolation: it is refused.
+        """
+        for joint, position, lowest, highest in zip(JOINTS, q, self._lowest, self._highest, strict=True):
+            if not lowest <= position <= highest:
+                raise LimitViolation(f"{joint}: the target of {position:.4f} rad is out of range")
+
+    def _too_fast(self, qd: Sequence[float]) -> str:
+        ratios = [abs(speed) / limit for speed, limit in zip(qd, self.speed, strict=True)]
+        joint = ratios.index(max(ratios))
+        return f"{JOINTS[joint]}: a speed of {qd[joint]:.3f} rad/s; at most {self.speed[joint]:.3f} is allowed"
+
+    def _too_sudden(self, old: Sequence[float], new: Sequence[float], seconds: float) -> str:
+        changes = [(b - a) / seconds for a, b in zip(old, new, strict=True)]
+        ratios = [abs(change) / limit for change, limit in zip(changes, self.acceleration, strict=True)]
+        joint = ratios.index(max(ratios))
+        return f"{JOINTS[joint]}: an acceleration of {changes[joint]:.0f} rad/s², which no arm can follow"
+
+    def _check_range(self, last: Setpoint, new: Setpoint) -> None:
+        for joint, old, q, lowest, highest in zip(JOINTS, last.q, new.q, self._lowest, self._highest, strict=True):
+            if (q > highest and q > old) or (q < lowest and q < old):
+                raise LimitViolation(f"{joint}: a position of {q:.4f} rad is out of range")
+
+
+def checked(values: Sequence[float], what: str) -> list[float]:
+    """Six finite numbers as a list of floats.
+
+    Raises:
+        BadValue: they are not.
+    """
+    numbers = [float(value) for value in values]
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise BadValue(f"{what} must be six finite numbers, not {values!r}")
+    return numbers
+
+
+def positive(value: float, what: str) -> float:
+    """A finite number above zero.
+
+    Raises:
+        BadValue: it is not.
+    """
+    if not 0.0 < value < math.inf:
+        raise BadValue(f"{what} must be a finite number above zero, not {value!r}")
+    return float(value)

@@ -1,0 +1,313 @@
+"""The source of the arm's targets while a program commands it.
+
+Every command takes over whatever the arm is doing, with a continuous speed. Path moves (movej, movel, movep, movec,
+servoc) begin where the arm can come to rest and add what is left of the speed; speeds and stops go on from the present
+speed; servoj follows from it.
+
+Guesses, because a controller's own way is not published: how hard it brakes when nobody commands it or a path move
+interrupts another movement (a quarter of the model's acceleration), that the speed slider changes over 0.1 s, and that
+it does not count for servoj.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from linkcore.errors import BadValue
+from urlink.models import Model
+
+from ..sources import Setpoint
+from .joint_limits import JointLimits, LimitViolation, checked, positive
+from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, timed
+from .servo_motion import ServoMotion, lag_of
+from .speed_motion import JointSpeed, ToolSpeed
+from .tool_paths import CircularPath, LinearPath
+
+__all__ = ["MotionGenerator"]
+
+_REST = [0.0] * 6
+# Of the model's largest acceleration: as in urlink.simulator.robot.arm.braking_time.
+_GENTLE = 0.25
+# 1/s: the pace gets from nothing to full in a tenth of a second.
+_PACE_RATE = 10.0
+# rad or m, for a speed and an acceleration above zero where there is no way to go.
+_SHORTEST = 1e-9
+
+
+class Command(Protocol):
+    """What is being done."""
+
+    move: Move
+    is_at_rest: bool
+
+    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
+        """The set-point one cycle after `last`, at a pace that has changed by `change` over the cycle."""
+
+
+class MotionGenerator:
+    """Makes the targets of six joints of a model.
+
+    Attributes:
+        setpoint: the targets of this cycle.
+        speed_fraction: of the speed slider, in [0, 1]. Scales everything but servoj and stops.
+    """
+
+    def __init__(self, model: Model, setpoint: Setpoint) -> None:
+        self.setpoint = setpoint
+        self.speed_fraction = 1.0
+        self._model = model
+        self._limits = JointLimits(model)
+        self._gentle = [_GENTLE * limit for limit in self._limits.acceleration]
+        self._tcp = list(_REST)
+        self._pace = 1.0
+        self._command: Command | None = None
+        self._refusal: LimitViolation | None = None
+        if any(setpoint.qd):
+            self.release()
+
+    @property
+    def tcp(self) -> list[float]:
+        """The tool centre point in the flange frame, m and rad; a movement that was begun keeps its own."""
+        return list(self._tcp)
+
+    @tcp.setter
+    def tcp(self, pose: Sequence[float]) -> None:
+        self._tcp = checked(pose, "a TCP")
+
+    @property
+    def is_standing(self) -> bool:
+        """No joint moves, and none is about to."""
+        return (self._command is None or self._command.is_at_rest) and not any(self.setpoint.qd)
+
+    # -- time --------------------------------------------------------------------------------------
+
+    def advance(self, seconds: float) -> Setpoint:
+        """The targets one cycle of that many seconds later.
+
+        Raises:
+            LimitViolation: they break a limit; the set-point stays what it was, until another command or `start`.
+        """
+        if self._refusal is not None:
+            raise self._refusal
+        last = self.setpoint
+        change = max(-_PACE_RATE * seconds, min(_PACE_RATE * seconds, self.speed_fraction - self._pace))
+        self._pace += change
+        if self._command is not None:
+            try:
+                setpoint = self._command.advance(last, seconds, self._pace, change)
+                self._limits.check(last, setpoint, seconds)
+            except LimitViolation as refusal:
+                self._refusal = refusal
+                raise
+            self.setpoint = setpoint
+        return self.setpoint
+
+    def start(self, q: Sequence[float]) -> None:
+        """Go on from rest at six joint positions in rad, to which something else has braked the arm.
+
+        A path move goes on to its end and a speed is approached again. What had ended, what broke a limit and a
+        set-point of servoj are forgotten, and the arm stands.
+        """
+        self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
+        command = self._command
+        if self._refusal is not None or command is None or command.is_at_rest or isinstance(command, ServoMotion):
+            self._begin(JointSpeed(_REST, self._gentle, None))
+        elif isinstance(command, PathMotion):
+            self._pace = 0.0
+            way = [b - a for a, b in zip(self.setpoint.q, command.place, strict=True)]
+            # Its fastest point, 3/2 of the mean, is half of what the joints may.
+            furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
+            command.restart(Blend(way, _REST, max(3.0 * furthest, 0.1), self._gentle))
+        elif isinstance(command, ToolSpeed):
+            command.restart(self.setpoint)
+
+    # -- path moves --------------------------------------------------------------------------------
+
+    def movej(self, q: Sequence[float], a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Move:
+        """All joints to positions in rad, together: the one that goes furthest with `a` rad/s² and `v` rad/s.
+
+        Args:
+            q: (6,) rad.
+            a, v: lowered to what the model can do.
+            t: s that it is to take; where above zero, `a` and `v` do not count.
+            r: m, the blend radius.
+
+        Raises:
+            BadValue: an argument is no such number.
+        """
+        end = checked(q, "joint positions")
+        start, remainder = self._take_over()
+        path = JointPath(self._model, self._limits, self.tcp, start, end)
+        move = self._travel(path, start, remainder, a, v, t, r)
+        self._check_target(end)
+        return move
+
+    def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Move:
+        """The TCP straight to a pose in the base frame with `a` m/s² and `v` m/s, turning about one axis meanwhile.
+
+        Args:
+            pose: (6,) m and rad.
+            t: s that it is to take; where above zero, `a` and `v` do not count.
+            r: m, the blend radius.
+
+        Raises:
+            BadValue: an argument is no such number.
+            Unreachable: the arm does not reach the pose.
+        """
+        start, remainder = self._take_over()
+        path = LinearPath(self._model, self.tcp, start, checked(pose, "a pose"))
+        return self._travel(path, start, remainder, a, v, t, r)
+
+    def movec(
+        self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
+    ) -> Move:
+        """The TCP along the circle from its place by way of one pose to another, with `a` m/s² and `v` m/s.
+
+        Args:
+            via, to: (6,) m and rad; only the position of `via` counts.
+            r: m, the blend radius.
+            mode: 0 turns the tool to the orientation of `to`; 1 keeps it as it is towards the path.
+
+        Raises:
+            BadValue: an argument is no such number.
+            Unreachable: the arm does not reach the end, or the points are on no circle.
+        """
+        if mode not in (0, 1):
+            raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
+        start, remainder = self._take_over()
+        ends = checked(via, "a pose"), checked(to, "a pose")
+        path = CircularPath(self._model, self.tcp, start, *ends, fixed=mode == 1)
+        return self._travel(path, start, remainder, a, v, 0.0, r)
+
+    def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
+        """As `movel`: with blends between them, the tool goes on at about the same speed."""
+        return self.movel(pose, a, v, 0.0, r)
+
+    def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
+        """As `movel`. A controller follows the pose along a circular blend, of which only the straight part is here."""
+        return self.movel(pose, a, v, 0.0, r)
+
+    # -- set-points, speeds, stops -----------------------------------------------------------------
+
+    def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Move:
+        """Follow joint positions in rad for a cycle, or for `t` s where that is more; see the module `servo_motion`.
+
+        Args:
+            lookahead_time, gain: s and 1; zero on firmware that does not have them.
+
+        Raises:
+            BadValue: an argument is no such number.
+        """
+        end = checked(q, "joint positions")
+        begin = self._command.goal if isinstance(self._command, ServoMotion) else self.setpoint.q
+        seconds = _not_negative(t, "a time")
+        lag = lag_of(seconds, _not_negative(lookahead_time, "a look-ahead time"), _not_negative(gain, "a gain"))
+        return self._begin(ServoMotion(self._limits, begin, end, seconds, lag))
+
+    def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Move:
+        """Change the joint speeds to `qd` rad/s, the one that changes most by `a` rad/s², and keep them.
+
+        Raises:
+            BadValue: an argument is no such number.
+        """
+        return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), _time(t)))
+
+    def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Move:
+        """Change the speed of the TCP to `xd` m/s and rad/s in the base frame, by `a` m/s² and `a_rot` rad/s², and keep
+        it. Without an `a_rot` above zero, `a` is taken for both.
+
+        Raises:
+            BadValue: an argument is no such number.
+        """
+        return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, _time(t)))
+
+    def stopj(self, a: float) -> Move:
+        """Brake all joints in proportion, the fastest by `a` rad/s², or less where the model cannot; over at rest.
+
+        Raises:
+            BadValue: `a` is not above zero.
+        """
+        return self._begin(JointSpeed(_REST, self._at_most(a), None))
+
+    def stopl(self, a: float, a_rot: float | None = None) -> Move:
+        """Brake the tool along its direction by `a` m/s² and `a_rot` rad/s²; over at rest.
+
+        Raises:
+            BadValue: an argument is no such number.
+        """
+        return self._begin(self._tool_speed(_REST, a, a_rot, None))
+
+    def release(self) -> None:
+        """Nobody commands any more: brake to rest. A path move whose blend nothing follows goes on to its end."""
+        if isinstance(self._command, PathMotion) and self._command.blends:
+            return
+        if not self.is_standing:
+            self._begin(JointSpeed(_REST, self._gentle, None))
+
+    # -- beginning ---------------------------------------------------------------------------------
+
+    def _begin(self, command: Command) -> Move:
+        if self._command is not None:
+            self._command.move.is_over = True
+        self._command = command
+        self._refusal = None
+        return command.move
+
+    def _travel(
+        self, path: Path, start: list[float], remainder: Blend | None, a: float, v: float, t: float, r: float
+    ) -> Move:
+        radius = _not_negative(r, "a blend radius")
+        if _not_negative(t, "a time") > 0.0:
+            speed, acceleration = timed(max(path.length, _SHORTEST), t, path.speed, path.acceleration)
+        else:
+            speed = min(positive(v, "a speed"), path.speed)
+            acceleration = min(positive(a, "an acceleration"), path.acceleration)
+        profile = Profile(path.length, speed, acceleration)
+        if remainder is not None and profile.duration > 0.0:
+            # No faster than the old speed dies away: then the sum of both is never above the larger of them.
+            rise = min(acceleration, profile.peak / (remainder.duration * max(self._pace, 0.01)))
+            profile = Profile(path.length, profile.peak, acceleration, rise)
+        return self._begin(PathMotion(path, profile, start, remainder, radius))
+
+    def _take_over(self) -> tuple[list[float], Blend | None]:
+        """Where a path begins, and what is left of the present movement on the way there."""
+        q, qd, _ = self.setpoint
+        if not any(qd):
+            return list(q), None
+        # Evenly, no harder than gently.
+        duration = max(abs(v) / limit for v, limit in zip(qd, self._gentle, strict=True))
+        if isinstance(self._command, PathMotion) and self._command.blends:
+            corner, duration = self._command.corner()
+            way = [b - a for a, b in zip(q, corner, strict=True)]
+            return corner, Blend(way, qd, duration, self._limits.acceleration)
+        way = [0.5 * duration * v for v in qd]
+        return [a + d for a, d in zip(q, way, strict=True)], Blend(way, qd, duration, self._limits.acceleration)
+
+    def _check_target(self, q: list[float]) -> None:
+        """A target out of range is refused in the next cycle, where limits are."""
+        try:
+            self._limits.check_target(q)
+        except LimitViolation as refusal:
+            self._refusal = refusal
+
+    def _tool_speed(self, xd: Sequence[float], a: float, a_rot: float | None, t: float | None) -> ToolSpeed:
+        line = positive(a, "an acceleration")
+        turn = line if not a_rot else positive(a_rot, "an angular acceleration")
+        old = self._command if isinstance(self._command, ToolSpeed) else None
+        return ToolSpeed(self._model, self._limits, self.tcp, self.setpoint, xd, line, turn, t, old)
+
+    def _at_most(self, a: float) -> list[float]:
+        acceleration = positive(a, "an acceleration")
+        return [min(acceleration, limit) for limit in self._limits.acceleration]
+
+
+def _time(t: float | None) -> float | None:
+    return None if t is None else _not_negative(t, "a time")
+
+
+def _not_negative(value: float, what: str) -> float:
+    if not 0.0 <= value < math.inf:
+        raise BadValue(f"{what} must be a finite number of zero or more, not {value!r}")
+    return float(value)

@@ -1,0 +1,283 @@
+"""Following a path from rest to rest: movej, and with the paths of `tool_paths` movel, movep, movec and servoc.
+
+A path is a way, such as that of the joint that goes furthest; a trapezoidal profile says how far along it the movement
+is; a blend takes over from the movement before. That UR controllers use trapezoidal profiles with the `a` and `v` of
+the functions is in the script manual; how they blend is not published, and a guess here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from urlink.models import Model
+
+from .. import kinematics
+from ..sources import Setpoint
+from .joint_limits import JointLimits
+
+__all__ = ["Blend", "JointPath", "Move", "Path", "PathMotion", "Profile", "timed"]
+
+_REST = [0.0] * 6
+
+
+class Move:
+    """One movement that was begun.
+
+    Attributes:
+        is_over: the function that began it returns: the movement has ended, has come within its blend radius of the
+            target, has lasted as long as was asked, or another one took its place.
+    """
+
+    __slots__ = ("is_over",)
+
+    def __init__(self) -> None:
+        self.is_over = False
+
+
+# -- how far along the path ----------------------------------------------------------------------------
+
+
+class Profile:
+    """From rest to rest over a length, as fast as a speed and two accelerations let it: a trapezoid of the speed over
+    time, or a triangle where the length is too short to reach the speed.
+
+    Attributes:
+        length: of the path, in whatever unit the speed and the accelerations have.
+        duration: s.
+        peak: the largest speed.
+    """
+
+    def __init__(self, length: float, speed: float, acceleration: float, rise: float | None = None) -> None:
+        """`rise` is the acceleration of speeding up where that is another one than that of slowing down."""
+        rise = acceleration if rise is None else rise
+        # What speeding up and slowing down take of the length, per square of the speed.
+        ramps = 0.5 / rise + 0.5 / acceleration
+        peak = min(speed, math.sqrt(length / ramps))
+        self.length, self.peak = length, peak
+        self._rise, self._fall = rise, acceleration
+        self._up = peak / rise
+        cruise = max(length / peak - peak * ramps, 0.0) if peak > 0.0 else 0.0
+        self._down = self._up + cruise
+        self.duration = self._down + peak / acceleration
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Way, speed and acceleration at a time in s from the start; at rest at the end from the end on."""
+        if time >= self.duration:
+            return self.length, 0.0, 0.0
+        if time < self._up:
+            return 0.5 * self._rise * time * time, self._rise * time, self._rise
+        if time < self._down:
+            return self.peak * (time - 0.5 * self._up), self.peak, 0.0
+        left = self.duration - time
+        return self.length - 0.5 * self._fall * left * left, self._fall * left, -self._fall
+
+
+def timed(length: float, duration: float, speed: float, acceleration: float) -> tuple[float, float]:
+    """The speed and the acceleration with which a length takes that many seconds, or as little more as the largest
+    `speed` and `acceleration` allow.
+
+    A third of the time each for speeding up, constant speed and slowing down, where the limits allow that; a
+    controller's own choice is not known.
+    """
+    even = 1.5 * length / duration, 4.5 * length / duration**2
+    if even[0] <= speed and even[1] <= acceleration:
+        return even
+    # At the largest acceleration, length / v + v / acceleration = duration.
+    root = (acceleration * duration) ** 2 - 4.0 * acceleration * length
+    if root < 0.0:
+        return speed, acceleration
+    return min(0.5 * (acceleration * duration - math.sqrt(root)), speed), acceleration
+
+
+# -- from the movement before to this one ---------------------------------------------------------------
+
+
+class Blend:
+    """The way that is still to go, as it dies away: six cubics of the time from where the arm is to nothing.
+
+    A way of half the speed times the duration makes them parabolas: constant decelerations.
+
+    Attributes:
+        duration: s.
+    """
+
+    def __init__(
+        self, way: Sequence[float], qd: Sequence[float], duration: float, acceleration: Sequence[float]
+    ) -> None:
+        """Six joints that have a way in rad to go and a speed in rad/s now, in at least `duration` s.
+
+        It takes longer if one of six accelerations, rad/s², were exceeded otherwise.
+        """
+        worst = max(
+            max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
+            for d, v, limit in zip(way, qd, acceleration, strict=True)
+        )
+        while worst > 1.0 + 1e-9:
+            duration *= 1.25
+            worst = max(
+                max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
+                for d, v, limit in zip(way, qd, acceleration, strict=True)
+            )
+        self.duration = duration
+        self._time = 0.0
+        # In u = time / duration: q = -way + speed u + c u² + e u³, which is at rest at nothing where u is 1.
+        self._cubics = [
+            (-d, v * duration, 3.0 * d - 2.0 * v * duration, v * duration - 2.0 * d)
+            for d, v in zip(way, qd, strict=True)
+        ]
+
+    @property
+    def is_over(self) -> bool:
+        """Nothing is left."""
+        return self._time >= self.duration
+
+    def advance(self, seconds: float) -> tuple[list[float], list[float], list[float]]:
+        """What is to be added to positions, speeds and accelerations that many seconds later."""
+        self._time += seconds
+        if self.is_over:
+            return _REST, _REST, _REST
+        t = self.duration
+        u = self._time / t
+        return (
+            [a + u * (b + u * (c + u * e)) for a, b, c, e in self._cubics],
+            [(b + u * (2.0 * c + 3.0 * u * e)) / t for _, b, c, e in self._cubics],
+            [(2.0 * c + 6.0 * u * e) / (t * t) for _, _, c, e in self._cubics],
+        )
+
+
+# -- paths and their motion ----------------------------------------------------------------------------
+
+
+class Path(Protocol):
+    """Where the joints are along a way."""
+
+    length: float
+    speed: float
+    acceleration: float
+
+    def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
+        """The joints where so much of the way is behind them; `last` is the path's set-point of the cycle before."""
+
+    def end(self, near: list[float]) -> list[float]:
+        """The joints at the end of a path that has brought them to `near`."""
+
+    def left(self, q: list[float]) -> float:
+        """How far the TCP is from its place at the end when the joints are at `q`, m."""
+
+
+class JointPath:
+    """Six joints that start and arrive together. Its length is the way of the joint that goes furthest, in rad.
+
+    Attributes:
+        length: rad.
+        speed, acceleration: of the furthest joint at which none is above its limits, rad/s and rad/s².
+    """
+
+    def __init__(self, model: Model, limits: JointLimits, tcp: Sequence[float], start: list[float], end: list[float]):
+        self._model, self._tcp = model, tcp
+        self._start, self._end = start, end
+        way = [b - a for a, b in zip(start, end, strict=True)]
+        self.length = max(map(abs, way))
+        self._shares = [part / self.length for part in way] if self.length > 0.0 else list(_REST)
+        self.speed = _within(limits.speed, self._shares)
+        self.acceleration = _within(limits.acceleration, self._shares)
+        self._corner: list[float] | None = None
+
+    def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
+        """The joints where so much of the way is behind them."""
+        return Setpoint(
+            [a + way * share for a, share in zip(self._start, self._shares, strict=True)],
+            [speed * share for share in self._shares],
+            [acceleration * share for share in self._shares],
+        )
+
+    def end(self, near: Sequence[float]) -> list[float]:
+        """The joints at the end."""
+        return self._end
+
+    def left(self, q: Sequence[float]) -> float:
+        """How far the TCP is from its place at the end when the joints are at `q`, m."""
+        if self._corner is None:
+            self._corner = kinematics.pose(self._model, self._end, self._tcp).tolist()
+        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self._corner[:3])
+
+
+def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
+    return min((limit / abs(share) for limit, share in zip(limits, shares, strict=True) if share), default=1.0)
+
+
+class PathMotion:
+    """One path move. It is over at its end, or within the blend radius of it, in the second half of the way.
+
+    That a blend never begins in the first half is a guess: a controller ignores blends that overlap.
+
+    Attributes:
+        move: what the program waits for.
+    """
+
+    def __init__(self, path: Path, profile: Profile, start: list[float], remainder: Blend | None, r: float) -> None:
+        self.move = Move()
+        self._path, self._profile, self._remainder, self._radius = path, profile, remainder, r
+        self._time = 0.0
+        self._way = (0.0, 0.0)
+        self._last = Setpoint(start, _REST, _REST)
+        self.is_at_rest = False
+
+    @property
+    def blends(self) -> bool:
+        """The program has gone on, and the arm has not yet arrived."""
+        return self.move.is_over and not self.is_at_rest and self._way[1] > 0.0
+
+    def corner(self) -> tuple[list[float], float]:
+        """Where the joints would come to rest, and in how many seconds if they slowed down evenly from now on."""
+        way, speed = self._way
+        return self._path.end(self._last.q), 2.0 * (self._profile.length - way) / speed
+
+    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
+        """The set-point one cycle later, at a pace that has changed by `change` over the cycle."""
+        time = self._time + (pace - 0.5 * change) * seconds
+        arrives = time >= self._profile.duration
+        if arrives:
+            setpoint = Setpoint(self._path.end(self._last.q), _REST, _REST)
+            way, speed = self._profile.length, 0.0
+        else:
+            way, speed, acceleration = self._profile.at(time)
+            acceleration = acceleration * pace * pace + speed * change / seconds
+            speed *= pace
+            setpoint = self._path.setpoint(way, speed, acceleration, self._last, seconds)
+        self._time, self._way, self._last = time, (way, speed), setpoint
+        if self._remainder is not None:
+            q, qd, qdd = self._remainder.advance(seconds)
+            if self._remainder.is_over:
+                self._remainder = None
+            else:
+                setpoint = Setpoint(
+                    [a + b for a, b in zip(setpoint.q, q, strict=True)],
+                    [a + b for a, b in zip(setpoint.qd, qd, strict=True)],
+                    [a + b for a, b in zip(setpoint.qdd, qdd, strict=True)],
+                )
+        if arrives and self._remainder is None:
+            self.is_at_rest = self.move.is_over = True
+        elif self._blend_begins(way, setpoint.q):
+            # Found now, so that a corner which cannot be reached is a violation in this cycle.
+            self._path.end(self._last.q)
+            self.move.is_over = True
+        return setpoint
+
+    def _blend_begins(self, way: float, q: list[float]) -> bool:
+        if self.move.is_over or not self._radius or way < 0.5 * self._profile.length:
+            return False
+        return self._path.left(q) <= self._radius
+
+    def restart(self, remainder: Blend) -> None:
+        """Go on from rest elsewhere: the remainder leads back to the path."""
+        self._remainder = remainder
+        self._last = Setpoint(self._last.q, _REST, _REST)
+        self._way = (self._way[0], 0.0)
+
+    @property
+    def place(self) -> list[float]:
+        """The joints on the path itself, without what is left of an older one."""
+        return self._last.q

@@ -1,0 +1,254 @@
+"""What the sensors of an arm show, worked out from its set-points.
+
+What is behind the numbers:
+
+- **positions and poses** agree: every pose is the forward kinematics of the joint positions beside it;
+- **speeds** are the derivatives of the positions, TCP speeds the Jacobian times the joint speeds;
+- **lag and noise** of the actual joints are of the size seen in the one moving and the one standing capture;
+- **moments** hold the arm up (masses and centres of mass as published) and accelerate it (a coarse inertia, a guess);
+- **currents** are moments over the torque constants that the captures show, plus a guess of friction;
+- **temperatures** rise slowly from 24 degC, more in joints that carry more; how fast is a guess;
+- **tool accelerometer** is gravity in the frame of the tool, of the sign that the real CB2 packet shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from urlink.models import Model
+
+from . import kinematics
+from .sources import Setpoint
+from .tool_velocity import geometry, tool_velocity
+
+__all__ = ["Sample", "Sensors"]
+
+# Seconds by which the actual joints trail their targets.
+_LAG = 0.002
+# Standard deviations: rad, rad/s (of a moving joint), A, N or Nm, V, m/s².
+_NOISE_Q, _NOISE_QD, _NOISE_I, _NOISE_F, _NOISE_V, _NOISE_ACC = 1e-5, 5e-4, 0.01, 0.3, 0.05, 0.02
+_AMBIENT = 24.0
+_WARMING = 900.0
+# Of the friction current, A, and of the joint speed at which it is there, rad/s. A guess.
+_FRICTION, _STICTION = 0.4, 0.02
+
+_ZERO = [0.0] * 6
+# Gaussian noise is drawn once and walked through; a prime length keeps the channels from falling into step.
+_NOISE_LENGTH = 8191
+# Nm/A by joint, read off one capture each: simulated UR5e and UR3e, real CB2 UR5. The rest are guessed by joint size.
+_TORQUE_CONSTANTS = {
+    "UR5e": (9.93, 9.93, 9.93, 7.77, 7.77, 7.77),
+    "UR3e": (10.86, 10.86, 7.77, 3.6, 3.6, 3.6),
+    "UR5": (12.5, 12.5, 12.5, 9.3, 9.3, 9.3),
+    "UR3": (12.5, 12.5, 9.3, 4.5, 4.5, 4.5),
+}
+_TORQUE_CONSTANTS_LARGE = (14.0, 14.0, 12.5, 9.3, 9.3, 9.3)
+
+
+class Sample:
+    """Everything the arm shows in one cycle.
+
+    Attributes:
+        q_target, qd_target, qdd_target, M_target, I_target: six numbers: rad, rad/s, rad/s², Nm, A.
+        q_actual, qd_actual, I_actual, I_control, V_actual, T_motor: six numbers: rad, rad/s, A, A, V, degC.
+        pose_actual, pose_target: TCP in the base frame, m and rotation vector in rad.
+        speed_actual, speed_target: of the TCP, m/s and rad/s.
+        force: at the TCP, N and Nm.
+        elbow_position, elbow_velocity: the end of the upper arm, m and m/s.
+        accelerometer: m/s², in the frame of the tool.
+        momentum: kg m/s, coarse.
+    """
+
+    __slots__ = (
+        "I_actual",
+        "I_control",
+        "I_target",
+        "M_target",
+        "T_motor",
+        "V_actual",
+        "accelerometer",
+        "elbow_position",
+        "elbow_velocity",
+        "force",
+        "momentum",
+        "pose_actual",
+        "pose_target",
+        "q_actual",
+        "q_target",
+        "qd_actual",
+        "qd_target",
+        "qdd_target",
+        "speed_actual",
+        "speed_target",
+    )
+
+    I_actual: list[float]
+    I_control: list[float]
+    I_target: list[float]
+    M_target: list[float]
+    T_motor: list[float]
+    V_actual: list[float]
+    accelerometer: list[float]
+    elbow_position: list[float]
+    elbow_velocity: list[float]
+    force: list[float]
+    momentum: float
+    pose_actual: list[float]
+    pose_target: list[float]
+    q_actual: list[float]
+    q_target: list[float]
+    qd_actual: list[float]
+    qd_target: list[float]
+    qdd_target: list[float]
+    speed_actual: list[float]
+    speed_target: list[float]
+
+
+class Sensors:
+    """The sensors of one arm.
+
+    Args:
+        model: of the arm.
+        q: (6,) rad, the joint positions that decide how warm each joint gets.
+        seed: of the noise.
+    """
+
+    def __init__(self, model: Model, q: Sequence[float], seed: int) -> None:
+        self._model = model
+        self._noise_table = _noise(seed)
+        self._inertia = _inertia(model)
+        self._geometry = geometry(model)
+        self._constants = _TORQUE_CONSTANTS.get(model.name, _TORQUE_CONSTANTS_LARGE)
+        self._mass = float(model.link_masses.sum())
+        load = kinematics.gravity_torque(model, q).tolist()
+        self._rise = [4.0 + 3.0 * math.sqrt(abs(m / k)) for m, k in zip(load, self._constants, strict=True)]
+        self._warmed_to = -1
+        self._warm: list[float] = []
+
+    def positions(self, setpoint: Setpoint, cycle: int, is_powered: bool) -> list[float]:
+        """The actual joint positions, rad."""
+        q, qd, _ = setpoint
+        if any(qd):
+            # q(t - lag), to the first order: its derivative is known exactly.
+            noise = self._noise(cycle, 0, _NOISE_Q)
+            return [p - _LAG * v + n for p, v, n in zip(q, qd, noise, strict=True)]
+        return [p + n for p, n in zip(q, self._noise(cycle, 0, _NOISE_Q), strict=True)] if is_powered else q
+
+    def sample(
+        self,
+        setpoint: Setpoint,
+        tcp: Sequence[float],
+        payload: float,
+        payload_cog: Sequence[float],
+        cycle: int,
+        time: float,
+        is_powered: bool,
+    ) -> Sample:
+        """Everything in one cycle.
+
+        Args:
+            setpoint: the targets.
+            tcp: (6,) in the flange frame, m and rad.
+            payload: kg.
+            payload_cog: (3,) in the flange frame, m.
+            cycle: decides the noise.
+            time: s since the arm was switched on, which decides the temperatures.
+            is_powered: the motors have power.
+        """
+        model = self._model
+        q, qd, qdd = setpoint
+        s = Sample()
+        s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
+        s.q_actual = self.positions(setpoint, cycle, is_powered)
+        s.qd_actual = _ZERO
+        is_moving = any(qd)
+        if is_moving:
+            noise = self._noise(cycle, 1, _NOISE_QD)
+            s.qd_actual = [v - _LAG * a + n for v, a, n in zip(qd, qdd, noise, strict=True)]
+
+        s.pose_target = kinematics.pose(model, q, tcp).tolist()
+        s.pose_actual = kinematics.pose(model, s.q_actual, tcp).tolist()
+        s.speed_target = tool_velocity(self._geometry, q, qd, s.pose_target) if is_moving else _ZERO
+        s.speed_actual = tool_velocity(self._geometry, s.q_actual, s.qd_actual, s.pose_actual) if is_moving else _ZERO
+        s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
+        s.elbow_position, s.elbow_velocity = _elbow(model, s.q_actual, s.qd_actual)
+        s.accelerometer = [
+            g + n for g, n in zip(_gravity_in_tool(s.pose_actual), self._noise(cycle, 2, _NOISE_ACC)[:3], strict=True)
+        ]
+        if is_powered:
+            self._measure_load(s, payload, payload_cog, cycle)
+        else:
+            s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
+        s.T_motor = self._temperatures(int(time))
+        return s
+
+    def _measure_load(self, s: Sample, payload: float, payload_cog: Sequence[float], cycle: int) -> None:
+        """Moments, currents, voltages and the force at the TCP."""
+        held = kinematics.gravity_torque(self._model, s.q_target, payload, payload_cog).tolist()
+        s.M_target = [g + m * a for g, m, a in zip(held, self._inertia, s.qdd_target, strict=True)]
+        s.I_target = [m / k for m, k in zip(s.M_target, self._constants, strict=True)]
+        s.I_control = [i + _FRICTION * math.tanh(v / _STICTION) for i, v in zip(s.I_target, s.qd_target, strict=True)]
+        s.I_actual = [i + n for i, n in zip(s.I_control, self._noise(cycle, 3, _NOISE_I), strict=True)]
+        s.V_actual = [
+            round(47.8 - 0.1 * abs(i) + n, 1) for i, n in zip(s.I_control, self._noise(cycle, 4, _NOISE_V), strict=True)
+        ]
+        s.force = self._noise(cycle, 5, _NOISE_F)
+
+    def _temperatures(self, second: int) -> list[float]:
+        if second != self._warmed_to:
+            self._warmed_to = second
+            warm = 1.0 - math.exp(-second / _WARMING)
+            self._warm = [round(_AMBIENT + rise * warm, 1) for rise in self._rise]
+        return self._warm
+
+    def _noise(self, cycle: int, channel: int, scale: float) -> list[float]:
+        at = (cycle * 6 + channel * 1171) % _NOISE_LENGTH
+        return [scale * x for x in self._noise_table[at : at + 6]]
+
+
+def _gravity_in_tool(pose: Sequence[float]) -> tuple[float, float, float]:
+    """Gravity as the tool's frame sees it, m/s²: +z for a tool that points down.
+
+    The real CB2 packet has this sign: (-0.1, -2.8, 8.4) where the kinematics of its joints give (-1.0, -0.6, 9.8).
+    """
+    rx, ry, rz = pose[3:]
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    g = kinematics.GRAVITY
+    if angle < 1e-12:
+        return 0.0, 0.0, -g
+    x, y, z = rx / angle, ry / angle, rz / angle
+    s, v = math.sin(angle), 1.0 - math.cos(angle)
+    # The third row of the rotation matrix is the base's z axis in the frame of the tool.
+    return -g * (v * x * z - s * y), -g * (v * y * z + s * x), -g * (1.0 - v * (x * x + y * y))
+
+
+def _elbow(model: Model, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:
+    """The end of the upper arm, on the axis through the shoulder's plane; m and m/s.
+
+    The elbow of the safety data of the one CB3 capture is this point. That the real-time packet's is too is a guess.
+    """
+    a2, d1 = model.dh_a.item(1), model.dh_d.item(0)
+    s1, c1, s2, c2 = math.sin(q[0]), math.cos(q[0]), math.sin(q[1]), math.cos(q[1])
+    turn, lift = qd[0], qd[1]
+    out, speed = a2 * c2, -a2 * s2 * lift
+    return (
+        [out * c1, out * s1, d1 + a2 * s2],
+        [speed * c1 - out * s1 * turn, speed * s1 + out * c1 * turn, a2 * c2 * lift],
+    )
+
+
+def _inertia(model: Model) -> list[float]:
+    """kg m² that each joint accelerates, coarsely: everything behind it at half its reach in an L-shaped posture."""
+    lengths = [abs(a) + abs(d) for a, d in zip(model.dh_a.tolist(), model.dh_d.tolist(), strict=True)]
+    masses = model.link_masses.tolist()
+    return [sum(masses[i:]) * (0.5 * sum(lengths[i:])) ** 2 / 2.0 for i in range(6)]
+
+
+@lru_cache(maxsize=32)
+def _noise(seed: int) -> tuple[float, ...]:
+    numbers: list[float] = np.random.default_rng(seed).standard_normal(_NOISE_LENGTH).tolist()
+    return (*numbers, *numbers[:6])

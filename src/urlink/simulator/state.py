@@ -1,0 +1,229 @@
+"""The state of a controller: everything that its ports show and its programs change, in one passive object.
+
+It knows neither programs nor ports. The control loop advances it; packets and messages are made from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from linkcore.errors import BadValue
+from urlink.firmware import Firmware, release_of
+from urlink.models import Model
+
+from .robot.arm import Arm
+from .robot.modes import Modes, Stop
+from .robot.signals import Signals
+from .robot.sources import SetpointSource
+
+__all__ = ["ControllerState", "Counters", "Outbox", "firmware_for"]
+
+#: Bytes of messages in one cycle after which texts and popups are lost; a program could make thousands of them.
+MOST_MESSAGES = 1 << 14
+#: Flags of `set_flag` and `get_flag`. How many a controller has is a guess.
+FLAGS = 64
+
+
+@dataclass
+class Counters:
+    """What has happened on the ports of a controller since it was made.
+
+    Attributes:
+        connections: accepted.
+        sent: packets and packages handed to the network, once per connection.
+        dropped: connections ended because the client did not read.
+        refused_bytes: input thrown away: text to read-only ports, lines and programs too long, or too many that wait.
+        refused_programs: texts that were ignored because of the state that the controller was in.
+        late: cycles in which packets went out more than one cycle after they were due.
+        skipped: cycles in which no packets went out because they were far too late.
+        lost_messages: texts and popups of programs, beyond what one cycle sends.
+    """
+
+    connections: int = 0
+    sent: int = 0
+    dropped: int = 0
+    refused_bytes: int = 0
+    refused_programs: int = 0
+    late: int = 0
+    skipped: int = 0
+    lost_messages: int = 0
+
+
+class Outbox:
+    """The robot messages that wait to be sent to the clients of the primary interface.
+
+    Args:
+        counters: where lost messages are counted.
+    """
+
+    def __init__(self, counters: Counters) -> None:
+        self._counters = counters
+        self._messages: list[bytes] = []
+        self._size = 0
+
+    def put(self, message: bytes) -> None:
+        """A message that goes out whatever else does."""
+        self._messages.append(message)
+        self._size += len(message)
+
+    def offer(self, make: Callable[[], bytes]) -> None:
+        """A message that is lost where there is too much already. It is made only if it is not."""
+        if self._size > MOST_MESSAGES:
+            self._counters.lost_messages += 1
+        else:
+            self.put(make())
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def forget(self, count: int) -> None:
+        """Throw away the first so many messages."""
+        del self._messages[:count]
+        self._size = sum(map(len, self._messages))
+
+    def take(self) -> list[bytes]:
+        """All messages, once each."""
+        messages, self._messages, self._size = self._messages, [], 0
+        return messages
+
+
+class ControllerState:
+    """What a controller is at one moment.
+
+    Args:
+        model: the arm.
+        firmware: what it begins with.
+        serial: serial number of the arm.
+        seed: of the noise on the sensors.
+
+    Attributes:
+        model, serial: as given.
+        firmware: what runs at present.
+        cycle: number of the cycle since the controller was made, reboots included.
+        uptime: cycles since the controller came up.
+        cycles_down: until a reboot is over; 0 while it is up.
+        arm: joints, tool and sensors.
+        modes: of robot, safety and program.
+        signals: inputs and outputs.
+        source: where the arm's set-points come from.
+        is_paused: the source waits: its program was paused, by hand or by a protective stop.
+        speed_fraction: of the speed slider, 0 to 1.
+        remote_control: of an e-Series: whether it takes commands from others than the pendant.
+        flags: of `set_flag`.
+        stopped_since: `time` at which the present stop began; None without one.
+        popup: text that the pendant shows, or None.
+        loaded: path of the program that `play` runs, or None.
+        log: lines that the dashboard has added.
+        counters: what has happened on the ports.
+        outbox: messages to be sent.
+    """
+
+    def __init__(self, model: Model, firmware: Firmware, source: SetpointSource, *, serial: str, seed: int) -> None:
+        self.model = model
+        self.serial = serial
+        self.seed = seed
+        self.cycle = 0
+        self.cycles_down = 0
+        self.signals = Signals()
+        self.remote_control = True
+        self.log: list[str] = []
+        self.counters = Counters()
+        self.outbox = Outbox(self.counters)
+        self.arm = Arm(model, source.advance(0.0), seed)
+        self._next_firmware = firmware
+        self._begin(firmware, source)
+
+    def _begin(self, firmware: Firmware, source: SetpointSource) -> None:
+        self.firmware = firmware
+        self.source = source
+        self.uptime = 0
+        self.modes = Modes(firmware)
+        self.is_paused = False
+        self.speed_fraction = 1.0
+        self.flags = [False] * FLAGS
+        self.stopped_since: float | None = None
+        self.popup: str | None = None
+        self.loaded: str | None = None
+        self._stop_reason = ""
+        self._announced = self.modes.safety_mode
+        self.update_modes(0.0)
+
+    def go_down(self, firmware: Firmware | None, seconds: float) -> None:
+        """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one."""
+        self.cycles_down = max(1, math.ceil(seconds * self.firmware.rate))
+        self._next_firmware = firmware or self.firmware
+        self.outbox.take()
+
+    def come_up(self, source: SetpointSource) -> None:
+        """The reboot is over. The arm has not moved; tool and payload are in the installation, and stay.
+
+        That popup and loaded program are gone, and signals, remote control and log stay, is a guess.
+        """
+        before = self.arm
+        source.start(before.setpoint.q)
+        self.arm = Arm(self.model, source.advance(0.0), self.seed)
+        self.arm.take_tool_of(before)
+        self._begin(self._next_firmware, source)
+
+    # -- time ----------------------------------------------------------------------------------------
+
+    @property
+    def period(self) -> float:
+        """Seconds from one cycle to the next."""
+        return 1.0 / self.firmware.rate
+
+    @property
+    def time(self) -> float:
+        """Seconds since the controller came up: whole cycles."""
+        return self.uptime / self.firmware.rate
+
+    @property
+    def is_up(self) -> bool:
+        """False while it reboots."""
+        return self.cycles_down == 0
+
+    # -- modes ---------------------------------------------------------------------------------------
+
+    def update_modes(self, seconds: float) -> None:
+        """Let the modes show what arm and program do, so many seconds after they last did."""
+        self.modes.advance(seconds, self.arm.is_standing, self.source.is_program, self.is_paused)
+
+    def stop_protectively(self, reason: str) -> None:
+        """A protective stop, and why, for the message about it."""
+        self._stop_reason = reason
+        self.modes.protective_stop()
+
+    def take_safety_change(self) -> str | None:
+        """Why the safety mode has changed since this was last asked, "" where nobody said; None if it has not."""
+        reason, self._stop_reason = self._stop_reason, ""
+        modes = self.modes
+        if modes.safety_mode is self._announced:
+            return None
+        self._announced = modes.safety_mode
+        self.stopped_since = None if modes.stop is Stop.NONE else self.time
+        return reason if modes.stop is Stop.PROTECTIVE else ""
+
+
+def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
+    """The firmware, if it goes with the model.
+
+    UR3, UR5 and UR10 run 1.x (not the UR3, which came with CB3) and 3.x, all others 5.0 and later. In which later
+    release the younger arms arrived is not looked at.
+
+    Raises:
+        BadVersion: no such firmware.
+        BadValue: it does not go with the model.
+    """
+    parsed = Firmware.parse(firmware)
+    release_of(parsed)
+    if model.generation == "e":
+        suits, needs = parsed.is_e_series, "5.0 or later"
+    elif model.name == "UR3":
+        suits, needs = not parsed.is_e_series and not parsed.is_cb2, "3.x"
+    else:
+        suits, needs = not parsed.is_e_series, "1.x or 3.x"
+    if not suits:
+        raise BadValue(f"a {model.name} does not run firmware {parsed}; it needs {needs}")
+    return parsed

@@ -1,0 +1,173 @@
+"""servoj: following a stream of set-points."""
+
+from __future__ import annotations
+
+import math
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.urlink.simulator.generator.stepping import (
+    CYCLE,
+    REST,
+    UR5E,
+    check_continuous,
+    cycles,
+    finish,
+    positions,
+    speeds,
+    standing,
+    to_rest,
+)
+from urlink.simulator.robot.generator import LimitViolation, MotionGenerator
+from urlink.simulator.robot.generator.servo_motion import lag_of
+from urlink.simulator.robot.sources import HOME, Setpoint
+
+#: lookahead_time and gain; the last is firmware that has neither
+ARGUMENTS = [(0.03, 300.0), (0.1, 300.0), (0.03, 2000.0), (0.2, 100.0), (0.0, 0.0)]
+
+
+def waving(time: float) -> list[float]:
+    """From rest, at up to 0.5 rad/s."""
+    return [h + 0.25 * (1.0 - math.cos(2.0 * time)) for h in HOME]
+
+
+@pytest.mark.parametrize("cycle", [0.002, 0.008])
+@pytest.mark.parametrize(("lookahead", "gain"), ARGUMENTS)
+def test_the_arm_trails_a_wave_by_the_documented_lag(lookahead: float, gain: float, cycle: float) -> None:
+    generator = standing()
+    lag = lag_of(cycle, lookahead, gain)
+    before, setpoints, expected = generator.setpoint, [], []
+    for i in range(1, int(4.0 / cycle)):
+        generator.servoj(waving(i * cycle), cycle, lookahead, gain)
+        setpoints.append(generator.advance(cycle))
+        expected.append(waving(max(i * cycle - lag, 0.0)))
+    # The second order that the delay leaves out: a quarter of the squared lag times an acceleration of 1 rad/s².
+    assert np.abs(positions(setpoints) - expected).max() < 0.6 * lag**2 + 1e-4
+    check_continuous(before, setpoints, UR5E.max_acceleration, cycle)
+
+
+def test_the_lag_of_a_usual_driver() -> None:
+    assert lag_of(0.008, 0.03, 300.0) == pytest.approx(0.0217, abs=1e-4)
+    assert lag_of(0.008, 0.0, 0.0) == 0.008
+
+
+@pytest.mark.parametrize(("lookahead", "gain"), ARGUMENTS)
+def test_a_small_step_is_reached_without_overshoot_and_exactly(lookahead: float, gain: float) -> None:
+    generator = standing()
+    target = [h + 0.0004 for h in HOME]
+    generator.servoj(target, CYCLE, lookahead, gain)
+    way = positions(cycles(generator, 2000))
+    assert (np.diff(way, axis=0) >= -1e-12).all()
+    assert way.max(axis=0).tolist() == target
+    assert generator.is_standing
+    assert generator.setpoint == (target, REST, REST)
+
+
+def test_it_is_over_after_a_cycle_or_the_time_asked_for() -> None:
+    generator = standing()
+    for seconds, count in ((0.0, 1), (0.002, 1), (0.008, 4), (0.1, 50)):
+        assert len(finish(generator, generator.servoj(list(HOME), seconds, 0.03, 300.0))) == count
+
+
+def test_a_set_point_of_several_cycles_is_approached_evenly() -> None:
+    """Once per 8 ms, at 500 cycles a second: no ripple in the speed."""
+    generator = standing()
+    setpoints = []
+    for i in range(1, 250):
+        setpoints += finish(generator, generator.servoj([HOME[0] + 0.004 * i, *HOME[1:]], 0.008, 0.03, 300.0))
+    late = speeds(setpoints)[-300:, 0]
+    np.testing.assert_allclose(late, 0.5, atol=1e-9)
+
+
+@pytest.mark.parametrize(("by", "passes"), [(0.01, True), (0.3, False), (-0.3, False), (1.0, False)])
+def test_a_joint_jump_is_a_violation(by: float, passes: bool) -> None:
+    generator = standing()
+    generator.servoj([*HOME[:5], HOME[5] + by], CYCLE, 0.03, 300.0)
+    before = generator.setpoint
+    if passes:
+        to_rest(generator)
+        return
+    for _ in range(2):
+        with pytest.raises(LimitViolation, match=r"wrist 3: a jump of -?\d"):
+            generator.advance(CYCLE)
+        assert generator.setpoint == before
+
+
+def test_what_no_arm_can_follow_is_a_violation() -> None:
+    """Within the way that the largest speed allows, but from rest, and without any smoothing."""
+    generator = standing()
+    generator.servoj([HOME[0] + 0.01, *HOME[1:]], CYCLE, 0.0, 0.0)
+    with pytest.raises(LimitViolation, match=r"base: an acceleration of .* which no arm can follow"):
+        cycles(generator, 10)
+
+
+def test_a_smoother_follower_takes_larger_steps() -> None:
+    generator = standing()
+    generator.servoj([*HOME[:5], HOME[5] + 0.15], CYCLE, 0.2, 300.0)
+    to_rest(generator)
+
+
+def ramp(generator: MotionGenerator, fastest: float) -> None:
+    way, speed = 0.0, 0.0
+    for _ in range(1000):
+        speed = min(speed + 20.0 * CYCLE, fastest)
+        way += speed * CYCLE
+        generator.servoj([HOME[0] + way, *HOME[1:]], CYCLE, 0.03, 300.0)
+        generator.advance(CYCLE)
+
+
+def test_too_fast_is_a_violation() -> None:
+    """A ramp at 20 % above what the joint may; one at 2 % above passes as rounding."""
+    for factor, passes in ((1.02, True), (1.2, False)):
+        generator = standing()
+        with nullcontext() if passes else pytest.raises(LimitViolation, match="base: "):
+            ramp(generator, factor * UR5E.max_speed[0])
+
+
+def test_out_of_range_is_a_violation() -> None:
+    start = [6.28, *HOME[1:]]
+    generator = standing(start)
+    generator.servoj([6.2835, *HOME[1:]], CYCLE, 0.03, 300.0)
+    with pytest.raises(LimitViolation, match=r"base.*out of range"):
+        generator.advance(CYCLE)
+
+
+def test_it_takes_over_a_moving_arm() -> None:
+    generator = standing()
+    before = generator.setpoint
+    generator.speedj([0.0] * 5 + [0.5], 5.0, None)
+    setpoints = cycles(generator, 200)
+    for _ in range(300):
+        generator.servoj(generator.setpoint.q, CYCLE, 0.1, 300.0)
+        setpoints += cycles(generator, 1)
+    setpoints += to_rest(generator)
+    check_continuous(before, setpoints, UR5E.max_acceleration)
+
+
+@pytest.mark.property
+@given(
+    st.lists(st.floats(-0.004, 0.004), min_size=1, max_size=60),
+    st.sampled_from(ARGUMENTS[:4]),
+    st.sampled_from([0.002, 0.008]),
+)
+def test_it_is_stable(steps: list[float], arguments: tuple[float, float], cycle: float) -> None:
+    """However the set-points wander, the arm stays among them and ends on the last one."""
+    generator = standing()
+    goal = 0.0
+    goals = [0.0]
+    setpoints: list[Setpoint] = []
+    for step in steps:
+        goal += step
+        goals.append(goal)
+        generator.servoj([h + goal for h in HOME], cycle, *arguments)
+        setpoints.append(generator.advance(cycle))
+    setpoints += to_rest(generator, cycle)
+    way = positions(setpoints) - HOME
+    # What it has of speed carries it on a little when the set-points turn round.
+    assert way.max() <= max(goals) + 0.004
+    assert way.min() >= min(goals) - 0.004
+    assert generator.setpoint == ([h + goal for h in HOME], REST, REST)

@@ -1,0 +1,176 @@
+"""speedj, speedl, stopj, stopl."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue
+from tests.urlink.simulator.generator.stepping import (
+    CYCLE,
+    REST,
+    UR5E,
+    check_continuous,
+    cycles,
+    finish,
+    positions,
+    speeds,
+    standing,
+    to_rest,
+)
+from urlink.simulator.robot import kinematics
+from urlink.simulator.robot.generator import LimitViolation, Move
+from urlink.simulator.robot.sources import HOME
+from urlink.simulator.robot.tool_velocity import geometry, tool_velocity
+
+
+def test_joints_speed_up_in_proportion_and_keep_their_speed() -> None:
+    generator = standing()
+    wanted = [0.5, -0.25, 0.0, 0.1, 0.0, 1.0]
+    setpoints = finish(generator, generator.speedj(wanted, 2.0, None))
+    assert len(setpoints) == pytest.approx(0.5 / CYCLE, abs=1)
+    assert generator.setpoint.qd == wanted
+    np.testing.assert_allclose(speeds(setpoints)[:, 0], 0.5 * speeds(setpoints)[:, 5], atol=1e-12)
+    after = cycles(generator, 100)
+    assert (speeds(after) == wanted).all()
+    assert not generator.is_standing
+    check_continuous(setpoints[0], setpoints[1:] + after, np.full(6, 2.0))
+
+
+def test_a_time_ends_the_function_and_not_the_speed() -> None:
+    generator = standing()
+    assert len(finish(generator, generator.speedj([0.1] * 6, 10.0, 0.1))) == 50
+    assert len(finish(generator, generator.speedl([0.01] * 6, 1.0, 0.008, 1.0))) == 4
+    assert len(finish(generator, generator.speedj([0.5] * 6, 0.1, 0.008))) == 4
+    assert len(finish(generator, generator.speedj([0.5] * 6, 0.1, 0.0))) == 1
+    assert not generator.is_standing
+
+
+def test_a_speed_follows_a_speed_without_a_stop() -> None:
+    generator = standing()
+    finish(generator, generator.speedj([0.5] * 6, 2.0, None))
+    setpoints = finish(generator, generator.speedj([0.7, 0.3, 0.5, 0.5, 0.5, 0.5], 1.0, None))
+    assert speeds(setpoints).min() >= 0.3 - 1e-12
+    assert generator.setpoint.qd == [0.7, 0.3, 0.5, 0.5, 0.5, 0.5]
+
+
+def test_stopj_brakes_evenly_to_rest() -> None:
+    generator = standing()
+    finish(generator, generator.speedj([1.0, 0.5, 0, 0, 0, 0], 5.0, None))
+    before = generator.setpoint
+    setpoints = finish(generator, generator.stopj(2.0))
+    assert len(setpoints) == pytest.approx(0.5 / CYCLE, abs=1)
+    assert generator.setpoint.qd == REST
+    assert generator.is_standing
+    check_continuous(before, setpoints, np.full(6, 2.0))
+    assert positions(setpoints)[-1, 0] - before.q[0] == pytest.approx(0.25, abs=1e-9)
+
+
+def test_no_stop_is_harder_than_the_model() -> None:
+    generator = standing()
+    finish(generator, generator.speedj([1.0] * 6, 5.0, None))
+    assert len(finish(generator, generator.stopj(1e6))) == pytest.approx(1.0 / 40.0 / CYCLE, abs=1)
+
+
+def test_the_tool_keeps_its_speed_on_a_line() -> None:
+    generator = standing()
+    generator.tcp = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+    wanted = [0.1, -0.05, 0.05, 0.0, 0.1, 0.2]
+    before = generator.setpoint
+    setpoints = finish(generator, generator.speedl(wanted, 0.5, None, 1.0))
+    assert len(setpoints) == pytest.approx(float(np.linalg.norm(wanted[:3])) / 0.5 / CYCLE, abs=1)
+    setpoints += cycles(generator, 300)
+    pose = kinematics.pose(UR5E, generator.setpoint.q, generator.tcp)
+    reached = tool_velocity(geometry(UR5E), generator.setpoint.q, generator.setpoint.qd, pose.tolist())
+    np.testing.assert_allclose(reached, wanted, atol=1e-3)
+    setpoints += finish(generator, generator.stopl(0.5, 1.0))
+    assert generator.setpoint.qd == REST
+    assert generator.is_standing
+    check_continuous(before, setpoints, UR5E.max_acceleration)
+    path = np.array([kinematics.pose(UR5E, setpoint.q, generator.tcp)[:3] for setpoint in setpoints])
+    direction = np.array(wanted[:3]) / np.linalg.norm(wanted[:3])
+    across = (path - path[0]) - np.outer((path - path[0]) @ direction, direction)
+    assert np.abs(across).max() < 1e-6
+
+
+def test_stopl_takes_over_joints_that_move() -> None:
+    generator = standing()
+    generator.speedj([0.3, 0.2, -0.3, 0.1, 0.1, 0.5], 3.0, None)
+    before = generator.setpoint
+    setpoints = cycles(generator, 200)
+    setpoints += finish(generator, generator.stopl(1.0, 3.0))
+    assert generator.is_standing
+    check_continuous(before, setpoints, UR5E.max_acceleration)
+
+
+def test_where_the_line_ends_stopl_brakes_the_joints() -> None:
+    """A nearly stretched arm that moves outward has not the way to stop on its line."""
+    generator = standing([0.0, -0.3, 0.2, -1.5, -1.5, 0.0])
+    generator.speedl([0.1, 0, 0, 0, 0, 0], 5.0, None, 5.0)
+    cycles(generator, 30)
+    before = generator.setpoint
+    setpoints = finish(generator, generator.stopl(0.02, 0.02))
+    assert generator.is_standing
+    check_continuous(before, setpoints, 3.0 * UR5E.max_acceleration)
+
+
+def test_a_line_out_of_reach_is_a_violation() -> None:
+    generator = standing()
+    generator.speedl([0.5, 0, 0, 0, 0, 0], 5.0, None, 5.0)
+    with pytest.raises(LimitViolation):
+        cycles(generator, 5000)
+
+
+def test_a_joint_that_leaves_its_range_is_a_violation_and_may_come_back() -> None:
+    generator = standing([6.2, *HOME[1:]])
+    generator.speedj([1.0, 0, 0, 0, 0, 0], 5.0, None)
+    with pytest.raises(LimitViolation, match=r"base: a position of .* out of range"):
+        cycles(generator, 200)
+    assert generator.setpoint.q[0] <= UR5E.position_limits[0, 1]
+    # Whatever stops the arm now needs some way beyond.
+    generator.start([6.4, *generator.setpoint.q[1:]])
+    generator.speedj([-0.5, 0, 0, 0, 0, 0], 5.0, None)
+    cycles(generator, 500)
+    assert generator.setpoint.q[0] < 6.2
+
+
+def test_a_speed_above_the_limit_is_a_violation() -> None:
+    generator = standing()
+    generator.speedj([0, 0, 0, 0, 0, 4.0], 10.0, None)
+    with pytest.raises(LimitViolation, match="wrist 3: a speed of"):
+        cycles(generator, 500)
+
+
+def test_arguments_without_meaning() -> None:
+    generator = standing()
+    wrongs: list[Callable[[], Move]] = [
+        lambda: generator.speedj([0.0] * 5, 1.0, None),
+        lambda: generator.speedj([0.0] * 6, 0.0, None),
+        lambda: generator.speedj([0.1] * 6, 1.0, -1.0),
+        lambda: generator.speedl([0.0] * 6, -1.0, None, 1.0),
+        lambda: generator.speedl([0.0] * 6, 1.0, float("nan"), 1.0),
+        lambda: generator.stopj(0.0),
+        lambda: generator.stopl(float("inf"), 1.0),
+        lambda: generator.stopl(1.0, -1.0),
+    ]
+    for wrong in wrongs:
+        with pytest.raises(BadValue):
+            wrong()
+
+
+def test_speeds_come_to_rest_when_nobody_commands() -> None:
+    for begin in ("speedj", "speedl"):
+        generator = standing()
+        before = generator.setpoint
+        move = (
+            generator.speedj([0.5] * 6, 5.0, None)
+            if begin == "speedj"
+            else generator.speedl([0.05] * 6, 1.0, None, 1.0)
+        )
+        setpoints = cycles(generator, 200)
+        generator.release()
+        assert move.is_over
+        setpoints += to_rest(generator)
+        check_continuous(before, setpoints, UR5E.max_acceleration)

@@ -1,0 +1,196 @@
+"""movel, movep, servoc and movec: straight lines and circles of the tool."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue
+from tests.urlink.simulator.generator.stepping import (
+    CYCLE,
+    REST,
+    UR5E,
+    Array,
+    check_continuous,
+    cycles,
+    finish,
+    standing,
+    trapezoid,
+)
+from urlink.models import MODELS, Model
+from urlink.simulator.robot import kinematics
+from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Unreachable
+from urlink.simulator.robot.sources import HOME, Setpoint
+
+TOOL = [0.01, -0.02, 0.1, 0.1, 0.2, 0.3]
+
+parts = st.floats(-1.0, 1.0)
+triples = st.tuples(parts, parts, parts).map(np.array)
+arms = st.sampled_from(list(MODELS.values()))
+
+
+def with_tool(arm: Model = UR5E) -> MotionGenerator:
+    generator = standing(arm=arm)
+    generator.tcp = TOOL
+    return generator
+
+
+def pose(q: object, arm: Model = UR5E) -> Array:
+    return kinematics.pose(arm, np.array(q), TOOL)
+
+
+def shifted(by: Array, turn: Array, arm: Model = UR5E) -> list[float]:
+    """The pose of the tool at home, moved in the base frame and turned in its own."""
+    home = pose(HOME, arm)
+    turned = kinematics.pose_trans(home, np.concatenate([[0, 0, 0], turn]))
+    found: list[float] = np.concatenate([home[:3] + by, turned[3:]]).tolist()
+    return found
+
+
+def tool_path(setpoints: list[Setpoint], arm: Model = UR5E) -> Array:
+    return np.array([pose(setpoint.q, arm) for setpoint in setpoints])
+
+
+def turned_by(first: Array, second: Array) -> Array:
+    return kinematics.pose_trans(kinematics.pose_inv(first), second)[3:]
+
+
+@pytest.mark.property
+@given(arms, triples, triples, st.floats(0.05, 0.25), st.floats(0.3, 1.5), st.sampled_from([0.004, 0.008]))
+def test_the_tool_goes_straight(arm: Model, by: Array, turn: Array, v: float, a: float, cycle: float) -> None:
+    by, turn = 0.06 * arm.reach * by, 0.25 * turn
+    generator = with_tool(arm)
+    before = generator.setpoint
+    target = shifted(by, turn, arm)
+    setpoints = finish(generator, generator.movel(target, a=a, v=v), cycle)
+    path = tool_path(setpoints, arm)
+    length = max(math.hypot(*by), 0.25 * math.hypot(*turn))
+    assert len(setpoints) == pytest.approx(trapezoid(length, v, a) / cycle, abs=1.001)
+    start = pose(HOME, arm)
+    along = (path[:, :3] - start[:3]) @ by / max(float(by @ by), 1e-300)
+    assert np.abs(path[:, :3] - start[:3] - np.outer(along, by)).max() < 1e-6
+    # The tool has turned by the same part of its turn as it has gone of its way.
+    if by @ by > 1e-4:
+        middle = len(path) // 2
+        np.testing.assert_allclose(turned_by(start, path[middle]), along[middle] * turn, atol=1e-6)
+    np.testing.assert_allclose(turned_by(np.array(target), path[-1]), 0.0, atol=1e-6)
+    np.testing.assert_allclose(path[-1, :3], target[:3], atol=1e-9)
+    assert generator.setpoint.qd == REST
+    steps = np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1) / cycle
+    assert (steps <= v * (1 + 1e-6)).all()
+    check_continuous(before, setpoints, 3.0 * arm.max_acceleration, cycle)
+
+
+def test_a_time_overrides_speed_and_acceleration() -> None:
+    generator = with_tool()
+    setpoints = finish(generator, generator.movel(shifted(np.array([0.1, 0, 0]), np.zeros(3)), a=1.2, v=0.01, t=2.0))
+    assert len(setpoints) == pytest.approx(2.0 / CYCLE, abs=1.001)
+
+
+def test_no_way_to_go_is_over_at_once() -> None:
+    generator = with_tool()
+    target = pose(HOME).tolist()
+    assert len(finish(generator, generator.movel(target))) == 1
+    assert len(finish(generator, generator.movel(target, t=1.0))) == 1
+
+
+@pytest.mark.parametrize("begin", ["movel", "movep", "servoc"])
+def test_out_of_reach_is_known_at_once(begin: str) -> None:
+    generator = with_tool()
+    far = [2.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+    with pytest.raises(Unreachable, match="does not reach the pose"):
+        generator.servoc(far, 1.2, 0.25, 0.0) if begin == "servoc" else getattr(generator, begin)(far)
+    assert generator.is_standing
+
+
+def test_a_line_through_what_is_out_of_reach_ends_there() -> None:
+    """From one side of the base to the other, through the column that no arm reaches into."""
+    generator = with_tool()
+    target = pose(HOME).tolist()
+    generator.movel([-target[0], -target[1], *target[2:]], v=0.2)
+    with pytest.raises(LimitViolation):
+        cycles(generator, 10_000)
+    stood = generator.setpoint
+    with pytest.raises(LimitViolation):
+        generator.advance(CYCLE)
+    assert generator.setpoint == stood
+    finish(generator, generator.stopj(2.0))
+    assert generator.is_standing
+
+
+@pytest.mark.parametrize("q", [[0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0], [0.0] * 6])
+def test_a_line_out_of_a_singular_posture_moves_or_is_a_violation(q: list[float]) -> None:
+    generator = standing(q)
+    down = kinematics.pose(UR5E, q) - np.array([0, 0, 0.05, 0, 0, 0])
+    before, setpoints = generator.setpoint, []
+    move = generator.movel(down.tolist())
+    with suppress(LimitViolation):
+        while not move.is_over:
+            setpoints.append(generator.advance(CYCLE))
+    check_continuous(before, setpoints, 10.0 * UR5E.max_acceleration)
+
+
+def test_movep_and_servoc_are_lines() -> None:
+    target = shifted(np.array([0.05, 0.05, 0.0]), np.zeros(3))
+    ends = []
+    for name in ("movel", "movep", "servoc"):
+        generator = with_tool()
+        ends.append(
+            (len(finish(generator, getattr(generator, name)(target, a=1.0, v=0.1, r=0.0))), generator.setpoint.q)
+        )
+    assert ends[0] == ends[1] == ends[2]
+
+
+@pytest.mark.property
+@given(st.floats(0.2, 6.0), st.floats(0.1, 0.9), triples, st.floats(0.02, 0.06), st.sampled_from([0, 1]))
+def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: float, mode: int) -> None:
+    """An arc of an angle on a circle in a tilted plane; the tool turns to an orientation or stays with the arc."""
+    # A tool that stays with the arc turns as far and as fast as that.
+    angle, v = (angle, 0.1) if mode == 0 else (min(angle, 1.0), 0.5 * radius)
+    generator = with_tool()
+    start = pose(HOME)
+    x, y = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
+    centre = start[:3] - radius * x
+
+    def point(at: float) -> list[float]:
+        return (centre + radius * (math.cos(at) * x + math.sin(at) * y)).tolist()  # type: ignore[no-any-return]
+
+    turn = 0.2 * turn
+    to = [*point(angle), *shifted(np.zeros(3), turn)[3:]]
+    before = generator.setpoint
+    move = generator.movec([*point(part * angle), 0.0, 0.0, 0.0], to, v=v, a=0.5, mode=mode)
+    setpoints = finish(generator, move, 0.008)
+    path = tool_path(setpoints)
+    arms = path[:, :3] - centre
+    np.testing.assert_allclose(np.linalg.norm(arms, axis=1), radius, atol=1e-6)
+    np.testing.assert_allclose(arms @ np.cross(x, y), 0.0, atol=1e-6)
+    np.testing.assert_allclose(path[-1, :3], point(angle), atol=1e-9)
+    angles = np.unwrap(np.arctan2(arms @ y, arms @ x))
+    assert (np.diff(angles) >= -1e-9).all()
+    assert angles[-1] - angles[0] == pytest.approx(angle, abs=0.01)
+    if mode == 0:
+        np.testing.assert_allclose(turned_by(np.array(to), path[-1]), 0.0, atol=1e-6)
+        length = max(radius * angle, 0.25 * math.hypot(*turn))
+    else:
+        # The orientation has turned with the arc: seen from the arm of the circle, it is what it was.
+        about = np.concatenate([[0, 0, 0], -angle * np.cross(x, y)])
+        undone = kinematics.pose_trans(about, np.concatenate([[0, 0, 0], path[-1, 3:]]))
+        np.testing.assert_allclose(turned_by(start, undone), 0.0, atol=1e-6)
+        length = radius * angle
+    assert len(setpoints) == pytest.approx(trapezoid(length, v, 0.5) / 0.008, abs=1.001)
+    check_continuous(before, setpoints, 3.0 * UR5E.max_acceleration, 0.008)
+
+
+def test_points_on_a_line_have_no_circle() -> None:
+    generator = with_tool()
+    middle, end = (shifted(np.array([d, 0, 0]), np.zeros(3)) for d in (0.05, 0.1))
+    for via, to in ((middle, end), (middle, middle), (pose(HOME).tolist(), end), (middle, pose(HOME).tolist())):
+        with pytest.raises(Unreachable, match="on no circle"):
+            generator.movec(via, to)
+    with pytest.raises(BadValue, match="mode"):
+        generator.movec(middle, end, mode=2)

@@ -1,0 +1,249 @@
+"""The sockets of programs, against real listeners."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import socket
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from linkcore.errors import BadValue
+from tests.waiting import until
+from urlink.simulator import Controller
+from urlink.simulator.programs.program_sockets import MOST, MOST_WAITING, ProgramSockets
+
+
+def refuse_all(host: str) -> bool:
+    return False
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(10)
+        yield listener
+
+
+@pytest.fixture
+def sockets() -> Iterator[ProgramSockets]:
+    sockets = ProgramSockets(refuse_all)
+    yield sockets
+    sockets.close_all()
+
+
+def port(listener: socket.socket) -> int:
+    return int(listener.getsockname()[1])
+
+
+def opened(sockets: ProgramSockets, listener: socket.socket, name: str = "s") -> socket.socket:
+    sockets.open(name, "127.0.0.1", port(listener))
+    peer, _ = listener.accept()
+    peer.settimeout(10)
+    until(lambda: sockets.state(name) == "open")
+    return peer
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_there_and_back(sockets: ProgramSockets, listener: socket.socket) -> None:
+    with opened(sockets, listener) as peer:
+        assert sockets.send("s", b"hello")
+        assert peer.recv(100) == b"hello"
+        peer.sendall(b"abc")
+        until(lambda: sockets.received("s") == b"abc")
+        del sockets.received("s")[:2]
+        peer.sendall(b"d")
+        until(lambda: sockets.received("s") == b"cd")
+        sockets.close("s")
+        assert peer.recv(100) == b""
+    assert sockets.state("s") == "closed"
+    assert sockets.received("s") == b""
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.1.2.3"])
+def test_this_computer_is_always_reached(host: str) -> None:
+    sockets = ProgramSockets(refuse_all)
+    with socket.create_server(("0.0.0.0", 0)) as listener:
+        sockets.open("s", host, port(listener))
+        until(lambda: sockets.state("s") == "open")
+        sockets.close_all()
+
+
+def test_nobody_listens(sockets: ProgramSockets, listener: socket.socket) -> None:
+    number = port(listener)
+    listener.close()
+    sockets.open("s", "127.0.0.1", number)
+    until(lambda: sockets.state("s") == "failed")
+    assert not sockets.send("s", b"x")
+    assert sockets.received("s") == b""
+
+
+@pytest.mark.parametrize(
+    "host", ["192.0.2.1", "10.0.0.1", "example.com", "", "0.0.0.0", "2130706433", "::1%nowhere", "fe80::1%9", "1.2.3"]
+)
+def test_other_hosts_are_not_tried(host: str, sockets: ProgramSockets, listener: socket.socket) -> None:
+    before = descriptors()
+    sockets.open("s", host, port(listener))
+    assert sockets.state("s") in ("failed", "closed")
+    assert descriptors() == before
+
+
+@pytest.mark.parametrize("number", [0, -1, 65536])
+def test_ports_that_are_none(number: int, sockets: ProgramSockets) -> None:
+    sockets.open("s", "127.0.0.1", number)
+    assert sockets.state("s") == "closed"
+
+
+def test_others_where_they_are_allowed() -> None:
+    asked: list[str] = []
+
+    def allows(host: str) -> bool:
+        asked.append(host)
+        return True
+
+    sockets = ProgramSockets(allows)
+    # Reserved for documentation: nobody is there, and the connection is only begun.
+    sockets.open("s", "192.0.2.1", 9)
+    assert asked == ["192.0.2.1"]
+    assert sockets.state("s") in ("connecting", "failed")
+    sockets.close_all()
+
+
+def test_a_name_can_be_used_again(sockets: ProgramSockets, listener: socket.socket) -> None:
+    before = descriptors()
+    with opened(sockets, listener) as first, opened(sockets, listener) as second:
+        assert first.recv(10) == b""
+        assert sockets.send("s", b"2")
+        assert second.recv(10) == b"2"
+        sockets.open("s", "192.0.2.1", 1)
+        assert sockets.state("s") == "closed"
+        assert second.recv(10) == b""
+    assert descriptors() == before
+
+
+def test_not_more_than_so_many(sockets: ProgramSockets, listener: socket.socket) -> None:
+    peers = [opened(sockets, listener, f"s{n}") for n in range(MOST)]
+    sockets.open("more", "127.0.0.1", port(listener))
+    assert sockets.state("more") == "closed"
+    sockets.close("s0")
+    peers.append(opened(sockets, listener, "more"))
+    for peer in peers:
+        peer.close()
+
+
+def test_what_came_before_the_end_can_be_read(sockets: ProgramSockets, listener: socket.socket) -> None:
+    before = descriptors()
+    with opened(sockets, listener) as peer:
+        peer.sendall(b"last words")
+    until(lambda: sockets.received("s") == b"last words" and sockets.state("s") == "closed")
+    assert descriptors() == before
+    assert not sockets.send("s", b"x")
+    del sockets.received("s")[:5]
+    assert sockets.received("s") == b"words"
+    sockets.close("s")
+    assert sockets.received("s") == b""
+
+
+def test_a_peer_that_resets(sockets: ProgramSockets, listener: socket.socket) -> None:
+    peer = opened(sockets, listener)
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    peer.close()
+    until(lambda: sockets.received("s") == b"" and sockets.state("s") == "closed")
+
+
+def test_a_peer_that_never_reads_is_given_up(sockets: ProgramSockets, listener: socket.socket) -> None:
+    with opened(sockets, listener) as peer:
+        sent = 0
+        while sockets.send("s", b"x" * 10_000):
+            sent += 10_000
+            assert sent < 100_000_000
+        assert sockets.state("s") == "closed"
+        # It gets whole messages, and the beginning of the last one.
+        came = 0
+        while data := peer.recv(1 << 20):
+            came += len(data)
+        assert sent <= came < sent + 10_000
+
+
+def test_a_program_that_never_reads_makes_its_peer_wait(sockets: ProgramSockets, listener: socket.socket) -> None:
+    with opened(sockets, listener) as peer:
+        peer.setblocking(False)
+
+        def is_full() -> bool:
+            try:
+                peer.send(b"x" * 65536)
+            except BlockingIOError:
+                return len(sockets.received("s")) == MOST_WAITING
+            sockets.received("s")
+            return False
+
+        until(is_full)
+        assert len(sockets.received("s")) == MOST_WAITING
+
+
+def test_nothing_stays_open(listener: socket.socket) -> None:
+    before = descriptors()
+    sockets = ProgramSockets(refuse_all)
+    with opened(sockets, listener, "a"), opened(sockets, listener, "b"):
+        sockets.open("c", "127.0.0.1", port(listener))
+        sockets.close_all()
+        sockets.close_all()
+        listener.accept()[0].close()
+    assert descriptors() == before
+
+
+def test_high_descriptors_do_as_well(sockets: ProgramSockets, listener: socket.socket) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard < 2000:
+        pytest.skip("this computer does not give that many")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2000), hard))
+    taken: list[int] = []
+    try:
+        while not taken or taken[-1] < 1100:
+            taken.append(os.dup(listener.fileno()))
+        with opened(sockets, listener) as peer:
+            peer.sendall(b"x")
+            until(lambda: sockets.received("s") == b"x")
+    finally:
+        for number in taken:
+            os.close(number)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_no_descriptor_is_left(
+    sockets: ProgramSockets, listener: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none_left(*arguments: object) -> socket.socket:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("linkcore.net.polled.socket.socket", none_left)
+    sockets.open("s", "127.0.0.1", port(listener))
+    assert sockets.state("s") == "failed"
+
+
+def test_who_is_connected_to_the_controller_is_allowed() -> None:
+    with Controller("UR5e", "5.11", reachable=["192.0.2.7", "2001:DB8::1"]) as controller:
+
+        def allows(host: str) -> bool:
+            answers: list[bool] = []
+            controller.call(lambda: answers.append(controller._may_connect(host)))
+            return answers[0]
+
+        assert allows("192.0.2.7")
+        assert allows("2001:db8::1")
+        assert not allows("192.0.2.8")
+        assert not allows("127.0.0.1")
+        with socket.create_connection((controller.host, controller.ports["realtime"])):
+            until(lambda: allows("127.0.0.1"))
+        until(lambda: not allows("127.0.0.1"))
+
+
+def test_reachable_addresses_are_numeric() -> None:
+    with pytest.raises(BadValue, match="numeric"):
+        Controller("UR5e", reachable=["example.com"])
