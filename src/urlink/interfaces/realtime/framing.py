@@ -52,6 +52,8 @@ class RealtimeBoundary:
         self._size_bytes = b""
         #: the bytes of the last packet's time; unpacked when a lost boundary has to be found
         self._time: bytes | bytearray = b""
+        #: bytes from the place of the last search on in which no header goes on in time
+        self._judged = 0
 
     def __str__(self) -> str:
         return REALTIME_INTERFACE
@@ -95,32 +97,46 @@ class RealtimeBoundary:
         return size, need
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
-        """See `FrameBoundary.search`."""
+        """See `FrameBoundary.search`. What goes on in time is preferred to what is merely followed and holds it."""
         end = len(buffer)
-        latest = float("-inf")  # goes on from nothing
-        if self._time:
-            (latest,) = _TIME.unpack(self._time)
-        for match in _SIZE.finditer(buffer, start):
+        timely = self._find_timely(buffer, start + self._judged)
+        self._judged = 0
+        last = end if timely is None else timely
+        for match in _SIZE.finditer(buffer, start, last):
             at = match.start()
-            there = end - at
-            if there < _HEAD.size:
+            if end - at < _HEAD.size:
                 return at, 0, _HEAD.size
             size, time = _HEAD.unpack_from(buffer, at)
-            if size not in REALTIME_SIZES:
+            if size not in REALTIME_SIZES or (timely is not None and at + size >= timely):
                 continue
-            if size == self._size and latest <= time <= latest + _LONGEST_LOSS:
-                need = size
-            else:
-                need = size + _HEAD.size
-                if there >= need:
-                    next_size, later = _HEAD.unpack_from(buffer, at + size)
-                    if next_size != size or not time < later <= time + _LONGEST_LOSS:
-                        continue
-            if there >= need:
+            need = size + _HEAD.size
+            if end - at < need:
+                self._judged = max(end - _HEAD.size + 1 - at, 0)
+                return at, size, need
+            next_size, later = _HEAD.unpack_from(buffer, at + size)
+            if next_size == size and time < later <= time + _LONGEST_LOSS:
                 self._take(buffer, at, size)
-            return at, size, need
-        # A header may begin with the last bytes.
-        return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
+                return at, size, need
+        if timely is None:
+            # A header may begin with the last bytes.
+            return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
+        if end - timely >= self._size:
+            self._take(buffer, timely, self._size)
+        return timely, self._size, self._size
+
+    def _find_timely(self, buffer: bytes | bytearray, start: int) -> int | None:
+        """The first packet of the connection's size whose time follows that of the last one."""
+        if not self._time:
+            return None
+        (latest,) = _TIME.unpack(self._time)
+        until = max(len(buffer) - _TIME.size, 0)
+        at = buffer.find(self._size_bytes, start, until)
+        while at >= 0:
+            (time,) = _TIME.unpack_from(buffer, at + _SIZE_BYTES)
+            if latest <= time <= latest + _LONGEST_LOSS:
+                return at
+            at = buffer.find(self._size_bytes, at + 1, until)
+        return None
 
     def peer(self, buffer: bytes | bytearray) -> str | None:
         """See `FrameBoundary.peer`."""
