@@ -111,8 +111,9 @@ class RealtimeBoundary:
                 continue
             need = size + _HEAD.size
             if end - at < need:
-                self._judged = max(end - _HEAD.size + 1 - at, 0)
-                return at, size, need
+                # Until then a packet that goes on in time may come whole, from the first place that is not judged on.
+                self._judged = end - _HEAD.size + 1 - at
+                return at, 0, min(need, self._judged + self._size) if self._time else need
             next_size, later = _HEAD.unpack_from(buffer, at + size)
             if next_size == size and time < later <= time + _LONGEST_LOSS:
                 self._take(buffer, at, size)
