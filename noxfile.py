@@ -111,6 +111,20 @@ def fuzz(session: nox.Session) -> None:
     )
 
 
+@nox.session
+def soak(session: nox.Session) -> None:
+    """Run everything side by side for 20 minutes; memory, descriptors and threads have to stay flat."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-X", "dev", "-m", "tests.soak", *session.posargs)
+
+
+@nox.session
+def mutants(session: nox.Session) -> None:
+    """Change the program in small ways, one at a time, and count the changes that no test notices."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.mutants", *session.posargs)
+
+
 @nox.session(reuse_venv=False)
 def wheel(session: nox.Session) -> None:
     """Run the tests against the wheel that users get."""

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 from tests import real_captures
 
@@ -14,6 +14,15 @@ settings.register_profile("default", deadline=None, derandomize=False, max_examp
 # A gate gives the same verdict on the same tree; `fuzz` and every run at home look for what is new.
 settings.register_profile("ci", deadline=None, derandomize=True, max_examples=50, print_blob=True)
 settings.register_profile("fuzz", deadline=None, derandomize=False, max_examples=2000, print_blob=True)
+# What fails ends the run of a mutant, so nothing is made smaller or remembered.
+settings.register_profile(
+    "mutants",
+    deadline=None,
+    derandomize=True,
+    max_examples=50,
+    database=None,
+    phases=(Phase.explicit, Phase.generate),
+)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci" if os.environ.get("CI") else "default"))
 
 

@@ -1,0 +1,380 @@
+"""Runs the tests of one group once for each mutation, in a process of its own that is forked after collecting.
+
+Tests are collected once. For a mutation a child is forked, in which the function's code is replaced by the mutated one,
+so that it costs milliseconds and not a new interpreter. What is evaluated on import (constants of a module, default
+values, class bodies) cannot be replaced so: for such a mutation a new interpreter imports the mutated module.
+
+Only tests that execute the mutated lines are run, the fastest first, until one fails. Which those are is measured
+beforehand on the program as it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import importlib.abc
+import importlib.machinery
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any, NamedTuple
+
+import coverage
+import pytest
+
+from tests.mutants.operators import Function, Mutation, mutated, mutations
+from tests.mutants.targets import GROUPS, ROOT
+
+#: Seconds that a test may take with a mutation, besides ten times what it took without. Many mutants loop for ever.
+LENIENCE = 5.0
+
+#: Children without a mutation in each group. That their tests fail says how many kills are the machine's doing.
+CONTROLS = 10
+
+
+class Job(NamedTuple):
+    """A mutation of a file; without one it is a control."""
+
+    path: Path
+    mutation: Mutation
+    is_control: bool = False
+
+
+class Result(NamedTuple):
+    path: str
+    mutation: Mutation
+    is_control: bool
+    #: killed, survived, or uncovered where no test executes it. A test that does not end has killed it.
+    outcome: str
+    #: how many tests were chosen
+    tests: int
+
+    def as_json(self) -> dict[str, Any]:
+        return {**self._asdict(), "mutation": self.mutation._asdict()}
+
+
+class Measured(NamedTuple):
+    """What the tests do without a mutation."""
+
+    #: test -> seconds, of those that pass
+    seconds: dict[str, float]
+    #: file -> line -> tests
+    lines: dict[str, dict[int, list[str]]]
+
+    def choose(self, job: Job, budget: float) -> list[str]:
+        """The tests that execute the mutated lines, fastest first, for `budget` seconds at most."""
+        lines = self.lines.get(str(job.path), {})
+        numbers = range(job.mutation.line, job.mutation.end + 1) if job.mutation.function else lines
+        names = {name for number in numbers for name in lines.get(number, ())} & self.seconds.keys()
+        chosen: list[str] = []
+        for name in sorted(names, key=lambda name: self.seconds[name]):
+            budget -= self.seconds[name]
+            if budget < 0 and chosen:
+                break
+            chosen.append(name)
+        return chosen
+
+
+class Child:
+    """A process that runs tests, and the group of those that they start."""
+
+    def __init__(self, pid: int, folder: Path) -> None:
+        self._pid = pid
+        self._folder = folder
+
+    def outcome(self) -> str | None:
+        """None while it runs."""
+        pid, status = os.waitpid(self._pid, os.WNOHANG)
+        if not pid:
+            return None
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._pid, signal.SIGKILL)
+        shutil.rmtree(self._folder, ignore_errors=True)
+        return "survived" if os.waitstatus_to_exitcode(status) == 0 else "killed"
+
+
+def alone(folder: Path) -> None:
+    """In a child: a session of its own, silent, and with its own folder for temporary files."""
+    os.setsid()
+    os.environ["PYTEST_DEBUG_TEMPROOT"] = str(folder)
+    tempfile.tempdir = str(folder)
+    null = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        os.dup2(null, descriptor)
+
+
+class Engine:
+    """The plugin that replaces pytest's loop over the tests."""
+
+    def __init__(self, files: Sequence[Path], sample: int | None, jobs: int, budget: float, seed: int) -> None:
+        self._files = files
+        self._sample = sample
+        self._parallel = jobs
+        self._budget = budget
+        self._random = random.Random(seed)
+        self._sources = {path: path.read_text(encoding="utf-8") for path in files}
+        self.results: list[Result] = []
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        # Children have a deadline of their own, and what they write goes nowhere.
+        session.config.pluginmanager.unregister(name="watchdog")
+        self._items = {item.nodeid: item for item in session.items}
+        self._functions = dict(_functions(set(map(str, self._files))))
+        measured = self._measure()
+        jobs = self._jobs()
+        seconds = sum(measured.seconds.values())
+        print(f"{len(measured.seconds)} of {len(self._items)} tests pass, in {seconds:.0f} s", file=sys.stderr)
+        print(f"{len(jobs)} runs, of mutants and of {CONTROLS} controls", file=sys.stderr, flush=True)
+        running: list[tuple[Child, Job, int]] = []
+        while jobs or running:
+            while jobs and len(running) < self._parallel:
+                job = jobs.pop()
+                names = measured.choose(job, self._budget)
+                if names:
+                    running.append(
+                        (self._start(job, {name: measured.seconds[name] for name in names}), job, len(names))
+                    )
+                elif not job.is_control:
+                    self._note(job, "uncovered", 0)
+            time.sleep(0.005)
+            for each in list(running):
+                child, job, count = each
+                if (outcome := child.outcome()) is not None:
+                    running.remove(each)
+                    self._note(job, outcome, count)
+        return True
+
+    def _note(self, job: Job, outcome: str, tests: int) -> None:
+        self.results.append(Result(str(job.path.relative_to(ROOT)), job.mutation, job.is_control, outcome, tests))
+        if outcome in ("survived", "uncovered") and not job.is_control:
+            mutation = job.mutation
+            where = f"{job.path.relative_to(ROOT)}:{mutation.line}"
+            print(f"{where}: {outcome}: {mutation.before}  ->  {mutation.after}", file=sys.stderr, flush=True)
+
+    def _jobs(self) -> list[Job]:
+        """In the reverse of the order in which they are done."""
+        jobs: list[Job] = []
+        for path, source in self._sources.items():
+            found = mutations(source)
+            if self._sample is not None and len(found) > self._sample:
+                found = sorted(self._random.sample(found, self._sample))
+            jobs += [Job(path, mutation) for mutation in found]
+        within = [job for job in jobs if job.mutation.function]
+        jobs += [job._replace(is_control=True) for job in self._random.sample(within, min(CONTROLS, len(within)))]
+        return jobs[::-1]
+
+    # -- children ----------------------------------------------------------------------------
+
+    def _start(self, job: Job, seconds: dict[str, float]) -> Child:
+        folder = Path(tempfile.mkdtemp(prefix="mutant-"))
+        code = None if job.is_control else self._code(job)
+        if code is None and not job.is_control:
+            return Child(_interpreter(job, seconds, folder), folder)
+        pid = os.fork()
+        if pid == 0:
+            try:
+                alone(folder)
+                if code is not None:
+                    function, other = code
+                    for each in self._functions[str(job.path), function]:
+                        each.__code__ = other
+                self._run([self._items[name] for name in seconds], First(seconds))
+                os._exit(0)
+            finally:
+                os._exit(2)
+        return Child(pid, folder)
+
+    def _code(self, job: Job) -> tuple[Function, CodeType] | None:
+        """The function to replace and its mutated code; None if the module has to be imported anew."""
+        function = job.mutation.function
+        if function is None or (str(job.path), function) not in self._functions:
+            return None
+        module = compile(
+            mutated(self._sources[job.path], job.mutation.number), str(job.path), "exec", dont_inherit=True
+        )
+        (code,) = (each for each in codes(module) if (each.co_name, each.co_firstlineno) == function)
+        for each in self._functions[str(job.path), function]:
+            # Without the only use of a variable of an outer function, the two do not fit each other.
+            if each.__code__.co_freevars != code.co_freevars:
+                return None
+        return function, code
+
+    def _run(self, items: Sequence[pytest.Item], plugin: object) -> None:
+        items[0].config.pluginmanager.register(plugin)
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+
+    def _measure(self) -> Measured:
+        with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+            path = Path(folder) / "measured.json"
+            pid = os.fork()
+            if pid == 0:
+                try:
+                    alone(Path(folder))
+                    self._run_measured(path)
+                finally:
+                    os._exit(2)
+            os.waitpid(pid, 0)
+            if not path.exists():
+                raise pytest.UsageError("the tests could not be run without a mutation")
+            seconds, lines = json.loads(path.read_text())
+        return Measured(seconds, {name: {int(line): of for line, of in each.items()} for name, each in lines.items()})
+
+    def _run_measured(self, path: Path) -> None:
+        tracer = coverage.Coverage(data_file=None, include=list(map(str, self._files)), config_file=False)
+        tracer.start()
+        watch = Stopwatch(tracer)
+        self._run(list(self._items.values()), watch)
+        tracer.stop()
+        data = tracer.get_data()
+        lines = {str(each): data.contexts_by_lineno(str(each)) for each in self._files}
+        path.write_text(json.dumps([watch.seconds, lines]))
+
+
+class First:
+    """Ends the process at the first test that fails, or does not end.
+
+    Args:
+        seconds: what each test took without a mutation.
+    """
+
+    def __init__(self, seconds: dict[str, float]) -> None:
+        self._seconds = seconds
+        self._null = os.open(os.devnull, os.O_WRONLY)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        # A C thread: it ends a loop that keeps the interpreter lock as well.
+        faulthandler.dump_traceback_later(LENIENCE + 10 * self._seconds[item.nodeid], exit=True, file=self._null)
+        return (yield)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            os._exit(1)
+
+
+class Stopwatch:
+    """Measures each test, and tells the tracer which one runs."""
+
+    def __init__(self, tracer: coverage.Coverage) -> None:
+        self._tracer = tracer
+        self.seconds: dict[str, float] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        self._tracer.switch_context(item.nodeid)
+        self._has_passed = True
+        begin = time.perf_counter()
+        try:
+            return (yield)
+        finally:
+            if self._has_passed:
+                self.seconds[item.nodeid] = time.perf_counter() - begin
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if not report.passed:
+            self._has_passed = False
+
+
+def _functions(files: set[str]) -> Iterator[tuple[tuple[str, Function], list[FunctionType]]]:
+    """File and function -> what was made of it: one function, or as many as its class has clones."""
+    found: dict[tuple[str, Function], list[FunctionType]] = {}
+    for each in gc.get_objects():
+        if isinstance(each, FunctionType) and each.__code__.co_filename in files:
+            code = each.__code__
+            found.setdefault((code.co_filename, Function(code.co_name, code.co_firstlineno)), []).append(each)
+    yield from found.items()
+
+
+def codes(code: CodeType) -> Iterator[CodeType]:
+    """Those of all classes and functions in it, outer ones first."""
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield each
+            yield from codes(each)
+
+
+# -- a new interpreter -----------------------------------------------------------------------
+
+
+def _interpreter(job: Job, seconds: dict[str, float], folder: Path) -> int:
+    order = {"path": str(job.path), "number": job.mutation.number, "seconds": seconds}
+    command = [sys.executable, "-m", "tests.mutants.engine"]
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env={**os.environ, "PYTEST_DEBUG_TEMPROOT": str(folder), "TMPDIR": str(folder)},
+        text=True,
+    )
+    assert process.stdin is not None
+    with process.stdin as stdin:
+        json.dump(order, stdin)
+    process.returncode = 0  # it is waited for by its number
+    return process.pid
+
+
+class MutatedLoader(importlib.machinery.SourceFileLoader):
+    def __init__(self, fullname: str, path: str, number: int) -> None:
+        super().__init__(fullname, path)
+        self._number = number
+
+    def get_code(self, fullname: str) -> CodeType:
+        # Not that of the base, which takes bytecode from the cache: that is the program as it is.
+        return compile(mutated(self.get_data(self.path).decode(), self._number), self.path, "exec", dont_inherit=True)
+
+
+class Finder(importlib.abc.MetaPathFinder):
+    """Finds one module as it is, and gives it a loader that mutates it."""
+
+    def __init__(self, path: str, number: int) -> None:
+        self._path = path
+        self._number = number
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
+        if spec is None or spec.origin != self._path:
+            return None
+        spec.loader = MutatedLoader(fullname, self._path, self._number)
+        return spec
+
+
+def options() -> list[str]:
+    """Of pytest, for every process of ours."""
+    return ["-q", "-s", "-p", "no:cacheprovider", "-p", "no:xdist", "-c", str(ROOT / "pyproject.toml")]
+
+
+def run_order() -> int:
+    """A new interpreter's work: import the mutated module, run the tests."""
+    order = json.load(sys.stdin)
+    sys.meta_path.insert(0, Finder(order["path"], order["number"]))
+    # A test that cannot be collected has noticed as well.
+    return int(pytest.main([*options(), *order["seconds"]], plugins=[First(order["seconds"])]))
+
+
+def run_group(name: str, only: str | None, sample: int | None, jobs: int, budget: float, seed: int) -> list[Result]:
+    group = GROUPS[name]
+    files = [path for path in group.files() if only is None or path.stem == only]
+    engine = Engine(files, sample, jobs, budget, seed)
+    status = pytest.main([*options(), *(str(ROOT / test) for test in group.tests)], plugins=[engine])
+    if status != pytest.ExitCode.OK:
+        raise SystemExit(f"the tests of {name} could not be collected")
+    return engine.results
+
+
+if __name__ == "__main__":
+    sys.exit(run_order())

@@ -1,0 +1,90 @@
+"""Mutations are of the kinds that they should be, and can be made one by one."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+
+from tests.mutants.engine import codes
+from tests.mutants.operators import Function, mutated, mutations
+from tests.mutants.targets import GROUPS
+
+
+def changes(source: str) -> list[tuple[str, str]]:
+    return [(each.before, each.after) for each in mutations(source)]
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("a < b", [("a < b", "a <= b")]),
+        ("a == b", [("a == b", "a != b")]),
+        ("x = a if b >= c else d", [("b >= c", "b > c"), ("b >= c", "not b >= c")]),
+        ("while a is None: f = g", [("a is None", "not a is None")]),
+        ("x = a and b", [("a and b", "a or b")]),
+        ("x = not a", [("not a", "a")]),
+        ("x = [a for a in b if not a]", [("not a", "a")]),
+        ("x = -a + b", [("-a", "a"), ("-a + b", "-a - b")]),
+        ("x += a", [("x += a", "x -= a")]),
+        ("x = (1, 0.5, True)", [("1", "2"), ("0.5", "1.0"), ("True", "False")]),
+        ("x = 0.0", [("0.0", "1.0")]),
+        ("f()", [("f()", "pass")]),
+        ("def f():\n    a.b = c", [("a.b = c", "pass")]),
+        ("def f():\n    return a", [("return a", "return None")]),
+        ("raise a", [("raise a", "pass")]),
+        ("del a[b]", [("del a[b]", "pass")]),
+        ("while a:\n    break", [("a", "not a"), ("break", "pass")]),
+        ("while a:\n    continue", [("a", "not a"), ("continue", "pass")]),
+        ("x = {a: f(b=c)}", []),
+        ('"text"', []),
+        ('x = f"{1} is {a < b}"', []),
+        ('x = "text" + y', []),
+        ("log.warning(a, 1)", []),
+        ("x: Literal[1] = a", []),
+        ("assert a < 1", []),
+        ("@f(1)\nclass C:\n    pass", []),
+        ("if TYPE_CHECKING:\n    x = 1", []),
+        ("def __repr__(self):\n    return a + 1", []),
+        ("def f():\n    return None", []),
+    ],
+)
+def test_mutations(source: str, expected: list[tuple[str, str]]) -> None:
+    assert changes(source) == expected
+
+
+SOURCE = """\
+LIMIT = 2
+
+class C:
+    @property
+    def f(self, a=3):
+        def g():
+            return a + 1
+        return g() < LIMIT
+"""
+
+
+def test_they_say_in_which_function_they_are() -> None:
+    """By the line of the first decorator, as code objects have it. Defaults are evaluated outside."""
+    f = Function("f", 4)
+    assert [(each.line, each.function) for each in mutations(SOURCE)] == [
+        (1, None),
+        (5, None),
+        *[(7, f)] * 3,
+        *[(8, f)] * 2,
+    ]
+    assert [(code.co_name, code.co_firstlineno) for code in codes(compile(SOURCE, "", "exec"))][1:2] == [f]
+
+
+def test_each_is_the_only_change() -> None:
+    original = ast.unparse(ast.parse(SOURCE)).splitlines()
+    for each in mutations(SOURCE):
+        changed = ast.unparse(mutated(SOURCE, each.number)).splitlines()
+        assert sum(one != other for one, other in zip(original, changed, strict=True)) == 1
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_what_is_mutated_is_there(name: str) -> None:
+    """A pattern that finds nothing after a module was renamed would leave it out without a word."""
+    assert GROUPS[name].missing() == []

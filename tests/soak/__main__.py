@@ -1,0 +1,102 @@
+"""Workloads side by side for a long time: memory, descriptors, threads and objects have to stay flat. ``nox -s soak``.
+
+Each workload has a process of its own, so that a growth is told by its name. Exits with 1 if anything grows, or if a
+workload fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import threading
+import time
+import traceback
+
+from tests.soak.gauges import Sample, sample, trends
+from tests.soak.workloads import WORKLOADS, Workload
+
+NAMES = [each.__name__ for each in WORKLOADS]
+
+#: Samples below which a run is too short for a trend.
+LEAST_SAMPLES = 20
+
+
+class Rounds:
+    """Does the rounds of one workload, in a thread, until it is told to end or until one fails."""
+
+    def __init__(self, workload: Workload) -> None:
+        self._workload = workload
+        self.count = 0
+        self.failure: str | None = None
+        self.ended = threading.Event()
+        self._thread = threading.Thread(target=self._work, name=workload.__name__, daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        try:
+            with self._workload() as one_round:
+                while not self.ended.is_set():
+                    one_round()
+                    self.count += 1
+        except BaseException:
+            self.failure = traceback.format_exc()
+            self.ended.set()
+
+    def end(self, timeout: float = 60.0) -> None:
+        self.ended.set()
+        self._thread.join(timeout)
+        if self._thread.is_alive():
+            self.failure = f"the round does not end within {timeout:g} s"
+
+
+def run(workload: Workload, seconds: float, interval: float) -> bool:
+    """Whether the workload went on to the end and everything stayed flat; prints what came of it."""
+    rounds = Rounds(workload)
+    samples: list[Sample] = []
+    begin = time.monotonic()
+    while not rounds.ended.wait(interval) and time.monotonic() - begin < seconds:
+        samples.append(sample(time.monotonic() - begin))
+    rounds.end()
+    lines = [f"{workload.__name__}: {rounds.count} rounds in {time.monotonic() - begin:.0f} s"]
+    is_good = rounds.failure is None
+    if rounds.failure is not None:
+        lines.append(rounds.failure)
+    if len(samples) < LEAST_SAMPLES:
+        lines.append(f"  only {len(samples)} samples, too few for a trend")
+        is_good = False
+    else:
+        found = trends(samples)
+        lines += [f"  {trend}" for trend in found]
+        is_good = is_good and all(trend.is_flat for trend in found)
+    print("\n".join(lines), flush=True)
+    return is_good
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="soak", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=20.0, help="how long (%(default)g)")
+    parser.add_argument("--interval", type=float, default=5.0, help="seconds between samples (%(default)g)")
+    parser.add_argument("--in-process", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("names", nargs="*", metavar="WORKLOAD", help=f"of {', '.join(NAMES)}; all by default")
+    options = parser.parse_args()
+    if sys.platform != "linux":
+        parser.error("memory, descriptors and threads are read from /proc, which Linux has")
+    if unknown := set(options.names) - set(NAMES):
+        parser.error(f"no workload {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    if options.in_process:
+        (chosen,) = (each for each in WORKLOADS if each.__name__ in options.names)
+        return 0 if run(chosen, 60 * options.minutes, options.interval) else 1
+    arguments = ["--in-process", f"--minutes={options.minutes}", f"--interval={options.interval}"]
+    command = [sys.executable, "-m", "tests.soak", *arguments]
+    processes = [subprocess.Popen([*command, name]) for name in options.names or NAMES]
+    try:
+        statuses = [process.wait(60 * options.minutes + 180) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+    return max(statuses)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

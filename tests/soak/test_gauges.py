@@ -1,0 +1,53 @@
+"""A leak is seen in the noise, and noise is no leak."""
+
+from __future__ import annotations
+
+import random
+import sys
+import threading
+
+import pytest
+
+from tests.soak.gauges import Sample, sample, slope, trends
+
+
+def run(leak: float, noise: float = 1.0) -> list[Sample]:
+    """20 minutes in steps of 5 s, each gauge with this growth an hour, after a steep beginning."""
+    chance = random.Random(1)
+    samples = []
+    for at in range(0, 1200, 5):
+        grown = min(at, 200) / 4 + leak * at / 3600
+        level = 100 + grown + chance.uniform(-noise, noise) + (40 if at % 300 == 0 else 0)
+        samples.append(Sample(float(at), level, round(level), round(level), round(1000 * level)))
+    return samples
+
+
+def test_noise_outliers_and_a_steep_beginning_are_flat() -> None:
+    assert all(trend.is_flat for trend in trends(run(leak=0.0)))
+
+
+@pytest.mark.parametrize("leak", [30.0, 200.0])
+def test_a_leak_is_not(leak: float) -> None:
+    """30 an hour is one each two minutes."""
+    found = trends(run(leak))
+    assert not any(trend.is_flat for trend in found)
+    assert found[0].growth == pytest.approx(leak / 4, rel=0.1)
+
+
+def test_slope() -> None:
+    assert slope([(0.0, 1.0), (1.0, 3.0), (2.0, 500.0), (3.0, 7.0), (4.0, 9.0)]) == 2.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is read")
+def test_what_is_held_is_seen() -> None:
+    before = sample(0.0)
+    end = threading.Event()
+    thread = threading.Thread(target=end.wait)
+    thread.start()
+    lists: list[list[int]] = [[] for _ in range(10_000)]
+    with open("/dev/null"):
+        after = sample(1.0)
+    end.set()
+    thread.join()
+    assert (after.descriptors, after.threads) == (before.descriptors + 1, before.threads + 1)
+    assert after.objects >= before.objects + len(lists)

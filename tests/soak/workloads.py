@@ -1,0 +1,137 @@
+"""What runs for a long time: each is a round that is done again and again, in a process of its own."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+import rhdlink
+import urlink
+from rhdlink.plugins.turtle import Turtle
+from urlink.simulator import Controller
+
+#: Seconds after which something that has to come has not come, on a machine that is busy.
+PATIENCE = 30.0
+
+HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
+
+Round = Callable[[], None]
+Workload = Callable[[], AbstractContextManager[Round]]
+
+
+def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("it did not come about")
+        time.sleep(0.01)
+
+
+@contextmanager
+def streams() -> Iterator[Round]:
+    """Subscriptions of every policy to streams that are read all the time."""
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        policies = [urlink.latest, urlink.drop_oldest(8), urlink.block]
+
+        def listen() -> None:
+            seen: list[urlink.RealtimeState] = []
+            subscriptions = [robot.realtime.subscribe(seen.append, policy=policy) for policy in policies]
+            subscriptions.append(robot.primary.subscribe(lambda state: None, urlink.RobotModeData))
+            until(lambda: len(seen) > 300)
+            for subscription in subscriptions:
+                subscription.close()
+            for _, state in zip(range(100), robot.realtime, strict=False):
+                assert np.isfinite(state.q_actual).all()
+
+        yield listen
+
+
+@contextmanager
+def reconnects() -> Iterator[Round]:
+    """Connections that are cut, that lose their boundary, and that are made and closed."""
+    with Controller("UR10", "3.4") as controller, urlink.connect(controller.address) as robot:
+        robot.realtime.wait(PATIENCE)
+
+        def lose() -> None:
+            before = robot.realtime.stats.reconnects
+            controller.faults.cut()
+            until(lambda: robot.realtime.stats.reconnects > before)
+            controller.faults.garbage(200)
+            received = robot.realtime.stats.received
+            until(lambda: robot.realtime.stats.received > received + 50)
+            with urlink.connect(controller.address) as other:
+                other.realtime.wait(PATIENCE)
+                other.primary.wait(PATIENCE)
+
+        yield lose
+
+
+@contextmanager
+def motions() -> Iterator[Round]:
+    """An arm that moves in every way, is cancelled and is stopped."""
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        robot.motion.move_joints(HOME).wait(PATIENCE)
+        turns = itertools.cycle([0.2, -0.2])
+
+        def move() -> None:
+            goal = [*HOME[:5], next(turns)]
+            robot.motion.move_joints(goal, speed=1.0, acceleration=4.0).wait(PATIENCE)
+            path = urlink.Trajectory.from_arrays([0.0, 0.5, 1.0], [goal, HOME, goal])
+            robot.motion.follow(path, watchdog=5.0).wait(PATIENCE)
+            robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.2).wait(PATIENCE)
+            with robot.motion.move_joints(HOME, speed=0.3):
+                robot.realtime.wait(PATIENCE)
+            robot.motion.stop().wait(PATIENCE)
+            robot.script.run("textmsg(1)").wait(PATIENCE)
+
+        yield move
+
+
+@contextmanager
+def recordings() -> Iterator[Round]:
+    """Recordings that are made and replayed."""
+    with Controller("UR3e", "5.4") as controller, tempfile.TemporaryDirectory() as folder:
+
+        def record() -> None:
+            path = Path(folder) / "run.urlog"
+            with urlink.connect(controller.address) as robot, robot.record(path):
+                until(lambda: robot.realtime.stats.received > 200)
+            with urlink.connect(f"replay://{path}?rate=max") as robot:
+                count = sum(1 for _ in robot.realtime.of(urlink.RealtimeState))
+            assert count >= 200
+            path.unlink()
+
+        yield record
+
+
+@contextmanager
+def robots() -> Iterator[Round]:
+    """A host with a writer that drives, readers that come and go, one that never reads and one that says nothing."""
+    with rhdlink.Host([Turtle()], period=0.01, port=0) as host:
+        address = f"127.0.0.1:{host.port}"
+
+        def drive() -> None:
+            idle = socket.create_connection(("127.0.0.1", host.port), PATIENCE)
+            deaf = socket.create_connection(("127.0.0.1", host.port), PATIENCE)
+            deaf.sendall(b"ar" + b"rree" * 200)
+            with rhdlink.connect(address, rhdlink.VelocityOmega, access="w") as writer:
+                for _ in range(5):
+                    with rhdlink.connect(address, rhdlink.VelocityOmega) as reader:
+                        for speed in np.linspace(0.0, 0.1, 20):
+                            writer.cmdtransvel = float(speed)
+                            writer.sync()
+                            reader.sync()
+            idle.close()
+            deaf.close()
+
+        yield drive
+
+
+WORKLOADS: tuple[Workload, ...] = (streams, reconnects, motions, recordings, robots)
