@@ -293,7 +293,7 @@ class Variables(Declarations):
 
     @property
     def discarded(self) -> int:
-        """Values that were set and will not be sent, because the connection was lost before.
+        """Values that were set and lost with a connection: not sent, or sent and not answered.
 
         See the argument `unsent` of `connect`.
         """
@@ -468,8 +468,10 @@ class Variables(Declarations):
             replica.begin_round()
             connection.take_waiting(until)
             connection.collect(until)
+            replica.answered()
             connection.settle(replica.period, until)
             connection.request(replica.outgoing(connection.access, connection.width), until)
+            replica.answered()
             self._received = connection.received
         except RemoteError as error:
             if self._closing.is_set():

@@ -18,6 +18,7 @@ from .variables.database import Database, Table
 from .variables.declarations import Declaration
 from .variables.snapshot import Change, Variable
 from .variables.value_types import Order
+from .wire.data import Ids
 from .wire.messages import Batch, Handshake
 
 __all__ = ["Replica", "Unsent", "database_of", "similar"]
@@ -29,6 +30,7 @@ Unsent = Literal["discard", "send"]
 
 #: A writer's request that sets nothing holds a data package all the same, as librhd's does.
 _NOTHING_SET = b"dw\0\0\0\0"
+_NONE: Ids = np.empty(0, np.int64)
 
 
 class Replica:
@@ -40,7 +42,7 @@ class Replica:
 
     Attributes:
         lock: held around every access to the database.
-        discarded: values that were set and will not be sent.
+        discarded: values that were set and lost with a connection: not sent, or sent and not answered.
         period: seconds between ticks of the robot, once two batches of a connection have shown it.
     """
 
@@ -51,6 +53,7 @@ class Replica:
         self._robot = robot
         self._unsent = unsent
         self._has_warned = False
+        self._unanswered: Ids = _NONE  # variables in a request that has not been answered
         self._database: Database | None = None
         self._first_tick: tuple[int, float] | None = None
 
@@ -177,7 +180,7 @@ class Replica:
                 database.write.set(new, before.write.value(identity), before.write.stamp(identity))
             else:
                 lacking.append(row.name)
-        self._note_discarded(lacking, "it no longer has them")
+        self._note_discarded(lacking, "which the robot no longer has")
 
     def give_up(self) -> None:
         """The connection is lost, or could not be made: forget what has not been sent, unless that is to be kept.
@@ -185,19 +188,20 @@ class Replica:
         What is given up is never sent. A robot stops when its master is gone, and a command of before that would set
         it moving again however much later the network is back.
         """
-        if self._unsent == "send":
-            return
         with self.lock:
             write = self.database.write
-            ids = write.dirty.take()
-            write.updated[ids] = False
-            self._note_discarded([write.rows[identity].name for identity in ids.tolist()], "the connection was lost")
+            lost, self._unanswered = self._unanswered.tolist(), _NONE
+            if self._unsent == "discard":
+                ids = write.dirty.take()
+                write.updated[ids] = False
+                lost += ids.tolist()
+            self._note_discarded([write.rows[identity].name for identity in lost], "with the connection")
 
     def _note_discarded(self, names: list[str], reason: str) -> None:
         self.discarded += len(names)
         if names and not self._has_warned:  # once for each outage: a control loop would fill the disk
             self._has_warned = True
-            _log.warning("%s is not sent %s, which had been set: %s", self._robot, ", ".join(map(repr, names)), reason)
+            _log.warning("%s: lost what was set of %s, %s", self._robot, ", ".join(map(repr, names)), reason)
 
     def begin_round(self) -> None:
         """Clear the flags of the batch before."""
@@ -216,14 +220,19 @@ class Replica:
                 return _NOTHING_SET
             ids = write.dirty.take()
             write.updated[ids] = False
+            self._unanswered = ids
             return write.encode(ids, width)
+
+    def answered(self) -> None:
+        """The request has been answered: what it set has arrived."""
+        self._unanswered = _NONE
+        self._has_warned = False
 
     def apply(self, batch: Batch) -> None:
         """Take what the robot says."""
         with self.lock:
             for data in batch.data:
                 self.database.table(data.direction).receive(data, updates=data.direction == "r")
-            self._has_warned = False
             if self.period is None:
                 self._measure_period()
 

@@ -8,6 +8,9 @@ import struct
 import threading
 from collections.abc import Callable
 
+from rhdlink.variables.database import Database, TimeStamp
+from rhdlink.wire.messages import Row
+
 #: Seconds after which a client that says nothing has failed the test.
 PATIENCE = 10.0
 
@@ -96,3 +99,61 @@ class ScriptedServer:
                     script(Peer(connection))
         except BaseException as failure:
             self._failure = failure
+
+
+class Robot:
+    """A robot's side to script with: one read and two write variables, and a tick."""
+
+    def __init__(self, read: tuple[str, ...] = ("tick", "encl"), write: tuple[str, ...] = ("speedl", "speedr")) -> None:
+        self.database = Database([Row(name, 1) for name in read], [Row(name, 1) for name in write])
+
+    def greet(self, peer: Peer, access: str = "r") -> None:
+        peer.hear(b"a" + access.encode())
+        peer.say(self.database.encode_handshake(access))
+
+    def batch(self, tick: int, **values: int) -> bytes:
+        """A batch of the tick `tick`, which was at `tick` centiseconds."""
+        read = self.database.read
+        for name, value in {"tick": tick, **values}.items():
+            read.set(read.find(name) or 0, value, TimeStamp(1000, 10_000 * tick))
+        return b"dw\0\0\0\0" + read.encode(read.dirty.take()) + b"ee"
+
+    def write(self, **values: int) -> bytes:
+        """What a writer that sets these says, but for its time stamps."""
+        write = Database(write=self.database.write.rows).write
+        for name, value in values.items():
+            write.set(write.find(name) or 0, value, TimeStamp(0, 0))
+        return b"rw" + write.encode(write.dirty.take()) + b"ee"
+
+
+def nothing_more_after_greeting(peer: Peer) -> None:
+    Robot().greet(peer)
+    assert peer.is_left()
+
+
+def serving(side: Robot, access: str = "r", syncs: int = 0) -> Script:
+    def script(peer: Peer) -> None:
+        side.greet(peer, access)
+        for tick in range(1, syncs + 1):
+            peer.read(2)
+            while not peer.heard.endswith(b"ee"):
+                peer.read(1)
+            peer.say(side.batch(tick))
+        assert peer.is_left()
+
+    return script
+
+
+def endless(side: Robot, access: str = "r") -> Script:
+    def script(peer: Peer) -> None:
+        side.greet(peer, access)
+        tick = 0
+        try:
+            while True:
+                peer.hear(b"rree")
+                tick += 1
+                peer.say(side.batch(tick, encl=tick // 2))
+        except (AssertionError, ConnectionError):
+            assert tick  # it left
+
+    return script

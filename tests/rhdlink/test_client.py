@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -24,13 +26,11 @@ from linkcore.errors import (
 )
 from rhdlink import (
     AccessDenied,
-    Backoff,
     ConnectionState,
     Int32,
     NotThere,
     Read,
     Scaled,
-    Update,
     Variables,
     Write,
     WrongVariables,
@@ -41,7 +41,7 @@ from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import Row
 from tests.rhdlink import recorded
-from tests.rhdlink.scripted import Peer, Script, ScriptedServer
+from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
 from tests.waiting import until
 
 
@@ -59,31 +59,6 @@ class Recording:
         while (batch := stream.take_batch()) is not None:
             self.batches.append(data[at : at + batch.size])
             at += batch.size
-
-
-class Robot:
-    """A robot's side to script with: one read and two write variables, and a tick."""
-
-    def __init__(self, read: tuple[str, ...] = ("tick", "encl"), write: tuple[str, ...] = ("speedl", "speedr")) -> None:
-        self.database = Database([Row(name, 1) for name in read], [Row(name, 1) for name in write])
-
-    def greet(self, peer: Peer, access: str = "r") -> None:
-        peer.hear(b"a" + access.encode())
-        peer.say(self.database.encode_handshake(access))
-
-    def batch(self, tick: int, **values: int) -> bytes:
-        """A batch of the tick `tick`, which was at `tick` centiseconds."""
-        read = self.database.read
-        for name, value in {"tick": tick, **values}.items():
-            read.set(read.find(name) or 0, value, TimeStamp(1000, 10_000 * tick))
-        return b"dw\0\0\0\0" + read.encode(read.dirty.take()) + b"ee"
-
-    def write(self, **values: int) -> bytes:
-        """What a writer that sets these says, but for its time stamps."""
-        write = Database(write=self.database.write.rows).write
-        for name, value in values.items():
-            write.set(write.find(name) or 0, value, TimeStamp(0, 0))
-        return b"rw" + write.encode(write.dirty.take()) + b"ee"
 
 
 class Smr(Variables):
@@ -388,19 +363,6 @@ def test_a_late_answer_is_collected_before_anything_else_is_said() -> None:
 # -- values ------------------------------------------------------------------------------------
 
 
-def serving(side: Robot, access: str = "r", syncs: int = 0) -> Script:
-    def script(peer: Peer) -> None:
-        side.greet(peer, access)
-        for tick in range(1, syncs + 1):
-            peer.read(2)
-            while not peer.heard.endswith(b"ee"):
-                peer.read(1)
-            peer.say(side.batch(tick))
-        assert peer.is_left()
-
-    return script
-
-
 def test_values_by_name() -> None:
     side = Robot()
     side.database = Database([Row("tick", 1), Row("line", 3)], side.database.write.rows)
@@ -616,7 +578,7 @@ def test_a_lost_connection_is_made_again_and_names_are_found_again(ending: Calla
     ]
 
 
-def test_what_was_set_before_the_connection_was_lost_is_forgotten() -> None:
+def test_what_was_set_before_the_connection_was_lost_is_forgotten(caplog: pytest.LogCaptureFixture) -> None:
     side = Robot()
 
     def first(peer: Peer) -> None:
@@ -629,10 +591,110 @@ def test_what_was_set_before_the_connection_was_lost_is_forgotten() -> None:
 
     with ScriptedServer(first, second) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         robot.speedl = 1
+        robot["speedr"] = 2
+        with pytest.raises(ConnectionLost):
+            robot.sync()
+        assert not robot.updated("speedl")
+        robot.sync()
+        assert robot.discarded == 2
+    assert "lost what was set of 'speedl', 'speedr', with the connection" in caplog.text
+
+
+def test_what_is_set_while_the_robot_is_away_is_forgotten_with_each_try_that_fails(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """However long it is away: a value is sent by the sync that follows it, or never."""
+    side = Robot()
+
+    def leaves(peer: Peer) -> None:
+        peer.hear(b"aw")
+
+    def last(peer: Peer) -> None:
+        side.greet(peer, "w")
+        assert without_stamps(peer.read(26)) == side.write(speedl=900)
+        peer.say(side.batch(1))
+
+    scripts = [lambda peer: side.greet(peer, "w"), leaves, leaves, leaves, last]
+    with ScriptedServer(*scripts) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        for metres in (1, 2, 3, 4):
+            robot.speedl = metres
+            with pytest.raises((ConnectionLost, ConnectFailed)):
+                robot.sync()
+        assert robot.discarded == 4
+        robot.speedl = 9
+        assert robot.updated("speedl")
+        robot.sync()
+        assert robot.discarded == 4
+    # One line for the outage, however many tries failed in it.
+    assert caplog.text.count("lost what was set") == 1
+
+
+def test_values_can_be_kept_until_they_are_sent() -> None:
+    side = Robot()
+
+    def leaves(peer: Peer) -> None:
+        peer.hear(b"aw")
+
+    def last(peer: Peer) -> None:
+        side.greet(peer, "w")
+        assert without_stamps(peer.read(42)) == side.write(speedl=100, speedr=7)
+        peer.say(side.batch(1))
+
+    scripts = [lambda peer: side.greet(peer, "w"), leaves, last]
+    with (
+        ScriptedServer(*scripts) as server,
+        rhdlink.connect(server.address, Smr, access="w", unsent="send") as robot,
+    ):
+        robot.speedl = 1
+        with pytest.raises(ConnectionLost):
+            robot.sync()
+        robot["speedr"] = 7
+        with pytest.raises(ConnectFailed):
+            robot.sync()
+        robot.sync()
+        assert robot.discarded == 0
+
+
+def test_a_kept_value_that_the_robot_no_longer_has_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+    before, after = Robot(), Robot(write=("speedl",))
+
+    def last(peer: Peer) -> None:
+        after.greet(peer, "w")
+        peer.hear(b"rwdw\0\0\0\0ee")
+        peer.say(after.batch(1))
+
+    scripts = [lambda peer: before.greet(peer, "w"), last]
+    with (
+        ScriptedServer(*scripts) as server,
+        rhdlink.connect(server.address, access="w", unsent="send") as robot,
+    ):
+        robot["speedr"] = 7
         with pytest.raises(ConnectionLost):
             robot.sync()
         robot.sync()
-        assert not robot.updated("speedl")
+        assert robot.discarded == 1
+    assert "lost what was set of 'speedr', which the robot no longer has" in caplog.text
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+def test_a_forked_child_neither_syncs_nor_ends_its_parent_s_connection() -> None:
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        robot.sync()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of forking with threads, which is what is tried here
+            child = os.fork()
+        if not child:  # pragma: no cover
+            status = 1
+            try:
+                robot.sync()
+            except LocalError as error:
+                status = 0 if "by the parent process" in str(error) else 2
+            with contextlib.suppress(BaseException):
+                robot.close()
+            os._exit(status)
+        assert os.waitpid(child, 0)[1] == 0
+        for _ in range(3):
+            robot.sync()
 
 
 def test_a_robot_that_comes_back_as_another_is_refused() -> None:
@@ -699,11 +761,6 @@ def test_timeouts_that_cannot_be(timeout: float) -> None:
         robot.sync(timeout)
 
 
-def nothing_more_after_greeting(peer: Peer) -> None:
-    Robot().greet(peer)
-    assert peer.is_left()
-
-
 def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
     side = Robot()
 
@@ -723,86 +780,7 @@ def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
         assert robot.tick == 1
 
 
-# -- in the background -------------------------------------------------------------------------
-
-
-def endless(side: Robot, access: str = "r") -> Script:
-    def script(peer: Peer) -> None:
-        side.greet(peer, access)
-        tick = 0
-        try:
-            while True:
-                peer.hear(b"rree")
-                tick += 1
-                peer.say(side.batch(tick, encl=tick // 2))
-        except (AssertionError, ConnectionError):
-            assert tick  # it left
-
-    return script
-
-
-def test_the_background_keeps_it_in_sync_and_tells_what_is_new() -> None:
-    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
-        updates: list[Update] = []
-        everything: list[Update] = []
-        robot.subscribe(updates.append, "encl", policy=rhdlink.block)
-        robot.subscribe(everything.append, policy=rhdlink.block)
-        with robot.background() as background:
-            until(lambda: len(updates) >= 20)
-            with pytest.raises(LocalError, match="kept in sync already"):
-                robot.background()
-        assert not background.is_running
-        assert background.failure is None
-        assert background.failures == 0
-        syncs = background.syncs
-        until(lambda: len(everything) == len(updates) == syncs)
-        assert all(set(each.changes) == {"tick", "encl"} for each in everything)
-        assert [each["tick"] for each in everything] == list(range(1, syncs + 1))
-        assert [each["encl"] for each in updates] == [tick // 2 for tick in range(1, syncs + 1)]
-        assert all(list(each.changes) == ["encl"] for each in updates)
-        assert "tick" not in updates[0]
-        # Fresh by its time stamp, changed by its value.
-        assert [each.changes["encl"].changed for each in updates[:4]] == [False, True, False, True]
-        assert updates[1].changes["encl"].stamp == (1000, 20_000)
-        robot.sync()
-        assert robot.tick == syncs + 1
-
-
-def test_the_background_reconnects() -> None:
-    side = Robot()
-
-    def fails(peer: Peer) -> None:
-        side.greet(peer)
-        peer.hear(b"rree")
-        peer.say(side.batch(1))
-
-    with ScriptedServer(fails, fails, endless(side)) as server, rhdlink.connect(server.address, Smr) as robot:
-        with robot.background(backoff=Backoff(first=0)) as background:
-            until(lambda: background.syncs > 10)
-        assert robot.reconnects == 2
-        assert background.failures >= 2
-
-
-def test_the_background_gives_up_when_it_is_told_to() -> None:
-    def fails(peer: Peer) -> None:
-        Robot().greet(peer)
-
-    with ScriptedServer(fails) as server:
-        robot = rhdlink.connect(server.address, Smr)
-        background = robot.background(backoff=Backoff(first=0, tries=0))
-        until(lambda: not background.is_running)
-        assert isinstance(background.failure, ConnectionLost)
-        robot.close()
-
-
-def test_the_background_takes_its_time() -> None:
-    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
-        with robot.background(period=0.001) as background:
-            until(lambda: background.syncs >= 5)
-        assert robot.tick == background.syncs
-        for period in (0, -1, float("inf")):
-            with pytest.raises(BadValue, match="expected a positive number"):
-                robot.background(period)
+# -- subscriptions ----------------------------------------------------------------------------
 
 
 def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:

@@ -1,0 +1,170 @@
+"""The thread that keeps a robot in sync: how it goes on, gives up, fails and ends."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import rhdlink
+from linkcore.errors import BadValue, ConnectionLost, LocalError
+from rhdlink import Backoff, Int32, Read, SyncThread, Update, Variables
+from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless
+from tests.waiting import until
+
+
+class Smr(Variables):
+    tick = Read(Int32)
+    encl = Read(Int32)
+
+
+@pytest.fixture(autouse=True)
+def leaves_no_thread() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    until(lambda: not set(threading.enumerate()) - before)
+
+
+def test_the_sync_thread_keeps_it_in_sync_and_tells_what_is_new() -> None:
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        updates: list[Update] = []
+        everything: list[Update] = []
+        robot.subscribe(updates.append, "encl", policy=rhdlink.block)
+        robot.subscribe(everything.append, policy=rhdlink.block)
+        with robot.background() as sync_thread:
+            until(lambda: len(updates) >= 20)
+            with pytest.raises(LocalError, match="kept in sync already"):
+                robot.background()
+        assert not sync_thread.is_running
+        assert sync_thread.failure is None
+        assert sync_thread.failures == 0
+        syncs = sync_thread.syncs
+        until(lambda: len(everything) == len(updates) == syncs)
+        assert all(set(each.changes) == {"tick", "encl"} for each in everything)
+        assert [each["tick"] for each in everything] == list(range(1, syncs + 1))
+        assert [each["encl"] for each in updates] == [tick // 2 for tick in range(1, syncs + 1)]
+        assert all(list(each.changes) == ["encl"] for each in updates)
+        assert "tick" not in updates[0]
+        # Fresh by its time stamp, changed by its value.
+        assert [each.changes["encl"].changed for each in updates[:4]] == [False, True, False, True]
+        assert updates[1].changes["encl"].stamp == (1000, 20_000)
+        robot.sync()
+        assert robot.tick == syncs + 1
+
+
+def test_the_sync_thread_reconnects() -> None:
+    side = Robot()
+
+    def fails(peer: Peer) -> None:
+        side.greet(peer)
+        peer.hear(b"rree")
+        peer.say(side.batch(1))
+
+    with ScriptedServer(fails, fails, endless(side)) as server, rhdlink.connect(server.address, Smr) as robot:
+        with robot.background(backoff=Backoff(first=0)) as sync_thread:
+            until(lambda: sync_thread.syncs > 10)
+        assert robot.reconnects == 2
+        assert sync_thread.failures >= 2
+
+
+def test_the_sync_thread_gives_up_when_it_is_told_to() -> None:
+    def fails(peer: Peer) -> None:
+        Robot().greet(peer)
+
+    with ScriptedServer(fails) as server:
+        robot = rhdlink.connect(server.address, Smr)
+        sync_thread = robot.background(backoff=Backoff(first=0, tries=0))
+        until(lambda: not sync_thread.is_running)
+        assert isinstance(sync_thread.failure, ConnectionLost)
+        robot.close()
+
+
+def test_the_sync_thread_takes_its_time() -> None:
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        with robot.background(period=0.001) as sync_thread:
+            until(lambda: sync_thread.syncs >= 5)
+        assert robot.tick == sync_thread.syncs
+        for period in (0, -1, float("inf")):
+            with pytest.raises(BadValue, match="expected a positive number"):
+                robot.background(period)
+
+
+def test_after_a_success_the_back_off_begins_anew() -> None:
+    """With two tries it survives any number of losses, as long as each is made good by the second try."""
+    side = Robot()
+
+    def answers_once(peer: Peer) -> None:
+        side.greet(peer)
+        peer.hear(b"rree")
+        peer.say(side.batch(1))
+
+    def leaves(peer: Peer) -> None:
+        peer.hear(b"ar")
+
+    scripts = [answers_once, leaves] * 4
+    with ScriptedServer(*scripts, endless(side)) as server, rhdlink.connect(server.address, Smr) as robot:
+        with robot.background(backoff=Backoff(first=0, tries=2)) as sync_thread:
+            until(lambda: sync_thread.syncs > 10)
+        assert sync_thread.failure is None
+        # Each loss fails twice: once when it is noticed, and once when the first new connection ends at once.
+        assert sync_thread.failures == 8
+        assert robot.reconnects == 4
+
+
+class Boom(BaseException):
+    """What no code expects."""
+
+
+@pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), Boom()])
+def test_whatever_ends_it_is_its_failure(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
+    class Broken(Smr):
+        def sync(self, timeout: float | None = None) -> None:
+            raise error
+
+    with ScriptedServer(lambda peer: Robot().greet(peer)) as server, rhdlink.connect(server.address, Broken) as robot:
+        sync_thread = robot.background()
+        until(lambda: not sync_thread.is_running)
+        assert sync_thread.failure is error
+        assert repr(error) in repr(sync_thread)
+    assert "sync ended" in caplog.text
+
+
+def test_a_robot_that_is_dropped_is_collected_with_a_warning_and_its_thread_ends() -> None:
+    def drop_in_use(address: str) -> SyncThread:
+        robot = rhdlink.connect(address, Smr)
+        robot.subscribe(lambda update: None)
+        sync_thread = robot.background()
+        until(lambda: sync_thread.syncs > 3)
+        return sync_thread
+
+    warns = pytest.warns(ResourceWarning, match="Smr .* was dropped without close")
+    with ScriptedServer(endless(Robot())) as server, warns:
+        sync_thread = drop_in_use(server.address)
+        until(lambda: not sync_thread.is_running)
+
+
+def no_thread(self: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def test_without_a_thread_left_it_says_so_and_the_robot_can_be_used_and_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", no_thread)
+            with pytest.raises(LocalError, match="cannot start a thread"):
+                robot.background()
+        robot.sync()
+        with robot.background() as sync_thread:
+            until(lambda: sync_thread.syncs > 3)
+
+
+@pytest.mark.parametrize("period", [0, -1, float("nan"), float("inf"), "fast"])
+def test_periods_that_cannot_be(period: Any) -> None:
+    with (
+        ScriptedServer(lambda peer: Robot().greet(peer)) as server,
+        rhdlink.connect(server.address, Smr) as robot,
+        pytest.raises(BadValue, match="expected a positive number of seconds, or None for every tick"),
+    ):
+        robot.background(period)
