@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
@@ -23,7 +24,7 @@ class Address(NamedTuple):
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
 
-def parse_address(text: str) -> Address:
+def parse_address(text: object) -> Address:
     """Read an address.
 
     Raises:
@@ -34,8 +35,11 @@ def parse_address(text: str) -> Address:
     >>> parse_address("rhd://localhost")
     Address(host='localhost', port=24902)
     """
-    stripped = text.strip()
     example = "expected a host and a port, as in localhost:24902"
+    if not isinstance(text, str):
+        more = "; a recording is played by `rhdlink replay`" if isinstance(text, os.PathLike) else ""
+        raise BadAddress(f"{text!r} is no address; {example}{more}")
+    stripped = text.strip()
     if not stripped or any(character.isspace() or not character.isprintable() for character in stripped):
         raise BadAddress(f"{text!r} is no address; {example}")
     try:

@@ -263,7 +263,7 @@ def database_of(handshake: Handshake) -> Database:
 
 def similar(name: str, names: list[str]) -> str:
     """ "; did you mean 'x'?", or nothing where no name is similar."""
-    found = difflib.get_close_matches(name, names, 1)
+    found = [each for each in names if each.lower() == name.lower()] or difflib.get_close_matches(name, names, 1)
     return f"; did you mean {found[0]!r}?" if found else ""
 
 

@@ -7,6 +7,8 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -527,10 +529,58 @@ def test_addresses() -> None:
     assert (str(Address("::1", 1)), str(Address("smr", 1))) == ("[::1]:1", "smr:1")
 
 
-def test_arguments_that_cannot_be() -> None:
-    for options in ({"access": "x"}, {"fallback": "w"}, {"timeout": 0}, {"width": 3}):
-        with pytest.raises(BadValue):
-            rhdlink.connect("localhost", **options)
+@pytest.mark.parametrize(
+    ("arguments", "options", "text"),
+    [
+        (("localhost",), {"access": "x"}, "access is 'x'; expected 'r' or 'w'"),
+        (("localhost",), {"fallback": "w"}, "fallback is 'w'; expected None or 'r'"),
+        (("localhost",), {"unsent": "maybe"}, "unsent is 'maybe'; expected 'discard' or 'send'"),
+        (("localhost",), {"timeout": 0}, "timeout is 0; expected a positive number of seconds"),
+        (("localhost",), {"timeout": "5"}, "timeout is '5'; expected a positive number of seconds"),
+        (("localhost",), {"timeout": float("inf")}, "timeout is inf; expected a positive number of seconds"),
+        (("localhost",), {"width": 3}, "width is 3; expected None or 2 or 4"),
+        (("localhost",), {"limits": 3}, r"limits is 3; expected rhdlink.Limits\(...\)"),
+        (("localhost", Smr()), {}, "expected a class that derives from rhdlink.Variables"),
+        (("localhost", int), {}, "expected a class that derives from rhdlink.Variables"),
+        ((None,), {}, "None is no address; expected a host and a port, as in localhost:24902"),
+        ((24902,), {}, "24902 is no address; expected a host and a port, as in localhost:24902"),
+        ((Path("drive.urlog"),), {}, "is no address; .* a recording is played by `rhdlink replay`"),
+    ],
+)
+def test_arguments_that_cannot_be(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
+    with pytest.raises((BadValue, BadAddress), match=text):
+        rhdlink.connect(*arguments, **options)
+
+
+def test_names_that_are_almost_right() -> None:
+    with ScriptedServer(serving(Robot(), "w")) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        with pytest.raises(NotThere, match="has no variable 'encI'; did you mean 'encl'"):
+            _ = robot["encI"]
+        with pytest.raises(NotThere, match="has no write variable 'speedL'; did you mean 'speedl'"):
+            robot["speedL"] = 5
+        with pytest.raises(NotThere, match="Smr declares no speedL; did you mean 'speedl'"):
+            robot.speedL = 5
+        assert list(robot) == robot._ipython_key_completions_() == ["tick", "encl", "speedl", "speedr"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "text"),
+    [
+        ((3,), {}, "callback is 3; expected something that can be called"),
+        ((print,), {"policy": "latest"}, "policy is 'latest'; expected rhdlink.latest"),
+        ((print,), {"deadline": -1}, "deadline is -1; expected a positive number of seconds"),
+        ((print,), {"deadline": 1, "on_deadline": 3}, "on_deadline is 3; expected something that can be called"),
+        ((print,), {"on_deadline": print}, "on_deadline was given without a deadline"),
+        ((print, "wings"), {}, "has no variable 'wings'"),
+    ],
+)
+def test_subscriptions_that_cannot_be(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
+    with (
+        ScriptedServer(nothing_more_after_greeting) as server,
+        rhdlink.connect(server.address) as robot,
+        pytest.raises((BadValue, NotThere), match=text),
+    ):
+        robot.subscribe(*arguments, **options)
 
 
 # -- connections that end ----------------------------------------------------------------------
@@ -645,13 +695,31 @@ def test_values_can_be_kept_until_they_are_sent() -> None:
         ScriptedServer(*scripts) as server,
         rhdlink.connect(server.address, Smr, access="w", unsent="send") as robot,
     ):
-        robot.speedl = 1
         with pytest.raises(ConnectionLost):
             robot.sync()
-        robot["speedr"] = 7
+        robot.speedl = 1
         with pytest.raises(ConnectFailed):
             robot.sync()
+        robot["speedr"] = 7
         robot.sync()
+        assert robot.discarded == 0
+
+
+def test_what_has_arrived_is_not_counted_as_lost() -> None:
+    side = Robot()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer, "w")
+        for tick in (1, 2):
+            peer.read(26 if tick == 1 else 10)
+            peer.say(side.batch(tick))
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
+        robot.speedl = 1
+        robot.sync()
+        robot.sync()
+        with pytest.raises(ConnectionLost):
+            robot.sync()
         assert robot.discarded == 0
 
 
@@ -668,9 +736,9 @@ def test_a_kept_value_that_the_robot_no_longer_has_is_counted(caplog: pytest.Log
         ScriptedServer(*scripts) as server,
         rhdlink.connect(server.address, access="w", unsent="send") as robot,
     ):
-        robot["speedr"] = 7
         with pytest.raises(ConnectionLost):
             robot.sync()
+        robot["speedr"] = 7
         robot.sync()
         assert robot.discarded == 1
     assert "lost what was set of 'speedr', which the robot no longer has" in caplog.text
@@ -793,16 +861,6 @@ def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:
         robot.close()
         assert not background.is_running
         assert ticks == list(range(1, background.syncs + 1))
-
-
-def test_subscriptions_that_cannot_be() -> None:
-    with ScriptedServer(nothing_more_after_greeting) as server, rhdlink.connect(server.address) as robot:
-        with pytest.raises(NotThere):
-            robot.subscribe(print, "wings")
-        with pytest.raises(BadValue):
-            robot.subscribe(print, deadline=0)
-        with pytest.raises(BadValue):
-            robot.subscribe(print, on_deadline=print)
 
 
 def test_a_missed_deadline_is_told() -> None:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 import threading
+import time
+import warnings
 from contextlib import ExitStack
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from linkcore.errors import BadAddress, BadValue, Closed
+from linkcore.errors import BadAddress, BadValue, Closed, LocalError
 from rhdlink.host.config import BadConfiguration, Element, parse_config
-from rhdlink.host.host import Host, PluginFailed
+from rhdlink.host.host import Host, HostFailed, PluginFailed
 from rhdlink.host.plugin import Plugin
+from rhdlink.host.schedule import Schedule
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
 from tests.rhdlink.raw_client import RawClient
@@ -110,6 +118,100 @@ def test_in_a_thread_the_failure_is_kept_for_who_asks() -> None:
         with pytest.raises(PluginFailed):
             host.wait(10.0)
         assert isinstance(host.failure, PluginFailed)
+
+
+class Boom(BaseException):
+    """What no code expects."""
+
+
+@pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), Boom()])
+def test_what_nobody_foresaw_is_kept_for_who_asks(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
+    notes: list[str] = []
+    with Host([Noted("a", notes)], port=0, pacing="lockstep") as host, RawClient(host.port) as client:
+        client.greeting()
+
+        def boom() -> list[Any]:
+            raise error
+
+        assert host._service is not None
+        host._service.sync = boom  # type: ignore[method-assign]
+        client.send(b"rree")
+        with pytest.raises(HostFailed, match=f"the host ended by {type(error).__name__}") as caught:
+            host.wait(10.0)
+        assert caught.value.__cause__ is error
+        assert host.failure is caught.value
+        assert f"ended: {host.failure}" in repr(host)
+    assert notes[-1] == "terminate a"
+    assert "the host has ended" in caplog.text
+
+
+class Exits(Plugin):
+    """Calls sys.exit where it is told to."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+
+    def periodic(self, tick: int) -> None:
+        if self.where == "periodic":
+            sys.exit("enough")
+
+    def terminate(self) -> None:
+        if self.where == "terminate":
+            sys.exit("enough")
+
+
+def test_a_plugin_that_exits_has_failed() -> None:
+    notes: list[str] = []
+    with Host([Noted("a", notes), Exits("periodic")], port=0, period=0.001) as host:
+        with pytest.raises(PluginFailed, match="exits failed in periodic: SystemExit: enough"):
+            host.wait(10.0)
+        assert notes[-1] == "terminate a"
+    exits = Exits("periodic")
+    exits.is_critical = False
+    with Host([exits], port=0, period=0.001) as host:
+        until(lambda: host.stats.failed_plugins == ("exits",))
+        assert not host.wait(0.0)
+
+
+def test_a_plugin_that_exits_at_the_end_keeps_nobody_from_ending() -> None:
+    notes: list[str] = []
+    with Host([Noted("a", notes), Exits("terminate")], port=0, period=0.001):
+        pass
+    assert notes[-1] == "terminate a"
+    notes.clear()
+    # In the caller's thread it may come from a signal handler, so it goes on its way when all have ended.
+    with pytest.raises(SystemExit):
+        Host([Noted("a", notes), Exits("terminate"), Stops()], port=0, period=0.001).run()
+    assert notes[-1] == "terminate a"
+
+
+def test_ctrl_c_in_a_plugin_ends_a_host_in_the_foreground_in_order() -> None:
+    class Interrupted(Plugin):
+        def periodic(self, tick: int) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    notes: list[str] = []
+    host = Host([Noted("a", notes), Interrupted()], port=0, period=0.001)
+    with pytest.raises(KeyboardInterrupt):
+        host.run()
+    assert notes[-1] == "terminate a"
+    assert host.stats.failed_plugins == ()
+    with pytest.raises(HostFailed, match="ended by KeyboardInterrupt"):
+        host.wait(0.0)
+
+
+def test_without_a_thread_left_it_says_so_and_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_thread(self: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    notes: list[str] = []
+    host = Host([Noted("a", notes)], port=0)
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", no_thread)
+        with pytest.raises(LocalError, match="cannot start a thread"):
+            host.start()
+    assert notes == ["init a", "terminate a"]
+    host.close()
 
 
 def test_a_plugin_that_is_not_critical_is_disabled_and_the_host_goes_on(caplog: pytest.LogCaptureFixture) -> None:
@@ -249,6 +351,26 @@ def test_what_a_master_says_last_still_counts() -> None:
     assert echo.seen[-1] == 0
 
 
+def test_what_a_master_that_asked_as_a_reader_says_last_still_counts() -> None:
+    """A writer may ask with `rr`; its values are taken like any others, also when it leaves."""
+    echo = Echo()
+    with Host([echo], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
+        reader.greeting()
+        with RawClient(host.port, b"aw") as master:
+            master.greeting()
+            request = master.request({"order": 5})
+            master.send(request.replace(b"rw", b"rr", 1))
+            master.batch()
+            # Two that are complete when it leaves.
+            master.send(master.request({"order": 6}).replace(b"rw", b"rr", 1) * 2)
+            master.send(master.request({"order": 7}).replace(b"rw", b"rr", 1))
+        until(lambda: host.writers == 0)
+        reader.sync()
+        reader.sync()
+        assert reader.value("order") == 7
+    assert echo.seen[-1] == 7
+
+
 def test_requests_sent_ahead_are_answered_one_a_tick() -> None:
     with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as reader:
         reader.greeting()
@@ -291,7 +413,47 @@ def test_seats_are_limited_and_free_again() -> None:
         assert host.stats.refused_clients == 1
 
 
-def test_the_master_s_seat_is_free_when_it_has_left() -> None:
+def test_idle_readers_keep_nobody_out() -> None:
+    with Host([Echo()], port=0, period=0.002, clients=10, inactivity_timeout=0.2) as host, ExitStack() as stack:
+        with RawClient(host.port, b"aw") as master:
+            master.greeting()
+            idle = [stack.enter_context(RawClient(host.port)) for _ in range(9)]
+            for client in idle:
+                client.greeting()
+            busy = idle.pop()
+            time.sleep(0.25)
+            busy.sync()
+            for number in range(8):
+                newcomer = stack.enter_context(RawClient(host.port))
+                newcomer.greeting()
+                newcomer.sync()
+                busy.sync()
+                # The one that has been idle for longest goes, and is told by the end of its connection.
+                assert idle[number].is_closed()
+                assert host.stats.evicted_clients == number + 1
+            busy.sync()
+            # The master has said nothing all along, and keeps its slot.
+            assert host.writers == 1
+            master.sync({"order": 1})
+        assert host.stats.refused_clients == 0
+
+
+def test_a_reader_that_is_idle_keeps_its_slot_while_there_is_room_or_it_is_not_idle_for_long() -> None:
+    with Host([Echo()], port=0, period=0.002, clients=2, inactivity_timeout=0.05) as host, ExitStack() as stack:
+        first = stack.enter_context(RawClient(host.port))
+        first.greeting()
+        time.sleep(0.1)
+        second = stack.enter_context(RawClient(host.port))
+        second.greeting()
+        first.sync()
+    with Host([Echo()], port=0, period=0.002, clients=2, inactivity_timeout=60.0) as host, ExitStack() as stack:
+        for client in [stack.enter_context(RawClient(host.port)) for _ in range(2)]:
+            client.greeting()
+        assert stack.enter_context(RawClient(host.port, b"")).is_closed()
+        assert host.stats.evicted_clients == 0
+
+
+def test_the_master_s_slot_is_free_when_it_has_left() -> None:
     with Host([Echo()], port=0, period=0.002) as host, ExitStack() as stack:
         with RawClient(host.port, b"aw") as master:
             assert master.greeting().granted == "w"
@@ -333,6 +495,55 @@ def test_free_running_ticks_follow_each_other() -> None:
     host = Host([Stops(1000)], port=0, pacing="free")
     host.run()
     assert host.tick == 999
+
+
+def test_missed_ticks_are_not_made_up_for() -> None:
+    """After a plugin that takes 50 periods, ticks come no closer together than before.
+
+    A loaded machine makes them fewer and not more, so the bound holds on any.
+    """
+
+    class Slow(Plugin):
+        def __init__(self) -> None:
+            self.ticks: list[float] = []
+
+        def periodic(self, tick: int) -> None:
+            self.ticks.append(time.monotonic())
+            if tick == 3:
+                time.sleep(0.5)
+
+    slow = Slow()
+    host = Host([slow, Stops(25)], port=0, period=0.01)
+    host.run()
+    # From the end of the slow round to the last there are 20 ticks: they need 20 periods, but for the part of one that
+    # had passed when it ended. Ticks that are made up for would need none.
+    assert slow.ticks[-1] - slow.ticks[4] >= 0.17
+    assert host.stats.skipped >= 49
+    assert host.tick == 24
+
+
+@pytest.mark.property
+@given(
+    st.floats(0.001, 1.0),
+    # Whole periods and a part of one, so that rounding decides nothing.
+    st.lists(st.builds(float.__add__, st.integers(0, 20).map(float), st.floats(0.05, 0.95)), min_size=1, max_size=40),
+)
+def test_ticks_are_due_at_whole_periods_whatever_came_late(period: float, lateness: list[float]) -> None:
+    schedule = Schedule(period, 100.0)
+    now = 100.0
+    for number, periods in enumerate(lateness, 1):
+        due = schedule.advance()
+        # Never sooner than the period in which the tick before it came.
+        assert due > now - period * 1e-6
+        now = due + periods * period
+        schedule.came(now)
+        whole = (schedule.due - 100.0) / period
+        assert whole == pytest.approx(number + schedule.skipped)
+        assert 0.0 <= now - schedule.due < period * (1 + 1e-6)
+    late = [periods for periods in lateness if periods > 1]
+    assert (schedule.overruns, schedule.skipped) == (len(late), sum(map(int, late)))
+    median, p99 = schedule.lateness()
+    assert 0.0 <= median <= p99 <= schedule.worst == pytest.approx(max(lateness) * period)
 
 
 def test_a_tick_that_comes_too_late_is_counted_and_not_made_up_for() -> None:
@@ -431,3 +642,31 @@ def test_an_address_that_is_taken_or_is_none() -> None:
     assert notes == ["init a", "terminate a"]
     with pytest.raises(BadAddress):
         Host(port=0, address="no.such.host.invalid").start()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
+    with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as client:
+        client.greeting()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of forking with threads, which is what is tried here
+            child = os.fork()
+        if not child:  # pragma: no cover
+            host.close()
+            os._exit(0)
+        assert os.waitpid(child, 0)[1] == 0
+        for _ in range(3):
+            client.sync()
+
+
+@pytest.mark.parametrize(
+    ("plugins", "text"),
+    [
+        (Echo(), r"expected a list of them: \[Echo\(...\)\]"),
+        ([Echo], "is no plugin; expected instances"),
+        ([3], "3 is no plugin"),
+    ],
+)
+def test_what_is_no_plugin_is_said(plugins: Any, text: str) -> None:
+    with pytest.raises(BadValue, match=text):
+        Host(plugins)

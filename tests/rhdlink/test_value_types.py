@@ -72,6 +72,42 @@ def test_numbers_are_in_memory_as_a_c_program_has_them(
     assert all(same(one, other) for one, other in zip(again.tolist(), many, strict=True))
 
 
+@pytest.mark.property
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(
+    "value_type",
+    [
+        *(number for number, _, _ in NUMBERS),
+        Bool,
+        Millionths,
+        Scaled(1e-5),
+        Text(5),
+        Structure([("quality", "u1"), ("age", "f8")]),
+    ],
+)
+@given(st.data())
+def test_a_value_is_read_from_the_memory_of_a_table_as_from_its_words(
+    value_type: ValueType[Any, Any, Any], order: Order, data: st.DataObject
+) -> None:
+    for count in (1, data.draw(st.integers(2, 4))):
+        length = value_type.length(count)
+        before = data.draw(st.integers(0, 3))
+        size = before + length
+        words = np.array(data.draw(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=size, max_size=size)), np.int32)
+        memory = bytearray(words.tobytes())
+        words = words[before:]
+        value = value_type.reader(count, order)(memory, 4 * before)
+        expected = value_type.unpack(words, order) if count == 1 else value_type.unpack_many(words, count, order)
+        assert type(value) is type(expected)
+        # Compared as text, so that one NaN is like another.
+        assert repr(value) == repr(expected)
+        memory[:] = bytes(len(memory))
+        assert repr(value) == repr(expected)
+        if isinstance(value, np.ndarray):
+            assert not value.flags.writeable
+            assert value.dtype == expected.dtype
+
+
 def test_a_double_is_low_word_first_unless_its_machine_is_big() -> None:
     assert Float64.pack(1.0, "little").tolist() == [0, 0x3FF00000]
     assert Float64.pack(1.0, "big").tolist() == [0x3FF00000, 0]

@@ -172,15 +172,14 @@ class _ClientHandler(Handler):
             connection.resume_reading()
         else:
             connection.pause_reading()
-        has_completed = client.requests != self._requests
-        if has_completed:
+        if client.requests != self._requests:
             self._requests, self.asked = client.requests, self._time()
         lacking = (
             "did not read" if not client.is_reading else "left something half sent" if client.is_incomplete else ""
         )
         # Time begins with the first byte of a request, and bytes that follow do not begin it anew: a client that sends
-        # one byte now and then would hold its connection for ever. One request after the other does.
-        if lacking == self._lacking and not (has_completed and client.is_reading):
+        # one byte now and then would hold its connection for ever.
+        if lacking == self._lacking:
             return
         self._lacking = lacking
         if lacking:

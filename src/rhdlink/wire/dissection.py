@@ -194,7 +194,7 @@ class _Dissector:
             found, size = self._item(DATA, f"entry {number}", rows)
             identity, stamp, words = found["id"], found["stamp"], found["data"]
             if self._width == 4:
-                stamp = [stamp[0] | stamp[1] << 32, stamp[2] | stamp[3] << 32]
+                stamp = [_joined(*stamp[:2]), _joined(*stamp[2:])]
             name = rows[identity].name
             self._add(
                 piece,
@@ -224,3 +224,8 @@ class _Dissector:
             if declared.name == "id" and not 0 <= values[0] < len(rows):
                 raise _Broken(f"{what} is of variable {values[0]}; expected 0 to {len(rows) - 1}")
         return found, size
+
+
+def _joined(low: int, high: int) -> int:
+    """A number of 64 bits, signed as C has times, of its two words."""
+    return (low | high << 32) - ((high >> 31) << 64)

@@ -1,0 +1,133 @@
+"""How long a connection waits for the batch that nobody asked for, on a clock that the tests move."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+import rhdlink.connection
+from linkcore.errors import LinkTimeout
+from linkcore.stamp import Stamp
+from rhdlink.connection import Connection
+from rhdlink.variables.database import Database
+from rhdlink.wire.messages import Batch, Row
+
+HANDSHAKE = Database([Row("tick", 1)]).encode_handshake("r")
+BATCH = b"dr\0\0\0\0ee"
+
+
+class Wire:
+    """A transport whose peer says things at certain times, with the clock that goes with it."""
+
+    name = "wire"
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 0.0
+        self.coming: list[tuple[float, bytes]] = [(0.0, HANDSHAKE)]
+        self.requests = 0
+        monkeypatch.setattr(rhdlink.connection, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+    def open(self, timeout: float) -> None: ...
+
+    def close(self) -> None: ...
+
+    def send(self, data: bytes, timeout: float) -> None:
+        self.requests += data == b"rree"
+
+    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
+        assert timeout is not None
+        end = self.now + timeout
+        if self.coming and self.coming[0][0] <= end:
+            at, data = self.coming.pop(0)
+            self.now = max(self.now, at)
+            return data, Stamp.now()
+        self.now = end
+        raise LinkTimeout("nothing came")
+
+    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
+        if self.coming and self.coming[0][0] <= self.now:
+            return self.coming.pop(0)[1], Stamp.now()
+        return None
+
+
+class Client:
+    """A client that syncs as `Variables` does."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+        self.batches: list[Batch] = []
+        self.connection = Connection(
+            wire,
+            access="r",
+            fallback=None,
+            width=None,
+            limits=None,
+            until=wire.now + 1.0,
+            deliver=self.batches.append,
+        )
+
+    def sync(self, period: float | None, timeout: float = 1.0) -> float:
+        """The seconds that it waited before it asked."""
+        began = self.wire.now
+        until = began + timeout
+        self.connection.take_waiting(until)
+        self.connection.collect(until)
+        self.connection.settle(period, until)
+        waited = self.wire.now - began
+        self.wire.coming.append((self.wire.now, BATCH))
+        self.connection.request(b"", until)
+        return waited
+
+
+@pytest.fixture
+def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
+    return Wire(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("period", "seconds"),
+    [
+        (None, 0.1),  # four ticks of the slowest robot known
+        (0.01, 0.017),  # a tick and a half, and what a busy machine takes
+        (0.025, 0.0395),
+        (1.0, 0.1),  # a robot that ticks once in a second does not make each connection wait that long
+    ],
+)
+def test_it_waits_a_tick_and_a_half_once_after_the_first_answer(
+    wire: Wire, period: float | None, seconds: float
+) -> None:
+    client = Client(wire)
+    assert client.sync(None) == 0.0
+    assert client.sync(period) == pytest.approx(seconds)
+    assert client.sync(period) == 0.0
+    assert (wire.requests, len(client.batches)) == (3, 3)
+
+
+def test_what_comes_meanwhile_settles_it(wire: Wire) -> None:
+    """The first answer was the unsolicited batch; the reply follows one tick later, and nothing is waited for after."""
+    client = Client(wire)
+    client.sync(None)
+    wire.coming = [(wire.now + 0.012, BATCH)]
+    assert client.sync(0.01) == pytest.approx(0.012)
+    assert client.sync(0.01) == 0.0
+    assert (wire.requests, len(client.batches)) == (3, 4)
+
+
+def test_what_has_come_before_the_first_request_settles_it(wire: Wire) -> None:
+    client = Client(wire)
+    wire.coming = [(0.0, BATCH)]
+    assert client.sync(None) == 0.0
+    assert client.sync(None) == 0.0
+    assert (wire.requests, len(client.batches)) == (2, 3)
+
+
+def test_a_sync_without_time_for_it_leaves_the_rest_to_the_next(wire: Wire) -> None:
+    client = Client(wire)
+    client.sync(None)
+    with pytest.raises(LinkTimeout):
+        client.sync(0.01, timeout=0.005)
+    wire.coming.clear()
+    client.connection._outstanding = 0
+    assert client.sync(0.01) == pytest.approx(0.017)
+    assert client.sync(0.01) == 0.0

@@ -1,0 +1,117 @@
+"""Decoders and dissection, which both come from one declaration, agree on any bytes."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from linkcore.errors import PacketError
+from rhdlink.variables.database import Database
+from rhdlink.wire.data import DataPackage, TableLayout
+from rhdlink.wire.decoder import ClientDecoder, ServerDecoder
+from rhdlink.wire.dissection import Piece, dissect
+from rhdlink.wire.messages import Row
+
+READ, WRITE = (Row("tick", 1), Row("scan", 3)), (Row("speed", 1), Row("arm", 2))
+TABLES: dict[str, tuple[Row, ...]] = {"r": READ, "w": WRITE}
+
+
+def int32(*values: int) -> bytes:
+    return b"".join(value.to_bytes(4, "big", signed=True) for value in values)
+
+
+small = st.integers(-1, 3)
+words = st.integers(-(2**31), 2**31 - 1)
+
+
+@st.composite
+def packages(draw: st.DrawFn, width: int, sender: str) -> bytes:
+    """A package that is right, or almost."""
+    kind = draw(st.sampled_from("derrrtx" if sender == "client" else "dddetxr"))
+    if kind == "d":
+        direction = draw(st.sampled_from("wwwr" if sender == "client" else "rw"))
+        lengths = [row.length for row in TABLES[direction]]
+        ids = draw(st.lists(st.sampled_from([0, 1, 0, 1, 0, 1, -1, 2]), max_size=2))
+        count = draw(st.sampled_from([len(ids)] * 9 + [len(ids) + 1]))
+        entries = b""
+        for identity in ids:
+            length = lengths[identity] if 0 <= identity < 2 else 1
+            entries += int32(identity, *draw(st.lists(words, min_size=width + length, max_size=width + length)))
+        return f"d{direction}".encode() + int32(count) + entries
+    if kind == "t":
+        return b"tr" + int32(2) + b"".join(int32(row.length) + row.name.encode().ljust(33, b"\0") for row in READ)
+    return {"e": b"ee", "r": draw(st.sampled_from([b"rr", b"rw", b"rx"])), "x": draw(st.binary(max_size=3))}[kind]
+
+
+def told(package: DataPackage) -> list[tuple[int, tuple[int, ...], list[int]]]:
+    return [(identity, stamp, values.tolist()) for identity, stamp, values in package.items()]
+
+
+def shown(piece: Piece) -> list[tuple[int, tuple[int, ...], list[int]]]:
+    return [
+        (part.content["id"], tuple(part.content["stamp"]), part.content["words"])
+        for part in piece.parts
+        if "words" in part.content
+    ]
+
+
+def shown_batches(pieces: list[Piece]) -> list[list[list[tuple[int, tuple[int, ...], list[int]]]]]:
+    """The data packages of each whole batch, up to the first piece that is wrong."""
+    batches: list[list[list[tuple[int, tuple[int, ...], list[int]]]]] = []
+    current: list[list[tuple[int, tuple[int, ...], list[int]]]] = []
+    for piece in pieces:
+        if piece.error is not None:
+            break
+        if piece.package[0] == "e":
+            batches.append(current)
+            current = []
+        elif piece.package[0] == "d":
+            current.append(shown(piece))
+    return batches
+
+
+@pytest.mark.property
+@given(st.data(), st.sampled_from([2, 4]))
+def test_a_client_s_bytes(data: st.DataObject, width: int) -> None:
+    raw = b"".join(data.draw(st.lists(packages(width, "client"), max_size=8)))
+    decoder = ClientDecoder(TableLayout([row.length for row in WRITE]), width=width)
+    decoder.feed(b"aw" + raw)
+    decoder.take_access()
+    batches, refused = [], False
+    try:
+        while (request := decoder.take_request()) is not None:
+            batches.append([told(package) for package in request.data])
+    except PacketError:
+        refused = True
+    pieces = list(dissect(raw, "client", TABLES, width))
+    assert b"".join(part.data for piece in pieces for part in piece.parts) == raw
+    assert shown_batches(pieces) == batches
+    # It shows an access request wherever one stands, and does not know that only the first bytes can be one.
+    assume(all(piece.package[:1] != "a" for piece in pieces))
+    # What the decoder refuses is wrong in the dissection too. What is only cut off is waited for by the decoder.
+    wrong = [piece.error for piece in pieces if piece.error is not None]
+    assert refused == bool(wrong and not any("cut off" in error or "one byte" in error for error in wrong))
+
+
+@pytest.mark.property
+@given(st.data(), st.sampled_from([2, 4]))
+def test_a_server_s_bytes(data: st.DataObject, width: int) -> None:
+    greeting = Database(READ, WRITE).encode_handshake("r", width)
+    raw = b"".join(data.draw(st.lists(packages(width, "server"), max_size=8)))
+    decoder = ServerDecoder(width=width)
+    decoder.feed(greeting + raw)
+    handshake = decoder.take_handshake()
+    assert handshake is not None
+    batches, refused = [[told(package) for package in handshake.data]], False
+    try:
+        while (batch := decoder.take_batch()) is not None:
+            batches.append([told(package) for package in batch.data])
+    except PacketError:
+        refused = True
+    pieces = list(dissect(greeting + raw, "server", width=width))
+    assert b"".join(part.data for piece in pieces for part in piece.parts) == greeting + raw
+    assert shown_batches(pieces) == batches
+    assume(all(piece.package[:1] != "a" for piece in pieces[1:]))
+    wrong = [piece.error for piece in pieces if piece.error is not None]
+    assert refused == bool(wrong and not any("cut off" in error or "one byte" in error for error in wrong))

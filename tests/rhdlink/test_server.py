@@ -1,0 +1,364 @@
+"""The connections of a host: back-pressure, slots, and the time that a client has, on a clock that the tests move."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from linkcore.net.loop import CHUNK, SelectorLoop
+from rhdlink.host import server as server_module
+from rhdlink.host.server import MOST_NEW, Server
+from rhdlink.host.service import AHEAD, Client, Service
+from rhdlink.variables.database import Database
+from rhdlink.wire.messages import Row
+from tests.rhdlink.raw_client import RawClient
+from tests.waiting import until
+
+TIMEOUT = 5.0
+INACTIVITY = 10.0
+#: Words of a variable that is in every reply: some 60 replies fill the buffers of the kernel.
+WORDS = 4000
+
+
+class Stand:
+    """A server without a host: rounds come when the test says so, and time goes on when the test says so."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 1000.0
+        monkeypatch.setattr(server_module, "SelectorLoop", lambda: SelectorLoop(lambda: self.now))
+        self.database = Database([Row("tick", 1), Row("scan", WORDS)], [Row("speed", 1)])
+        self.service = Service(self.database, clients=3)
+        self.server = Server(self.service, "127.0.0.1", 0, client_timeout=TIMEOUT, inactivity_timeout=INACTIVITY)
+        self._exits = ExitStack()
+
+    def close(self) -> None:
+        self._exits.close()
+        self.server.close()
+
+    def serve(self, condition: Callable[[], object] = lambda: True) -> None:
+        """Serve what comes until the condition is met."""
+
+        def serve_and_look() -> object:
+            self.server.serve(self.now, lambda: False)
+            return condition()
+
+        until(serve_and_look)
+
+    def sleep(self, seconds: float) -> None:
+        """Time goes on, and what is due then happens."""
+        self.now += seconds
+        self.serve()
+
+    def tick(self) -> None:
+        tick = int(self.database.read.value(0)[0]) + 1
+        self.database.read.set(0, tick)
+        self.database.read.set(1, tick)
+        for client, reply in self.service.sync():
+            self.server.send(client, reply)
+        self.server.resume()
+
+    def connect(self, access: bytes = b"", *, receive_buffer: int | None = None) -> RawClient:
+        """A client that has said this much."""
+        client = self._exits.enter_context(RawClient(self.server.port, b""))
+        if receive_buffer is not None:
+            client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+        client.send(access)
+        return client
+
+    def join(self, access: bytes = b"ar", *, receive_buffer: int | None = None) -> RawClient:
+        """A client that has been granted access."""
+        client = self.connect(access, receive_buffer=receive_buffer)
+        port = client.socket.getsockname()[1]
+        self.serve(lambda: any(each.name.endswith(f":{port}") for each in self.service.clients))
+        client.greeting()
+        return client
+
+    def say(self, client: RawClient, data: bytes) -> None:
+        """The client sends this, and the server has read it."""
+        ours = self._client(client)
+        before = ours.decoder.offset + ours.decoder.waiting
+        client.send(data)
+        self.serve(lambda: ours.decoder.offset + ours.decoder.waiting >= before + len(data))
+
+    def sync(self, client: RawClient) -> int:
+        """The client asks and is answered; the tick that it is told."""
+        self.say(client, b"rree")
+        self.tick()
+        client.batch()
+        return client.value("tick")
+
+    def is_open(self, client: RawClient) -> bool:
+        """Whether the connection stands; the client has read all that was sent."""
+        client.socket.setblocking(False)
+        try:
+            return client.socket.recv(1, socket.MSG_PEEK) != b""
+        except BlockingIOError:
+            return True
+        except ConnectionError:
+            return False
+        finally:
+            client.socket.settimeout(10.0)
+
+    def _client(self, client: RawClient) -> Client:
+        port = client.socket.getsockname()[1]
+        (found,) = (each for each in self.service.clients if each.name.endswith(f":{port}"))
+        return found
+
+    def is_reading(self, client: RawClient) -> bool:
+        return self._client(client).is_reading
+
+
+@pytest.fixture
+def stand(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stand]:
+    stand = Stand(monkeypatch)
+    yield stand
+    stand.close()
+
+
+# -- the time that a client has ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("said", [b"", b"a"])
+def test_a_handshake_has_to_be_complete_in_time(stand: Stand, said: bytes) -> None:
+    client = stand.connect(said)
+    stand.serve(lambda: len(stand.server._handlers) == 1)
+    stand.sleep(TIMEOUT - 0.1)
+    assert stand.is_open(client)
+    stand.sleep(0.2)
+    assert client.is_closed()
+
+
+def test_the_bytes_of_a_request_do_not_buy_it_more_time(stand: Stand) -> None:
+    """A client that sends one byte now and then would hold its connection for ever otherwise."""
+    client = stand.join()
+    for byte in (b"r", b"r", b"r"):
+        stand.say(client, byte)
+        stand.sleep(TIMEOUT / 4)
+    stand.say(client, b"r")
+    stand.sleep(TIMEOUT / 4 - 0.1)
+    assert stand.is_open(client)
+    stand.sleep(0.2)
+    assert client.is_closed()
+    assert not stand.service.clients
+
+
+def test_a_complete_request_does(stand: Stand) -> None:
+    client = stand.join()
+    stand.say(client, b"r")
+    for _ in range(5):
+        stand.sleep(TIMEOUT - 0.1)
+        # It completes one request and begins the next.
+        stand.say(client, b"reer")
+        stand.tick()
+        client.batch()
+    stand.sleep(TIMEOUT - 0.1)
+    assert stand.is_open(client)
+    stand.sleep(0.2)
+    assert client.is_closed()
+
+
+def test_who_has_begun_nothing_may_be_silent_for_ever(stand: Stand) -> None:
+    client = stand.join(b"aw")
+    stand.say(client, b"rw")
+    stand.say(client, b"ee")
+    stand.tick()
+    client.batch()
+    stand.sleep(1e6)
+    assert stand.is_open(client)
+    assert stand.service.writers == 1
+    assert stand.sync(client) == 2
+
+
+def test_handshakes_that_are_begun_are_bounded_and_the_oldest_goes(stand: Stand) -> None:
+    granted = stand.join()
+    new = []
+    for number in range(MOST_NEW):
+        new.append(stand.connect(b"a" if number % 2 else b""))
+        stand.serve(lambda number=number: len(stand.server._handlers) == number + 2)  # type: ignore[misc]
+    stand.connect()
+    stand.serve(lambda: not stand.is_open(new[0]))
+    assert all(stand.is_open(client) for client in new[1:])
+    stand.sync(granted)
+    new[2].send(b"ar")
+    stand.serve(lambda: len(stand.service.clients) == 2)
+    new[2].greeting()
+
+
+# -- back-pressure -----------------------------------------------------------------------------
+
+
+def deaf(stand: Stand) -> RawClient:
+    """A client that asks and does not read, until the kernel takes no more for it."""
+    client = stand.join(receive_buffer=1 << 16)
+    for _ in range(1000):
+        if not stand.is_reading(client):
+            return client
+        stand.say(client, b"rree")
+        stand.tick()
+    raise AssertionError("the kernel takes any amount")
+
+
+def test_a_client_that_does_not_read_is_asked_for_no_more_and_loses_nothing(stand: Stand) -> None:
+    client, other = deaf(stand), stand.join()
+    asked = int(stand.database.read.value(0)[0])
+    stand.say(client, b"rree")
+    for number in range(1, 11):
+        assert stand.sync(other) == asked + number
+    # What was taken for it before waits, at most one reply beside what the kernel has.
+    (handler,) = (each for each in stand.server._handlers.values() if not each.client.is_reading)
+    assert 0 < handler.connection.pending <= 12 + 4 * WORDS + 100
+    ticks: list[int] = []
+    client.socket.setblocking(False)
+    while len(ticks) < asked:
+        stand.serve()
+        try:
+            client.batch()
+            ticks.append(client.value("tick"))
+        except BlockingIOError:
+            continue  # the rest is on its way
+    client.socket.settimeout(10.0)
+    assert ticks == list(range(1, asked + 1))
+    # It reads again, so the request that waited is answered in the next round.
+    stand.serve(lambda: stand.is_reading(client))
+    stand.tick()
+    client.batch()
+    assert client.value("tick") == asked + 11
+
+
+def test_a_client_that_does_not_read_in_time_is_closed(stand: Stand) -> None:
+    client = deaf(stand)
+    stand.sleep(TIMEOUT - 0.1)
+    # Reading a little does not buy it more time: a reply has to be taken as a whole.
+    client.socket.recv(1000)
+    stand.serve()
+    assert len(stand.service.clients) == 1
+    stand.sleep(0.2)
+    assert not stand.service.clients
+
+
+def test_in_lockstep_who_does_not_read_is_not_waited_for(stand: Stand) -> None:
+    client = deaf(stand)
+    stand.say(client, b"rree")
+    assert not stand.service.is_asked
+    other = stand.join()
+    stand.say(other, b"rree")
+    assert stand.service.is_asked
+
+
+def test_what_a_client_sends_ahead_is_bounded(stand: Stand) -> None:
+    client = stand.join()
+    client.socket.setblocking(False)
+    sent = 0
+    refused = 0
+    while refused < 50:
+        try:
+            sent += client.socket.send(b"rree" * 4096)
+            refused = 0
+        except BlockingIOError:
+            refused += 1
+            stand.serve()
+    client.socket.settimeout(10.0)
+    (ours,) = stand.service.clients
+    assert ours.decoder.waiting <= AHEAD + CHUNK
+    assert sent > 2 * CHUNK
+    # It is answered all the same, one request in each round, and read from again as it is.
+    for tick in range(1, 40):
+        stand.tick()
+        stand.serve()
+        client.batch()
+        assert client.value("tick") == tick
+
+
+# -- ends --------------------------------------------------------------------------------------
+
+
+def test_a_client_that_resets_while_it_is_answered_is_gone(stand: Stand) -> None:
+    client, other = stand.join(b"aw"), stand.join()
+    stand.say(client, b"rwee")
+    client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    client.close()
+    stand.tick()  # to a connection that has been reset, and that nobody has looked at since
+    stand.serve(lambda: len(stand.service.clients) == 1)
+    assert stand.service.writers == 0
+    stand.sync(other)
+
+
+def test_nonsense_sent_ahead_is_found_after_the_request_before_it_was_answered(stand: Stand) -> None:
+    client = stand.join()
+    stand.say(client, b"rreexx")
+    assert stand.service.bad_clients == 0
+    stand.tick()
+    assert stand.service.bad_clients == 1
+    assert client.is_closed()
+    assert not stand.service.clients
+
+
+def test_the_end_of_the_server_is_seen_by_all_and_is_no_warning(stand: Stand, caplog: pytest.LogCaptureFixture) -> None:
+    clients = [stand.join(b"aw"), stand.join(), stand.connect(b"a")]
+    stand.server.close()
+    assert all(client.is_closed() for client in clients)
+    assert not stand.service.clients
+    assert not [record for record in caplog.records if record.levelname == "WARNING"]
+    stand.server.close()
+    stand.server.wake()
+
+
+# -- slots -------------------------------------------------------------------------------------
+
+
+def test_the_slot_of_the_reader_that_is_idle_for_longest_goes_to_a_newcomer(stand: Stand) -> None:
+    master = stand.join(b"aw")
+    stand.sleep(1.0)
+    first = stand.join()
+    stand.sleep(1.0)
+    second = stand.join()
+    stand.sleep(INACTIVITY - 2.0)
+    # The first asks for something, so now the second is the one that is idle for longest, with INACTIVITY - 2 s.
+    stand.sync(first)
+    refused = stand.connect(b"ar")
+    assert refused_by(stand, refused)
+    assert (stand.service.refused_clients, stand.server.evicted) == (1, 0)
+    stand.sleep(1.9)
+    assert refused_by(stand, stand.connect(b"ar"))
+    stand.sleep(0.1)
+    newcomer = stand.join()
+    assert not stand.is_open(second)
+    assert stand.is_open(first)
+    # The master has asked for nothing for longer than anybody.
+    assert stand.service.writers == 1
+    stand.sync(newcomer)
+    stand.sync(first)
+    stand.say(master, b"rwee")
+    stand.tick()
+    master.batch()
+    assert (stand.service.refused_clients, stand.server.evicted) == (2, 1)
+
+
+def test_only_complete_requests_keep_a_slot(stand: Stand) -> None:
+    clients = [stand.join() for _ in range(3)]
+    stand.sleep(INACTIVITY)
+    for client in clients[1:]:
+        stand.sync(client)
+    stand.say(clients[0], b"rr")
+    stand.join()
+    assert not stand.is_open(clients[0])
+
+
+def test_a_writer_among_idle_readers_gets_in(stand: Stand) -> None:
+    for _ in range(3):
+        stand.join()
+    stand.sleep(INACTIVITY)
+    master = stand.join(b"aw")
+    assert stand.service.writers == 1
+    stand.say(master, b"rwee")
+    stand.tick()
+    master.batch()
+
+
+def refused_by(stand: Stand, client: RawClient) -> bool:
+    stand.serve(lambda: not stand.is_open(client))
+    return client.is_closed()
