@@ -1,9 +1,9 @@
 """From a sender in another process to the user's callback: latency, CPU, and what a flood does.
 
-A sender process writes real-time packets to loopback sockets. The receiver runs once as the loop one
-would write by hand (`recv`, cut at the length, read the time) and once as a urlink stream with a
-callback; each in a process of its own, in turns, so that both meet the same machine. All figures
-are ratios or differences between the two.
+A sender process writes real-time packets to loopback sockets. The receiver is once the loop that one would write by
+hand (`recv`, cut at the length, read the time), and once a urlink stream in each of the three ways to use it: with an
+inline callback, with a callback in a thread of its own, and with a `for` loop. Each has a process of its own, and they
+take turns, so that all meet the same machine. The figures are ratios to the bare loop.
 
     python benchmarks/end_to_end.py            # 10 s a run
     python benchmarks/end_to_end.py --quick    # 2 s a run
@@ -12,6 +12,7 @@ are ratios or differences between the two.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
 import multiprocessing
@@ -24,15 +25,20 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.errors import RemoteError
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.stream import Stream
+from linkcore.streaming.policy import drop_oldest
 from urlink import RealtimeState
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.firmware import Firmware
+from urlink.identity import Identity
+from urlink.source import Source
 
 RATE = 500
-#: Packets before anything is measured: half a second, in which a callback proves that it is quick.
+#: Packets before anything is measured: half a second, for imports, caches and the first of everything.
 WARM_UP = 250
+#: The loop written by hand, and the ways to use a stream.
+WAYS = ("bare", "inline", "own thread", "iteration")
 PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0]))
 SIZE = len(PACKET)
 _TIME = struct.Struct(">d")
@@ -58,7 +64,8 @@ def send(ports: Connection, seconds: float, flood: int) -> None:
                         time.sleep(pause)
                     connection.sendall(head + _TIME.pack(time.monotonic()) + tail)
             connection.shutdown(socket.SHUT_WR)
-            connection.recv(1)  # until the receiver is done
+            with contextlib.suppress(ConnectionResetError):
+                connection.recv(1)  # until the receiver is done
 
 
 def receive_raw(port: int, results: Connection, total: int, busy: bool) -> None:
@@ -91,21 +98,13 @@ def receive_raw(port: int, results: Connection, total: int, busy: bool) -> None:
         results.send(meter.report(count, latencies))
 
 
-def receive_stream(port: int, results: Connection, total: int, busy: bool) -> None:
-    """A urlink stream and a callback."""
+def receive_stream(port: int, results: Connection, total: int, busy: bool, way: str) -> None:
+    """A urlink stream, in one of the three ways to use it."""
     logging.getLogger("linkcore").setLevel(logging.ERROR)  # that the sender ends is no news here
     spin(busy)
     latencies: list[float] = []
-    seen = [0]
-    stream = Stream(
-        "benchmark",
-        TcpTransport("127.0.0.1", port, silence=5.0),
-        RealtimeProtocol,
-        RealtimeState,
-        backoff=Backoff(tries=0),
-    )
-
     meters = [Meter()]
+    seen = [0]
 
     def measure(state: RealtimeState) -> None:
         latencies.append(time.monotonic() - state.time)
@@ -115,15 +114,28 @@ def receive_stream(port: int, results: Connection, total: int, busy: bool) -> No
     def count(state: RealtimeState) -> None:
         seen[0] += 1
 
-    subscription = stream.subscribe(count if total else measure)
-    stream.join(600)
-    outcome = meters[-1].report(stream.stats.received, latencies)
-    stats, own = stream.stats, subscription.stats
-    assert stats.received == stats.delivered + stats.dropped + stats.failed, stats
-    assert own.received == own.delivered + own.dropped + own.failed + own.waiting, own
-    assert own.waiting == 0, own
-    assert own.delivered == (seen[0] if total else len(latencies)), own
-    outcome |= {"dropped": stats.dropped, "failed": stats.failed, "delivered": own.delivered}
+    callback = count if total else measure
+    transport = TcpTransport("127.0.0.1", port, silence=5.0)
+    identity = Identity(Firmware(5, 10), True, None)
+    source = Source(lambda: identity, lambda interface: transport, Backoff(tries=0), 5.0, 5.0, False)
+    stream = source.stream("realtime", "benchmark", lambda: None)
+    if way == "iteration":
+        with contextlib.suppress(RemoteError):  # how the stream tells that the sender ended
+            for state in stream.iterate(drop_oldest(256)):
+                callback(state)
+        outcome = meters[-1].report(stream.stats.received, latencies)
+        outcome["dropped"] = stream.stats.decoded - (seen[0] if total else len(latencies))
+    else:
+        subscription = stream.subscribe(callback, inline=way == "inline")
+        stream.join(600)
+        outcome = meters[-1].report(stream.stats.received, latencies)
+        own = subscription.stats
+        assert own.offered == own.delivered + own.dropped + own.raised + own.waiting == stream.stats.decoded, own
+        assert own.delivered == (seen[0] if total else len(latencies)), own
+        outcome["dropped"] = own.dropped
+    stats = stream.stats
+    assert stats.received == stats.decoded + stats.failed, stats
+    assert stats.failed == 0, stats
     stream.close()
     results.send(outcome)
 
@@ -149,6 +161,7 @@ class Meter:
     def report(self, count: int, latencies: list[float]) -> dict[str, Any]:
         outcome: dict[str, Any] = {
             "count": count,
+            "measured": max(len(latencies) - WARM_UP, 0),
             "seconds": time.monotonic() - self.began,
             "cpu": time.process_time() - self.cpu,
         }
@@ -158,7 +171,7 @@ class Meter:
         return outcome
 
 
-def run(receiver: Any, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
+def run(way: str, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
     """One sender process and one receiver process."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
@@ -166,37 +179,38 @@ def run(receiver: Any, seconds: float, flood: int, busy: bool) -> dict[str, Any]
     sender.start()
     port = here.recv()
     mine, theirs = context.Pipe()
-    process = context.Process(target=receiver, args=(port, theirs, flood, busy))
+    if way == "bare":
+        process = context.Process(target=receive_raw, args=(port, theirs, flood, busy))
+    else:
+        process = context.Process(target=receive_stream, args=(port, theirs, flood, busy, way))
     process.start()
     outcome: dict[str, Any] = mine.recv()
     process.join(10)
     sender.join(10)
     if outcome["count"] != (flood or int(seconds * RATE)):
-        raise SystemExit(f"{receiver.__name__}: {outcome['count']} packets arrived of {flood or seconds * RATE}")
+        raise SystemExit(f"{way}: {outcome['count']} packets arrived of {flood or seconds * RATE}")
     return outcome
 
 
 def compare(seconds: float, rounds: int, busy: bool) -> dict[str, float]:
-    pairs = [(run(receive_raw, seconds, 0, busy), run(receive_stream, seconds, 0, busy)) for _ in range(rounds)]
-    figures = {
-        "p50_raw_us": [raw["p50"] for raw, _ in pairs],
-        "p50_stream_us": [stream["p50"] for _, stream in pairs],
-        "p50_difference_us": [stream["p50"] - raw["p50"] for raw, stream in pairs],
-        "p99_raw_us": [raw["p99"] for raw, _ in pairs],
-        "p99_ratio": [stream["p99"] / raw["p99"] for raw, stream in pairs],
-        "cpu_ratio": [stream["cpu"] / raw["cpu"] for raw, stream in pairs],
-        "dropped": [stream["dropped"] for _, stream in pairs],
-    }
+    """Medians over the rounds of the ratios to the bare loop of the same round."""
+    turns = [{way: run(way, seconds, 0, busy) for way in WAYS} for _ in range(rounds)]
+    figures = {f"bare {name} us": [turn["bare"][name] for turn in turns] for name in ("p50", "p99")}
+    figures["bare cpu us"] = [turn["bare"]["cpu"] / turn["bare"]["measured"] * 1e6 for turn in turns]
+    for way in WAYS[1:]:
+        for name in ("p50", "p99", "cpu"):
+            figures[f"{way} {name} ratio"] = [turn[way][name] / turn["bare"][name] for turn in turns]
+        figures[f"{way} dropped"] = [turn[way]["dropped"] for turn in turns]
     return {name: float(np.median(values)) for name, values in figures.items()}
 
 
 def flood(packets: int, rounds: int) -> dict[str, float]:
-    pairs = [(run(receive_raw, 0, packets, False), run(receive_stream, 0, packets, False)) for _ in range(rounds)]
-    figures = {
-        "raw_packets_per_s": [raw["count"] / raw["seconds"] for raw, _ in pairs],
-        "ratio": [stream["count"] / stream["seconds"] * raw["seconds"] / raw["count"] for raw, stream in pairs],
-        "dropped_share": [stream["dropped"] / stream["count"] for _, stream in pairs],
-    }
+    """Medians over the rounds of the ratios of packets a second."""
+    turns = [{way: run(way, 0, packets, False) for way in WAYS} for _ in range(rounds)]
+    figures = {"bare packets per s": [turn["bare"]["count"] / turn["bare"]["seconds"] for turn in turns]}
+    for way in WAYS[1:]:
+        figures[f"{way} ratio"] = [turn["bare"]["seconds"] / turn[way]["seconds"] for turn in turns]
+        figures[f"{way} dropped share"] = [turn[way]["dropped"] / turn[way]["count"] for turn in turns]
     return {name: float(np.median(values)) for name, values in figures.items()}
 
 
@@ -217,7 +231,7 @@ def main() -> None:
     for title, values in figures.items():
         print(title)
         for name, value in values.items():
-            print(f"  {name:20} {value:12.3f}")
+            print(f"  {name:24} {value:12.3f}")
 
 
 if __name__ == "__main__":

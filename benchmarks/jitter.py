@@ -53,9 +53,11 @@ def measure(seconds: float) -> tuple[np.ndarray, np.ndarray]:
         stats = robot.realtime.stats
     here.send("done")
     server.join(10)
-    assert stats.received == stats.delivered + stats.dropped + stats.failed
-    if stats.dropped or stats.failed:
-        raise SystemExit(f"packets were lost: {stats}")
+    own = subscription.stats
+    assert stats.received == stats.decoded + stats.failed
+    assert own.offered == own.delivered + own.dropped + own.raised + own.waiting
+    if own.dropped or stats.failed:
+        raise SystemExit(f"packets were lost: {stats}, {own}")
     return np.diff(called), np.diff(arrived)
 
 

@@ -24,6 +24,8 @@ from linkcore.errors import ConnectionLost
 from linkcore.recording.file import Kind, Recording
 from linkcore.recording.recorder import Recorder
 from linkcore.stamp import Stamp
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
 from urlink import RealtimeState
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
@@ -94,7 +96,7 @@ class PacedTransport:
 def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:
     transports = {name: PacedTransport() for name in ("plain", "recorded")}
     streams = {
-        name: Stream(name, transport, RealtimeProtocol, RealtimeState, silence=None)
+        name: Stream(Connection(name, transport, RealtimeProtocol, FanOut(RealtimeState), silence=None), RealtimeState)
         for name, transport in transports.items()
     }
     with Recorder(folder / "run.urlog") as recorder:

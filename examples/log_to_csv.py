@@ -47,7 +47,7 @@ def main() -> None:
             pass
         subscription.finish()  # deliver what waits, then stop
         stats = subscription.stats
-        print(f"{stats.delivered} states written, {stats.dropped} dropped, {stats.failed} failed")
+        print(f"{stats.delivered} states written, {stats.dropped} dropped, {stats.raised} failed")
 
 
 if __name__ == "__main__":

@@ -23,9 +23,8 @@ AWAITED = {"urlink.motion.handle"}
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.streaming.stream",  # the reader of each stream
-    "linkcore.streaming.shortcut",  # who takes over the reading from a callback that keeps the reader
-    "linkcore.streaming.subscription",  # one for each callback
+    "linkcore.streaming.connection",  # the reader of each stream
+    "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync

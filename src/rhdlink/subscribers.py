@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue, Closed
 from linkcore.stamp import Stamp
-from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import Policy
-from linkcore.streaming.subscription import Subscription
+from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery
 
 from .arguments import check_seconds
 from .variables.snapshot import Change, Update
@@ -21,7 +21,7 @@ __all__ = ["Subscribers"]
 
 class _Subscriber(NamedTuple):
     event_type: type  # of what it is told
-    queue: Inbox
+    queue: PacketQueue
     names: frozenset[str] | None
     subscription: Subscription
 
@@ -55,23 +55,18 @@ class Subscribers:
             BadValue: arguments that cannot be.
         """
         _check(callback, policy, deadline, on_deadline)
-        queue = Inbox(policy)
+        queue = PacketQueue(policy)
 
-        def detach(subscription: Subscription) -> None:
+        def detach(delivery: Delivery) -> None:
             with self._lock:
-                self._subscribers = tuple(each for each in self._subscribers if each.subscription is not subscription)
+                self._subscribers = tuple(each for each in self._subscribers if each.queue is not delivery.sink)
 
         with self._lock:
             if self._is_closed:
                 raise Closed(f"{self._name} was closed")
-            subscription = Subscription(
-                queue,
-                callback,
-                name=f"{self._name} {event_type.__name__}",
-                deadline=deadline,
-                on_deadline=on_deadline,
-                detach=detach,
-            )
+            name = f"{self._name} {event_type.__name__}"
+            delivery = ThreadedDelivery(queue, callback, name=name, deadline=deadline, on_deadline=on_deadline)
+            subscription = Subscription(delivery, detach)
             self._subscribers = (*self._subscribers, _Subscriber(event_type, queue, names, subscription))
         return subscription
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -13,8 +13,6 @@ from linkcore.errors import BadValue, LocalError
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
-from linkcore.wire.packet import State
-from linkcore.wire.protocol import PacketProtocol
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .commanding.control import Control
@@ -24,12 +22,10 @@ from .commanding.programs import Scripts
 from .commanding.safety import Safety
 from .firmware import Firmware
 from .identity import Identity
-from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
-from .interfaces.realtime.protocol import RealtimeProtocol
 from .models import MODELS
-from .source import Origin, networked, recorded
+from .source import Source, networked, recorded
 from .urscript import commands
 
 if TYPE_CHECKING:
@@ -98,11 +94,11 @@ def connect(
         controller.start()
         place = RobotAddress(controller.host, dict(controller.ports))
     try:
-        origin = networked(place, timeout=timeout, read_only=read_only, backoff=backoff, silence=silence)
+        source = networked(place, timeout=timeout, read_only=read_only, backoff=backoff, silence=silence)
         if read_only:
             refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
-            return Robot(address, origin, controller, refusal=refusal)
-        robot = Robot(address, origin, controller)
+            return Robot(address, source, controller, refusal=refusal)
+        robot = Robot(address, source, controller)
         robot.control = Control(
             place.host,
             place.ports.get("dashboard"),
@@ -131,14 +127,14 @@ class Robot:
     """
 
     def __init__(
-        self, address: str, origin: Origin, controller: Controller | None = None, *, refusal: str = ""
+        self, address: str, source: Source, controller: Controller | None = None, *, refusal: str = ""
     ) -> None:
         self.address = address
         self.controller = controller
         self.control: Control | None = None
         self._refusal = refusal
-        self._origin = origin
-        self._identity = origin.ask()
+        self._source = source
+        self._identity = source.ask()
         self._is_stale = False
         self._streams: dict[str, Stream[Any]] = {}
         self._lock = threading.Lock()
@@ -304,31 +300,19 @@ class Robot:
 
     def _known(self) -> Identity:
         if self._is_stale:
-            self._identity = self._origin.ask()
+            self._identity = self._source.ask()
             self._is_stale = False
         return self._identity
 
     def _stream(self, name: str) -> Stream[Any]:
         with self._lock:
             if name not in self._streams:
-                self._streams[name] = self._make_stream(name)
+                robot = weakref.ref(self)  # the stream's thread must not keep a robot that nobody holds any more
+
+                def reconnected() -> None:
+                    owner = robot()
+                    if owner is not None:
+                        owner._is_stale = True
+
+                self._streams[name] = self._source.stream(name, f"{self.address} {name}", reconnected)
             return self._streams[name]
-
-    def _make_stream(self, name: str) -> Stream[Any]:
-        label = f"{self.address} {name}"
-        transport = self._origin.transport(name)
-        connections = itertools.count()
-
-        def session() -> PacketProtocol:
-            if next(connections):
-                self._is_stale = True
-            return RealtimeProtocol() if name == "realtime" else PrimaryProtocol()
-
-        if name == "realtime":
-            return Stream(label, transport, session, RealtimeState, **self._origin.options)
-        return Stream(label, transport, session, RobotState, parts=_parts, **self._origin.options)
-
-
-def _parts(packet: State) -> Sequence[State]:
-    """The sub-packages of a robot state; other packages have none."""
-    return packet.packages if isinstance(packet, RobotState) else ()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from linkcore.errors import BadRecording, BadValue, ConnectFailed
@@ -10,32 +11,89 @@ from linkcore.net.transport import TcpTransport, Transport
 from linkcore.recording.file import Recording
 from linkcore.recording.player import ReplayClock, ReplayTransport
 from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.stream import Stream
+from linkcore.wire.packet import State
+from linkcore.wire.protocol import PacketProtocol
 
 from .address import RecordingAddress, RobotAddress
 from .decode import INTERFACES
 from .firmware import Firmware
 from .identity import Identity, identify
+from .interfaces.primary.protocol import PrimaryProtocol
+from .interfaces.primary.robot_message import OtherPackage, RobotMessage
+from .interfaces.primary.robot_state import RobotState, SubPackage
+from .interfaces.realtime.packets import RealtimeState
+from .interfaces.realtime.protocol import RealtimeProtocol
 
-__all__ = ["Origin", "networked", "recorded"]
+__all__ = ["Source", "networked", "recorded"]
 
 
-class Origin(NamedTuple):
-    """What a robot is made of.
+class Source(NamedTuple):
+    """What a robot's streams are made of.
 
     Attributes:
         ask: asks the controller who it is.
         transport: makes the transport of an interface.
-        options: of its streams.
+        backoff: how streams connect again; None for the usual.
+        timeout: seconds for a connection to be made.
+        silence: seconds without a packet after which a connection counts as lost; None for ever.
+        is_lossless: who takes packets without naming a policy makes the source wait.
     """
 
     ask: Callable[[], Identity]
     transport: Callable[[str], Transport]
-    options: Mapping[str, Any]
+    backoff: Backoff | None
+    timeout: float
+    silence: float | None
+    is_lossless: bool
+
+    def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:
+        """A stream of one interface. Nothing connects before it is used.
+
+        Args:
+            interface: "realtime", "primary" or "secondary".
+            name: for messages.
+            reconnected: called in the reader thread after each connection but the first.
+
+        Raises:
+            BadValue: no such interface.
+            BadRecording: the recording does not hold it.
+        """
+        numbers = itertools.count()
+        is_realtime = interface == "realtime"
+
+        def protocol() -> PacketProtocol:
+            if next(numbers):
+                reconnected()
+            return RealtimeProtocol() if is_realtime else PrimaryProtocol()
+
+        kind: type[State] = RealtimeState if is_realtime else RobotState
+        if is_realtime:
+            fan_out = FanOut(kind)
+        else:
+            fan_out = FanOut(kind, parts=_parts, others=(SubPackage, RobotMessage, OtherPackage))
+        connection = Connection(
+            name,
+            self.transport(interface),
+            protocol,
+            fan_out,
+            backoff=self.backoff,
+            timeout=self.timeout,
+            silence=self.silence,
+        )
+        return Stream(connection, kind, lossless=self.is_lossless)
+
+
+def _parts(packet: State) -> Sequence[State]:
+    """The sub-packages of a robot state; other packages have none."""
+    return packet.packages if isinstance(packet, RobotState) else ()
 
 
 def networked(
     place: RobotAddress, *, timeout: float, read_only: bool, backoff: Backoff | None, silence: float
-) -> Origin:
+) -> Source:
     """A controller on the network, or a simulated one."""
     suffix = "_readonly" if read_only else ""
 
@@ -51,10 +109,10 @@ def networked(
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
         return TcpTransport(place.host, place.ports[interface + suffix], silence=silence)
 
-    return Origin(ask, transport, {"backoff": backoff, "timeout": timeout, "silence": silence})
+    return Source(ask, transport, backoff, timeout, silence, is_lossless=False)
 
 
-def recorded(place: RecordingAddress) -> Origin:
+def recorded(place: RecordingAddress) -> Source:
     """A recording, which is played as it is read.
 
     Raises:
@@ -70,8 +128,8 @@ def recorded(place: RecordingAddress) -> Origin:
                 return Identity(firmware, said_so=True, model=info.get("model"))
         raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
 
-    return Origin(
-        ask,
-        lambda interface: ReplayTransport(recording, interface, clock),
-        {"backoff": Backoff(first=0, most=0), "silence": None, "lossless": place.rate == 0},
-    )
+    def transport(interface: str) -> Transport:
+        return ReplayTransport(recording, interface, clock)
+
+    at_once = Backoff(first=0, most=0)
+    return Source(ask, transport, at_once, timeout=5.0, silence=None, is_lossless=place.rate == 0)

@@ -9,8 +9,13 @@ from collections.abc import Sequence
 
 from construct import Int8ub, Int32ub, Struct
 
-from linkcore.errors import ConnectionLost, PacketError
+from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
+from linkcore.net.transport import Transport
 from linkcore.stamp import Stamp
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.stream import Stream
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State, packet, wire
 
@@ -44,6 +49,8 @@ class CountBoundary:
     def peer(self, buffer: bytes | bytearray) -> str | None:
         return None
 
+
+AT_ONCE = Backoff(first=0, most=0)
 
 #: The number that cannot be decoded.
 BAD = 666
@@ -110,9 +117,14 @@ class ScriptedTransport:
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         with self._changed:
-            assert self._changed.wait_for(lambda: self._items or self._closed, timeout=30)
+            came = self._changed.wait_for(
+                lambda: self._items or self._closed, timeout=30 if timeout is None else timeout
+            )
             if self._closed:
                 raise ConnectionLost("closed here")
+            if not came:
+                assert timeout is not None, "nobody has put anything"
+                raise LinkTimeout("nothing came")
             item = self._items.popleft()
         if isinstance(item, Exception):
             raise item
@@ -157,3 +169,16 @@ class ScriptedTransport:
 
     def close(self) -> None:
         self.abort()
+
+
+def scripted(
+    transport: Transport,
+    *,
+    name: str = "script",
+    backoff: Backoff = AT_ONCE,
+    silence: float | None = None,
+    lossless: bool = False,
+) -> Stream[Count]:
+    """A stream of `Count` over a transport."""
+    connection = Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
+    return Stream(connection, Count, lossless=lossless)

@@ -49,7 +49,7 @@ def test_a_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
     assert [[*map(int, row[1:])] for row in rows] == [[number, number, 2 * number, number] for number in range(6)]
     assert [float(row[0]) for row in rows] == sorted(float(row[0]) for row in rows)
     assert logger.stats is not None
-    assert (logger.stats.received, logger.stats.delivered) == (6, 6)
+    assert (logger.stats.offered, logger.stats.delivered) == (6, 6)
 
 
 class Typed(Plugin, order="big"):

@@ -135,7 +135,7 @@ def test_a_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture
             master.sync({})
             until(lambda number=number: len(twists) == number)  # type: ignore[misc]
     assert bridge.stats is not None
-    assert bridge.stats.failed == 4
+    assert bridge.stats.raised == 4
     assert "no wheels" in caplog.text
 
 

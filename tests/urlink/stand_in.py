@@ -14,12 +14,12 @@ from urlink.commanding.interlock import Policy
 from urlink.commanding.programs import Scripts
 from urlink.commanding.safety import Safety
 from urlink.firmware import Firmware
+from urlink.identity import Identity
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
-from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.source import Source
 from urlink.urscript.source import finish_marker, start_marker
 
 AT_ONCE = Backoff(first=0, most=0)
@@ -31,18 +31,10 @@ class StandIn:
     def __init__(self, firmware: str = "5.11", policy: Policy = "never", backoff: Backoff = AT_ONCE) -> None:
         self.firmware = Firmware.parse(firmware)
         self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
-        self.primary: Stream[RobotState] = Stream(
-            "stand-in primary",
-            self.slow,
-            PrimaryProtocol,
-            RobotState,
-            parts=lambda packet: getattr(packet, "packages", ()),
-            backoff=backoff,
-            silence=None,
-        )
-        self.realtime: Stream[RealtimeState] = Stream(
-            "stand-in realtime", self.fast, RealtimeProtocol, RealtimeState, backoff=backoff, silence=None
-        )
+        transports = {"primary": self.slow, "realtime": self.fast}
+        source = Source(lambda: Identity(self.firmware, True, None), transports.__getitem__, backoff, 5.0, None, False)
+        self.primary: Stream[RobotState] = source.stream("primary", "stand-in primary", lambda: None)
+        self.realtime: Stream[RealtimeState] = source.stream("realtime", "stand-in realtime", lambda: None)
         self.safety = Safety(lambda: self.primary, lambda: self.realtime, policy)
         self.outlet = Outlet(lambda: self.primary, self.safety)
         self.script = Scripts(lambda: self.primary, self.outlet, self.safety)

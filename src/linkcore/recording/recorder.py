@@ -60,7 +60,7 @@ class Recorder:
                 event = json.dumps({"state": item.state.value, "error": error}).encode()
                 writer.write(Kind.EVENT, channel, item.received, event)
 
-        subscription = stream.open_subscription(Traffic, write, policy=block, linger=_GATHER)
+        subscription = stream._connection.subscribe(Traffic, write, policy=block, gather=_GATHER, owner=stream)
         self._subscriptions.append(subscription)
         return subscription
 

@@ -1,88 +1,109 @@
-"""Who gets what: the subscribers of a stream, seen from the reader.
+"""Who gets what: every packet of a stream goes to each queue and each inline callback that wants it.
 
-Packets go to inboxes, and last of all to the one subscription that the reader calls back itself.
-Tuples are replaced, never changed, so that the reader needs no lock to walk them.
+Called by the thread that reads, which meets no lock here: tuples are replaced and never changed. An asyncio shell can
+use it as it is, with queues of its own.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..stamp import Stamp
 from .events import Chunk, ConnectionEvent, Traffic
-from .packet_queue import Inbox
-from .policy import Policy
-from .shortcut import Shortcut
-from .subscription import Subscription
+from .subscription import Delivery
 
-__all__ = ["Distribution"]
+__all__ = ["FanOut", "Sink"]
 
-# A NamedTuple made without its own __new__, which is written in Python.
+#: A NamedTuple made without its own `__new__`, which is a call of Python code for each packet.
 _new = tuple.__new__
 
 K = TypeVar("K")
 
 
-class Distribution:
-    """The inboxes and subscriptions of one stream, and the newest packet of each class.
+class Sink(Protocol):
+    """What packets are offered to."""
+
+    #: is served after the others, since it calls back at once
+    is_inline: bool
+    #: keeps nothing for later that was promised to be delivered
+    evicts: bool
+
+    @property
+    def offered(self) -> int:
+        """Packets that came here."""
+
+    def offer(self, packets: Sequence[Any]) -> None:
+        """Take packets."""
+
+    def end(self) -> None:
+        """No more will come; what waits is still delivered."""
+
+    def close(self) -> None:
+        """No more will come, and what waits is dropped."""
+
+
+class _Route(NamedTuple):
+    sink: Sink
+    group: type
+    offer: Callable[[Sequence[Any]], None]
+
+
+class FanOut:
+    """The subscribers of one stream, and the newest packet of each class.
 
     Args:
         kind: the main class of packet.
         parts: the packets inside a packet; None if there are none.
-        read_on: becomes the reader in place of one that a callback keeps.
+        others: base classes of what else comes, parts included.
 
     Attributes:
-        dropped: packets that at least one subscription dropped.
-        taps: who gets everything as it came.
+        taps: those who get the bytes as they came.
     """
 
-    def __init__(self, kind: type, parts: Callable[[Any], Iterable[Any]] | None, read_on: Callable[[], object]) -> None:
-        self.dropped = 0
+    def __init__(
+        self, kind: type, *, parts: Callable[[Any], Iterable[Any]] | None = None, others: Iterable[type] = ()
+    ) -> None:
+        self.kinds = (kind, *others)
         self._kind = kind
         self._parts = parts
-        self._read_on = read_on
-        self._lock = threading.Lock()
-        self._is_open = True
-        # Who gets packets (object), connection events, and everything as it came.
-        self._inboxes: dict[type, tuple[Inbox, ...]] = {object: (), ConnectionEvent: (), Traffic: ()}
-        self._subscriptions: tuple[Subscription, ...] = ()
-        self._shortcut: Shortcut | None = None
-        self._outlets: tuple[Inbox | Shortcut, ...] = ()
-        self.taps: tuple[Inbox, ...] = ()
-        self._newest: dict[type, Any] = {}
+        # Re-entrant: a stream that is collected in the middle of a change ends its fan-out from here.
+        self._lock = threading.RLock()
+        self._routes: tuple[_Route, ...] = ()
+        self._deliveries: tuple[Delivery, ...] = ()
+        # What the reader looks at, made from the routes.
+        self._offers: tuple[Callable[[Sequence[Any]], None], ...] = ()
+        self.taps: tuple[Sink, ...] = ()
+        self._newest: dict[type, tuple[int, Any]] = {}
+        self._number = 0
 
     # -- what the reader hands out -------------------------------------------------------------
 
     def tap(self, data: bytes, rest: bytes, stamp: Stamp) -> None:
         """Bytes as they came; `rest` is the head of the packet they came into."""
-        for inbox in self.taps:
-            if rest and not inbox.received:
-                inbox.put(Chunk(rest, stamp))
-            inbox.put(_new(Chunk, (data, stamp)))
+        for sink in self.taps:
+            if rest and not sink.offered:
+                sink.offer((Chunk(rest, stamp),))
+            sink.offer((_new(Chunk, (data, stamp)),))
 
     def publish(self, packets: Sequence[Any]) -> None:
-        """Packets, in order.
-
-        Raises:
-            Relieved: a callback took so long that another thread has become the reader.
-        """
+        """Packets, in order, at least one."""
         if self._parts is None:
-            self._newest[self._kind] = packets[-1]
+            self._newest[self._kind] = (0, packets[-1])
         else:
             for packet in packets:
                 self._remember(packet)
                 for part in self._parts(packet):
                     self._remember(part)
-        for outlet in self._outlets:
-            outlet.offer(packets)
+        for offer in self._offers:
+            offer(packets)
 
     def tell(self, event: ConnectionEvent) -> None:
         """A change of the connection."""
-        for group in (ConnectionEvent, Traffic):
-            for inbox in self._inboxes[group]:
-                inbox.offer((event,))
+        for route in self._routes:
+            if route.group is not object:
+                route.offer((event,))
 
     def forget(self) -> None:
         """What was newest is so no longer."""
@@ -91,28 +112,29 @@ class Distribution:
     def end(self) -> None:
         """No more will come; what waits is still delivered."""
         with self._lock:
-            self._end_shortcut()
-            inboxes = self._all()
-        for inbox in inboxes:
-            inbox.end()
+            routes = self._routes
+            self._set_routes(())
+        for route in routes:
+            route.sink.end()
 
     def _remember(self, packet: Any) -> None:
-        # Taken out first, so that the newest stands last.
-        self._newest.pop(type(packet), None)
-        self._newest[type(packet)] = packet
+        self._number += 1
+        self._newest[type(packet)] = (self._number, packet)
 
     # -- what feeds ask for --------------------------------------------------------------------
 
+    def carries(self, kind: type) -> bool:
+        """Whether a `kind` can ever come: it is a class of packet or part, a subclass or a base class of one."""
+        return any(issubclass(kind, each) or issubclass(each, kind) for each in self.kinds)
+
     def newest(self, kind: type[K]) -> K | None:
         """The newest packet of class `kind`."""
-        newest = self._newest
-        if kind in newest:
-            exact: K = newest[kind]
-            return exact
-        for packet in reversed(list(newest.values())):
-            if isinstance(packet, kind):
-                return packet
-        return None
+        exact = self._newest.get(kind)
+        if exact is not None:
+            found: K = exact[1]
+            return found
+        candidates = [each for each in list(self._newest.values()) if isinstance(each[1], kind)]
+        return max(candidates, key=_number_of)[1] if candidates else None
 
     def expand(self, kind: type[K], packet: Any) -> Iterable[K]:
         """What of class `kind` a packet is or holds."""
@@ -120,132 +142,69 @@ class Distribution:
             return (packet,)
         return [part for part in self._parts(packet) if isinstance(part, kind)] if self._parts is not None else ()
 
-    def add_inbox(self, kind: type, policy: Policy, counts: bool) -> Inbox:
-        """A queue of packets that are or hold a `kind`; without `counts`, nobody misses what it drops."""
-        wants: Callable[[Any], bool] | None = None
-        lost: Callable[[Any], None] | None = self._lose if counts else None
+    def expander(self, kind: type) -> Callable[[Any], Iterable[Any]] | None:
+        """What `expand` does for one class; None where a packet always is what was asked for."""
+        if kind in (self._kind, ConnectionEvent, Traffic):
+            return None
+        return lambda packet: self.expand(kind, packet)
+
+    def add(self, sink: Sink, kind: type) -> None:
+        """Offer to `sink` each packet that is or holds a `kind`."""
         group: type = object
+        offer: Callable[[Sequence[Any]], None] = sink.offer
         if kind in (Traffic, ConnectionEvent):
-            group, lost = kind, None
+            group = kind
         elif kind is not self._kind or self._parts is not None:
-            expand = self.expand
-
-            def wants(packet: Any) -> bool:
-                return any(True for _ in expand(kind, packet))
-
-        inbox = Inbox(policy, wants, lost)
+            offer = self._filtered(kind, sink)
         with self._lock:
-            self._inboxes[group] = (*self._inboxes[group], inbox)
-            self._route()
-        return inbox
+            self._set_routes((*self._routes, _Route(sink, group, offer)))
 
-    def remove_inbox(self, inbox: Inbox) -> None:
-        """Give a queue no more; what waits in it can still be taken."""
+    def _filtered(self, kind: type, sink: Sink) -> Callable[[Sequence[Any]], None]:
+        expand = self.expand
+
+        def offer(packets: Sequence[Any]) -> None:
+            wanted = [packet for packet in packets if any(True for _ in expand(kind, packet))]
+            if wanted:
+                sink.offer(wanted)
+
+        return offer
+
+    def remove(self, sink: Sink) -> None:
+        """Offer to `sink` no more; what waits in it can still be taken."""
         with self._lock:
-            for group, inboxes in list(self._inboxes.items()):
-                self._inboxes[group] = tuple(each for each in inboxes if each is not inbox)
-            if self._shortcut is not None and self._shortcut.inbox is inbox:
-                self._end_shortcut()
-            self._route()
+            self._set_routes(tuple(route for route in self._routes if route.sink is not sink))
 
-    def add_subscription(
-        self,
-        name: str,
-        kind: type,
-        callback: Callable[[Any], object],
-        inbox: Inbox,
-        deadline: float | None,
-        on_deadline: Callable[[float], object] | None,
-        linger: float,
-    ) -> Subscription:
-        """A callback on `inbox`."""
-        whole = kind is self._kind or kind in (Traffic, ConnectionEvent)
-        subscription = Subscription(
-            inbox,
-            callback,
-            name=name,
-            detach=self._remove_subscription,
-            trust=self._trust if kind is self._kind and self._parts is None else None,
-            expand=None if whole else lambda packet: self.expand(kind, packet),
-            deadline=deadline,
-            on_deadline=on_deadline,
-            linger=linger,
-        )
-        with self._lock:
-            self._subscriptions = (*self._subscriptions, subscription)
-        return subscription
+    def _set_routes(self, routes: tuple[_Route, ...]) -> None:
+        # Inline callbacks come last: one that is slow then keeps no queue waiting.
+        self._routes = tuple(sorted(routes, key=lambda route: route.sink.is_inline))
+        self._offers = tuple(route.offer for route in self._routes if route.group is object)
+        self.taps = tuple(route.sink for route in self._routes if route.group is Traffic)
 
-    def _remove_subscription(self, subscription: Subscription) -> None:
-        self.remove_inbox(subscription.inbox)
-        with self._lock:
-            self._subscriptions = tuple(each for each in self._subscriptions if each is not subscription)
-
-    # -- what the stream asks for when it closes -------------------------------------------------
+    # -- callbacks -------------------------------------------------------------------------------
 
     @property
-    def subscriptions(self) -> tuple[Subscription, ...]:
+    def deliveries(self) -> tuple[Delivery, ...]:
         """The callbacks."""
-        return self._subscriptions
+        return self._deliveries
 
-    def close_evicting(self) -> None:
-        """Drop what waits where nothing was promised, or where the caller keeps it from being taken."""
+    def add_delivery(self, delivery: Delivery) -> None:
+        """Remember a callback, so that whoever closes the stream can wait for it."""
         with self._lock:
-            self._is_open = False
-            self._end_shortcut()
-            inboxes = self._all()
-        here = threading.get_ident()
-        callers = [each.inbox for each in self._subscriptions if each.runs_in(here)]
-        for inbox in inboxes:
-            if inbox.evicts or inbox in callers:
-                inbox.close()
+            self._deliveries = (*self._deliveries, delivery)
 
-    def close_all(self) -> None:
-        """Drop whatever waits."""
+    def remove_delivery(self, delivery: Delivery) -> None:
+        """Offer to a callback no more, and forget it."""
         with self._lock:
-            inboxes = self._all()
-        for inbox in inboxes:
-            inbox.close()
+            self.remove(delivery.sink)
+            self._deliveries = tuple(each for each in self._deliveries if each is not delivery)
 
-    def _all(self) -> list[Inbox]:
-        return [inbox for group in self._inboxes.values() for inbox in group]
+    def close(self, *, all: bool) -> None:
+        """Close what promised nothing, or the callers wait in themselves; or all of it."""
+        callers = [delivery.sink for delivery in self._deliveries if delivery.runs_here()]
+        for route in self._routes:
+            if all or route.sink.evicts or route.sink in callers:
+                route.sink.close()
 
-    # -- the short way ---------------------------------------------------------------------------
 
-    def _route(self) -> None:
-        """Say anew where packets go; with the lock."""
-        self.taps = self._inboxes[Traffic]
-        inboxes, shortcut = self._inboxes[object], self._shortcut
-        if shortcut is None:
-            self._outlets = inboxes
-        else:
-            self._outlets = (*(inbox for inbox in inboxes if inbox is not shortcut.inbox), shortcut)
-
-    def _trust(self, subscription: Subscription) -> None:
-        """Let the reader call this subscription back itself, if it does so for no other."""
-        with self._lock:
-            is_here = any(inbox is subscription.inbox for inbox in self._inboxes[object])
-            if self._shortcut is None and is_here and self._is_open:
-                self._shortcut = Shortcut(subscription, self._withdraw, self._read_on)
-                self._route()
-
-    def _withdraw(self, shortcut: Shortcut) -> None:
-        """Send a subscription that was slow back to its own thread."""
-        with self._lock:
-            if self._shortcut is shortcut:
-                self._end_shortcut()
-        shortcut.subscription.distrust()
-
-    def _end_shortcut(self) -> None:
-        if self._shortcut is not None:
-            self._shortcut.end()
-            self._shortcut = None
-            self._route()
-
-    def _lose(self, packet: Any) -> None:
-        """A subscription drops a packet: counted once, however many do."""
-        with self._lock:
-            try:
-                packet._lost  # noqa: B018
-            except AttributeError:
-                packet._lost = True
-                self.dropped += 1
+def _number_of(entry: tuple[int, Any]) -> int:
+    return entry[0]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
-from ..errors import BadValue
-from .policy import Policy, drop_oldest, latest
+from ..arguments import check_callable, check_seconds
+from ..errors import BadValue, Closed, LinkTimeout
+from .connection import Connection
+from .events import ConnectionEvent, ConnectionState
+from .policy import Policy, block, check_policy, drop_oldest, latest
 from .subscription import Subscription
-
-if TYPE_CHECKING:
-    from .stream import Stream
 
 __all__ = ["Feed"]
 
@@ -18,67 +18,88 @@ T = TypeVar("T")
 
 
 class Feed(Generic[T]):
-    """The packets of one class on a stream: iterate, subscribe, look at the newest, wait for the next."""
+    """The packets of one class on a stream: iterate, subscribe, look at the newest, wait for the next.
 
-    def __init__(self, stream: Stream[Any], kind: type[T]) -> None:
-        self._stream = stream
+    Made by `Stream.of`; a stream is the feed of its main class.
+    """
+
+    def __init__(self, connection: Connection, kind: type[T], *, lossless: bool, owner: object) -> None:
+        self._connection = connection
         self._kind = kind
+        self._lossless = lossless
+        self._owner = owner  # keeps the stream from being collected as long as one of its feeds is held
 
     @property
     def latest(self) -> T | None:
         """The newest packet of this connection, or None. Never blocks.
 
-        None before the first packet came and again as soon as the connection is lost: old data is
-        never shown as new. A recording that is over keeps its last one. Begins to connect, if
-        nothing has yet.
+        None before the first packet came and again as soon as the connection is lost: old data is never shown as new. A
+        recording that is over keeps its last one. Begins to connect, if nothing has yet.
         """
-        self._stream.start_quietly()
-        newest: T | None = self._stream.newest(self._kind)
-        return newest
+        self._connection.start_quietly()
+        return self._connection.fan_out.newest(self._kind)
 
     def wait(self, timeout: float = 5.0) -> T:
         """The next packet that arrives.
 
         Raises:
+            BadValue: `timeout` is no number of seconds.
             LinkTimeout: none came within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
+            LocalError: called in an inline callback, where nothing could come.
             Closed: the stream was closed.
         """
-        inbox = self._stream.open_inbox(self._kind, latest, counts=False)
+        timeout = check_seconds(timeout, "timeout")
+        connection = self._connection
+        connection.refuse_to_wait("wait()")
+        queue = connection.open_queue(self._kind, latest)
         try:
-            packet = inbox.next(timeout)
+            packet = queue.next(timeout)
             if packet is not None:
-                first: T = next(iter(self._stream.expand(self._kind, packet)))
-                return first
+                return next(iter(connection.fan_out.expand(self._kind, packet)))
         finally:
-            self._stream.close_inbox(inbox)
-        raise self._stream.why_nothing(self._kind, timeout)
+            connection.close_queue(queue)
+        raise self._why_nothing(timeout)
 
     def iterate(self, policy: Policy | None = None, timeout: float | None = None) -> Iterator[T]:
         """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
 
-        Ends when the stream is closed, or a recording is over. Without a timeout it waits for as
-        long as the backoff allows for a robot that went away; `ConnectionEvent` tells of that.
+        Ends when the stream is closed, or a recording is over. Without a timeout it waits for as long as the back-off
+        allows for a robot that went away; `ConnectionEvent` tells of that.
 
         Raises:
+            BadValue: no policy, or no number of seconds.
             LinkTimeout: nothing came within `timeout` seconds.
             RemoteError: the first connection could not be made, or the stream gave up.
+            LocalError: called in an inline callback, where nothing could come.
         """
-        stream = self._stream
-        inbox = stream.open_inbox(self._kind, policy or stream.default_policy(self._kind, latest))
+        policy = self._policy(policy, latest)
+        if timeout is not None:
+            timeout = check_seconds(timeout, "timeout")
+        self._connection.refuse_to_wait("iterating")
+        return self._packets(policy, timeout)
+
+    def _packets(self, policy: Policy, timeout: float | None) -> Iterator[T]:
+        connection, kind = self._connection, self._kind
+        expand = connection.fan_out.expander(kind)
+        queue = connection.open_queue(kind, policy)
+        take = queue.next
         try:
             while True:
-                packet = inbox.next(timeout)
+                packet = take(timeout)
                 if packet is not None:
-                    yield from stream.expand(self._kind, packet)
-                elif inbox.is_over:
+                    if expand is None:
+                        yield packet
+                    else:
+                        yield from expand(packet)
+                elif queue.is_over:
                     break
                 elif timeout is not None:
-                    raise stream.why_nothing(self._kind, timeout)
+                    raise self._why_nothing(timeout)
         finally:
-            stream.close_inbox(inbox)
-        if stream.failure is not None:
-            raise stream.failure
+            connection.close_queue(queue)
+        if connection.failure is not None:
+            raise connection.failure
 
     def __iter__(self) -> Iterator[T]:
         return self.iterate()
@@ -90,33 +111,66 @@ class Feed(Generic[T]):
         policy: Policy | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
+        inline: bool = False,
     ) -> Subscription:
         """Call `callback` with each packet, in order and one at a time, until closed.
 
-        In a thread of its own, or, once it has proved quick, in the thread that reads the stream: so
-        the thread may change, and a callback that hangs after having been quick can keep the other
-        subscribers waiting for up to 100 ms.
+        Each subscription has a queue and a thread of its own, so a callback may be slow and may raise: no packet of
+        anybody else's is lost by that. ``inline=True`` does without both, and so without the time that waking a thread
+        takes: the thread that reads calls back at once. Then it has to be quick, since until it returns nothing is read
+        and nobody else on this stream gets anything; calls of more than 0.5 ms are counted in `Stream.stats`.
 
         Args:
-            callback: may be slow and may raise; no packet of anybody else's is lost by that.
-            policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by
-                default `drop_oldest(256)`, and 1024 for events.
+            callback: gets each packet.
+            policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by default
+                `drop_oldest(256)`, and 1024 for events. An inline callback has no queue, so it takes none.
             deadline: seconds within which a packet has to come.
-            on_deadline: called with the seconds since the last packet, once for each silence that
-                lasts longer than `deadline`; by default the log gets a warning.
+            on_deadline: called with the seconds since the last packet, once for each time that it is longer than
+                `deadline`; by default the log gets a warning. Inline, it has a thread of its own.
+            inline: call it in the thread that reads.
 
         Raises:
+            BadValue: an argument is not what it should be.
             RemoteError: the first connection could not be made.
+            LocalError: the system has no thread left.
             Closed: the stream was closed.
         """
-        if deadline is not None and not deadline > 0:
-            raise BadValue(f"deadline is {deadline}; expected a positive number of seconds")
-        if on_deadline is not None and deadline is None:
-            raise BadValue("on_deadline was given without a deadline")
-        return self._stream.open_subscription(
-            self._kind,
-            callback,
-            policy=policy or self._stream.default_policy(self._kind, drop_oldest(256)),
-            deadline=deadline,
-            on_deadline=on_deadline,
+        check_callable(callback, "callback")
+        if deadline is not None:
+            deadline = check_seconds(deadline, "deadline", positive=True)
+        if on_deadline is not None:
+            check_callable(on_deadline, "on_deadline")
+            if deadline is None:
+                raise BadValue("on_deadline was given without a deadline")
+        connection, kind, owner = self._connection, self._kind, self._owner
+        if inline:
+            if policy is not None:
+                raise BadValue("an inline callback has no queue in which packets could wait, so it takes no policy")
+            return connection.subscribe_inline(kind, callback, deadline=deadline, on_deadline=on_deadline, owner=owner)
+        policy = self._policy(policy, drop_oldest(256))
+        return connection.subscribe(
+            kind, callback, policy=policy, deadline=deadline, on_deadline=on_deadline, owner=owner
         )
+
+    def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:
+        """The policy; of those who do not say: events are kept, states are replaced by newer ones."""
+        if policy is not None:
+            return check_policy(policy)
+        if self._lossless:
+            return block
+        return drop_oldest(1024) if getattr(self._kind, "IS_EVENT", self._kind is ConnectionEvent) else for_states
+
+    def _why_nothing(self, timeout: float) -> Exception:
+        """What to raise when nothing came within `timeout` seconds."""
+        connection = self._connection
+        if connection.failure is not None:
+            return connection.failure
+        if connection.is_over:
+            return Closed(f"{connection.name} was closed, or is over")
+        because = ""
+        if connection.state is not ConnectionState.CONNECTED and connection.error is not None:
+            because = f"; it is not connected: {connection.error}"
+        return LinkTimeout(f"no {self._kind.__name__} from {connection.name} within {timeout:g} s{because}")
+
+    def __repr__(self) -> str:
+        return f"<Feed of {self._kind.__name__} from {self._connection.name}>"

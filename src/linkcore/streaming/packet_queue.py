@@ -1,161 +1,184 @@
-"""The bounded queue between the reader thread and one consumer.
+"""The bounded queue between the thread that reads a stream and one consumer.
 
-The queue itself is `queue.SimpleQueue`, whose hand-over happens in C. What stands here is what it has
-not: a bound, the choice of what happens at the bound, an end, and exact counts. Each counter has one
-writer at a time, so that none needs a lock.
+`queue.Queue` takes a lock and a condition for each packet, in Python, and can neither drop the oldest nor be ended.
+Here the packets are in a `deque`, whose methods are atomic; a consumer that finds it empty says so and sleeps on a
+`SimpleQueue`, which is woken in C. So a packet that is handed over costs two method calls and a look at a flag, and
+many packets cost hardly more than one.
+
+The bound, the policy, the end and the counters are the same without threads: an asyncio consumer would take with
+`next(0)` and be told by its own loop that something has come.
 """
 
 from __future__ import annotations
 
-import queue
+import contextlib
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections import deque
+from collections.abc import Sequence
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from .policy import Policy
 
-__all__ = ["Inbox"]
-
-#: Stands last in the queue of an inbox that gets no more.
-_END = object()
+__all__ = ["PacketQueue"]
 
 
-class Inbox:
-    """Packets waiting for one consumer.
+class PacketQueue:
+    """Packets waiting for one consumer; one thread offers them and one takes them.
+
+    Whatever happens, ``offered == taken + dropped + waiting`` once both are at rest. Each counter is raised where its
+    event happens, by one thread only or under a lock.
 
     Args:
         policy: what to do when the consumer falls behind.
-        wants: which packets it is for; None takes all.
-        lost: told of each packet that is dropped.
 
     Attributes:
-        received: packets offered and wanted.
-        dropped: packets thrown away.
+        offered: packets that came here.
         evicts: drops the oldest when it is full, rather than making the reader wait.
-        closed: nothing more will be taken.
     """
 
-    def __init__(
-        self,
-        policy: Policy,
-        wants: Callable[[Any], bool] | None = None,
-        lost: Callable[[Any], None] | None = None,
-    ) -> None:
-        self.received = 0
-        self.dropped = 0
-        self.closed = False
-        self._ended = False
-        self._limit = policy.limit
+    #: A queue is never in the way of another, so the reader serves it before the callbacks that it calls itself.
+    is_inline = False
+
+    def __init__(self, policy: Policy) -> None:
+        self.offered = 0
         self.evicts = policy.evicts
-        self._wants = wants
-        self._lost = lost
-        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._put, self._size = self._queue.put, self._queue.qsize
-        self._room = threading.Semaphore(0)
-        self._blocked = False
-        self._dropping = threading.Lock()
+        self._limit = policy.limit
+        self._packets: deque[Any] = deque()
+        self._evicted = 0  # raised by the reader
+        self._discarded = 0  # raised under the lock
+        self._discarding = threading.Lock()
+        self._is_ended = False  # nothing more is to be taken from the reader
+        self._is_over = False  # nobody takes any more
+        # A consumer that finds nothing raises its flag, looks again, and sleeps until a token comes; whoever changes
+        # something looks at the flag afterwards. So one of the two sees the other. The same for a reader without room.
+        self._consumer_sleeps = False
+        self._reader_sleeps = False
+        self._to_consumer: SimpleQueue[None] = SimpleQueue()
+        self._to_reader: SimpleQueue[None] = SimpleQueue()
+
+    @property
+    def dropped(self) -> int:
+        """Packets thrown away: one too many, or waiting when the queue was closed."""
+        return self._evicted + self._discarded
 
     @property
     def waiting(self) -> int:
         """Packets in the queue."""
-        return max(self._size() - self._ended, 0)
+        return len(self._packets)
+
+    @property
+    def is_over(self) -> bool:
+        """`next` has said that no more will come."""
+        return self._is_over
 
     # -- the reader's side ---------------------------------------------------------------------
 
-    def offer(self, items: Sequence[Any]) -> None:
+    def offer(self, packets: Sequence[Any]) -> None:
         """Hand packets over; waits only under the policy `block`."""
-        if self._wants is not None:
-            items = list(filter(self._wants, items))
-        if self._ended:
+        if self._is_ended:
             return
-        self.received += len(items)
-        for item in items:
-            if self._size() >= self._limit:
-                self._make_room()
-            self._put(item)
-        if self.closed:
-            self._drop_all()
+        count = len(packets)
+        if count <= self._limit - len(self._packets):
+            self.offered += count
+            self._packets.extend(packets)
+        elif self.evicts:
+            self.offered += count
+            self._evict(packets)
+        else:
+            self._wait_for_room(packets)
+        if self._consumer_sleeps:
+            self._consumer_sleeps = False
+            self._to_consumer.put(None)
+        if self._is_over:  # it was closed meanwhile, or its consumer has just gone
+            self._discard()
 
-    def put(self, item: Any) -> None:
-        """Hand over one packet that is wanted: `offer` without the detours."""
-        if self._size() >= self._limit or self._ended:
-            self.offer((item,))
-            return
-        self.received += 1
-        self._put(item)
-        if self.closed:
-            self._drop_all()
+    def _evict(self, packets: Sequence[Any]) -> None:
+        """Make room by dropping the oldest: of those that wait, and then of those that come."""
+        surplus = len(packets) - self._limit
+        if surplus > 0:
+            self._evicted += surplus
+            packets = packets[surplus:]
+        # Room is made first and the packets are added then: the other way round, a consumer that takes one in between
+        # would have the newest dropped in its stead.
+        for _ in range(len(self._packets) + len(packets) - self._limit):
+            try:
+                self._packets.popleft()
+            except IndexError:  # the consumer was quicker
+                break
+            self._evicted += 1
+        self._packets.extend(packets)
 
-    def _make_room(self) -> None:
-        if self.evicts:
-            self._drop_one()
-            return
-        while self._size() >= self._limit and not self.closed:
-            self._wait_for_room()
-
-    def _wait_for_room(self) -> None:
-        self._blocked = True
-        # The timeout covers a consumer that made room just before this was set.
-        self._room.acquire(timeout=0.05)
-        self._blocked = False
+    def _wait_for_room(self, packets: Sequence[Any]) -> None:
+        at = 0
+        while at < len(packets):
+            room = len(packets) if self._is_over else self._limit - len(self._packets)
+            if room > 0:
+                taken = packets[at : at + room]
+                self.offered += len(taken)
+                self._packets.extend(taken)
+                at += room
+                if self._consumer_sleeps:
+                    self._consumer_sleeps = False
+                    self._to_consumer.put(None)
+                continue
+            self._reader_sleeps = True
+            if len(self._packets) >= self._limit and not self._is_over:
+                self._to_reader.get()
+            self._reader_sleeps = False
 
     def end(self) -> None:
         """No more will come; what waits can still be taken. Idempotent."""
-        with self._dropping:
-            if not self._ended:
-                self._ended = True
-                self._put(_END)
+        self._is_ended = True
+        self._to_consumer.put(None)
 
     # -- the consumer's side -------------------------------------------------------------------
 
     def next(self, timeout: float | None = None) -> Any | None:
-        """Wait for a packet and take it; None when time is up, or when no more will come.
-
-        `is_over` tells which.
-        """
-        try:
-            item = self._queue.get(True, timeout)
-            while item is _END:
-                behind = self._size()
-                self._put(_END)  # whoever asks again is told again
-                if not behind:
+        """Wait for a packet and take it; None when time is up, or when no more will come: `is_over` tells which."""
+        packets = self._packets
+        until = None
+        while True:
+            if packets:
+                try:
+                    packet = packets.popleft()
+                except IndexError:  # the reader has evicted it, and adds a newer one
+                    continue
+                # Not for each packet: the two threads would take turns.
+                if self._reader_sleeps and len(packets) <= self._limit // 2:
+                    self._reader_sleeps = False
+                    self._to_reader.put(None)
+                return packet
+            if self._is_ended:
+                self._is_over = True
+                if packets:  # the reader was in the middle of an offer when the end came
+                    continue
+                return None
+            if timeout is not None:
+                now = time.monotonic()
+                until = now + timeout if until is None else until
+                if now >= until:
                     return None
-                item = self._queue.get()  # the reader was in the middle of an offer when the end came
-        except queue.Empty:
-            return None
-        if self._blocked and self._size() <= self._limit // 2:
-            self._room.release()  # not for each packet: the two threads would take turns
-        return item
-
-    @property
-    def is_over(self) -> bool:
-        """No more will come, and nothing waits."""
-        return self._ended and self.waiting == 0
+            self._consumer_sleeps = True
+            if not packets and not self._is_ended:
+                left = None if until is None else min(until - now, threading.TIMEOUT_MAX)
+                with contextlib.suppress(Empty):
+                    self._to_consumer.get(True, left)
+            self._consumer_sleeps = False
 
     def close(self) -> None:
         """Drop what waits, take nothing more; idempotent."""
-        self.closed = True
+        self._is_over = True
         self.end()
-        self._drop_all()
-        self._room.release()
+        self._to_reader.put(None)
+        self._discard()
 
-    # ------------------------------------------------------------------------------------------
-
-    def _drop_one(self) -> bool:
-        try:
-            item = self._queue.get_nowait()
-        except queue.Empty:  # the consumer was quicker
-            return False
-        if item is _END:
-            self._put(_END)
-            return False
-        self.dropped += 1
-        if self._lost is not None:
-            self._lost(item)
-        return True
-
-    def _drop_all(self) -> None:
-        with self._dropping:  # the reader and whoever closes may both come here
-            for _ in range(self._size()):
-                # At most one of them is the end mark, which goes to the back.
-                self._drop_one()
+    def _discard(self) -> None:
+        with self._discarding:  # the reader and whoever closes may both come here
+            while self._packets:
+                try:
+                    self._packets.popleft()
+                except IndexError:  # the consumer took it
+                    break
+                self._discarded += 1

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from ..errors import BadValue
 
-__all__ = ["Policy", "block", "drop_oldest", "latest"]
+__all__ = ["Policy", "block", "check_policy", "drop_oldest", "latest"]
 
 
 @dataclass(frozen=True)
@@ -16,17 +17,24 @@ class Policy:
     Attributes:
         limit: packets that wait at most.
         evicts: True drops the oldest and counts it; False makes the reader wait.
+
+    Raises:
+        BadValue: a limit below 1.
     """
 
     limit: int
     evicts: bool
 
+    def __post_init__(self) -> None:
+        if self.limit < 1:
+            raise BadValue(f"{self}: at least one packet has to fit")
 
-#: Keep the newest packet only: for control loops and displays. Who keeps up still gets every one.
+
+#: Keep the newest packet only: for control loops and displays. A callback that is quick enough still gets every one.
 latest = Policy(1, evicts=True)
 
-#: Lose nothing: the reader waits, and with it every subscriber of the stream; in the end TCP makes
-#: the robot's controller wait, which may then drop the connection. For replay and tests.
+#: Lose nothing: the reader waits, and with it every subscriber of the stream; in the end TCP makes the robot's
+#: controller wait, which may then drop the connection. For replay and tests.
 block = Policy(1024, evicts=False)
 
 
@@ -36,6 +44,15 @@ def drop_oldest(limit: int) -> Policy:
     Raises:
         BadValue: less than 1.
     """
-    if limit < 1:
-        raise BadValue(f"drop_oldest({limit}): at least one packet has to fit")
     return Policy(limit, evicts=True)
+
+
+def check_policy(value: Any) -> Policy:
+    """`value`, if it is a policy.
+
+    Raises:
+        BadValue: it is not; says what is.
+    """
+    if not isinstance(value, Policy):
+        raise BadValue(f"policy={value!r}; expected latest, drop_oldest(n) or block, the objects and not their names")
+    return value

@@ -1,40 +1,56 @@
-"""The counters of streams and subscriptions. Nothing disappears silently."""
+"""The counters of streams and subscriptions. Nothing disappears silently.
+
+Each counter is raised where its event happens, and none is computed from others, so that their sums are a check:
+
+- of a stream: ``received == decoded + failed``
+- of a subscription: ``offered == delivered + dropped + raised + waiting``
+
+There is no lock around them. A thread that is between two of its counters is given a moment by whoever looks, so that
+what does not add up after that has been counted wrongly.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ..stamp import Stamp
 from ..wire.protocol import PacketProtocol
 
-__all__ = ["StreamStatistics", "SubscriptionStatistics", "Tally"]
+__all__ = ["SLOW_INLINE", "StreamCounters", "StreamStatistics", "SubscriptionStatistics", "snapshot"]
+
+#: Seconds that a call in the reader thread may last; longer ones count as `slow_inline`. A quarter of the 2 ms between
+#: two packets of an e-Series controller.
+SLOW_INLINE = 0.5e-3
 
 
 @dataclass(frozen=True)
 class StreamStatistics:
-    """Counters of one stream at one moment; ``received == delivered + dropped + failed`` always.
+    """Counters of one stream at one moment; ``received == decoded + failed``.
 
     Attributes:
         received: packets that came off the wire.
-        delivered: packets that no subscription had to drop; they were, or still wait to be, handed
-            to every subscriber.
-        dropped: packets that at least one subscription dropped.
+        decoded: packets that became typed states, and were handed out.
         failed: packets that could not be decoded.
+        slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and nobody
+            else on this stream gets anything.
         reconnects: connections after the first.
         rate: packets a second, over the last second or so; 0 in the first half second of a connection.
         bytes: bytes received.
-        skipped: bytes thrown away while looking for a lost border.
-        resyncs: lost borders found again.
+        skipped: bytes thrown away while looking for a lost frame boundary.
+        resyncs: lost frame boundaries found again.
         unknown: packets, or parts of one, of a type that no layout is known for.
         tails: packets, or parts of one, that end in bytes which no known layout explains.
-        age: seconds since the last packet; None before the first one.
+        age: seconds since the last packet was read; None before the first one. It grows while the robot is silent, and
+            while an inline callback or a full queue keeps the reader.
     """
 
     received: int
-    delivered: int
-    dropped: int
+    decoded: int
     failed: int
+    slow_inline: int
     reconnects: int
     rate: float
     bytes: int
@@ -47,94 +63,119 @@ class StreamStatistics:
 
 @dataclass(frozen=True)
 class SubscriptionStatistics:
-    """Counters of one subscription; ``received == delivered + dropped + failed + waiting``.
+    """Counters of one subscription; ``offered == delivered + dropped + raised + waiting``.
 
     Attributes:
-        received: packets that it was offered and wanted.
-        delivered: packets that its callback took, or that were fetched from it.
+        offered: packets that came for it.
+        delivered: packets that its callback took.
         dropped: packets thrown away, because it fell behind or was closed.
-        failed: packets whose callback raised.
+        raised: packets whose callback raised.
         waiting: packets in its queue, and the one in its callback.
         missed_deadlines: how often nothing came in time.
     """
 
-    received: int
+    offered: int
     delivered: int
     dropped: int
-    failed: int
+    raised: int
     waiting: int
     missed_deadlines: int
 
 
-class Tally:
+#: Seconds that a look at counters waits for a thread that is between two of them: four turns of Python's threads.
+_MOMENT = 0.02
+
+S = TypeVar("S", StreamStatistics, SubscriptionStatistics)
+
+
+def snapshot(take: Callable[[], S]) -> S:
+    """What `take` returns, as soon as its sum holds; after a moment as it is."""
+    until = time.monotonic() + _MOMENT
+    while True:
+        statistics = take()
+        if isinstance(statistics, StreamStatistics):
+            rest = statistics.received - statistics.decoded - statistics.failed
+        else:
+            taken = statistics.delivered + statistics.dropped + statistics.raised + statistics.waiting
+            rest = statistics.offered - taken
+        if not rest or time.monotonic() >= until:
+            return statistics
+        time.sleep(_MOMENT / 100)
+
+
+class StreamCounters:
     """What the reader counts. Only the reader writes it, so it needs no lock.
 
     Attributes:
-        received: packets that came off the wire.
+        received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
     """
 
     def __init__(self) -> None:
         self.received = 0
-        self._failed = 0
-        self._bytes = 0
-        self._connections = 0
+        self.decoded = 0
+        self.failed = 0
+        self.slow_inline = 0
+        self.bytes = 0
+        self.connections = 0
+        # Of the connections that are over; what the present one has counted is asked of its protocol.
         self._skipped = self._resyncs = self._unknown = self._tails = 0
+        self._protocol: PacketProtocol | None = None
         self._arrived: float | None = None
-        self._window = (time.monotonic(), 0)
+        self._window_began = time.monotonic()
+        self._window_ends = self._window_began + 1.0
+        self._window_received = 0
         self._rate = 0.0
 
-    def connected(self) -> None:
-        """A connection was made."""
-        self._connections += 1
-        self._window = (time.monotonic(), self.received)
+    def connected(self, protocol: PacketProtocol) -> None:
+        """A connection was made; what its protocol counts belongs to the stream."""
+        self._protocol = protocol
+        self.connections += 1
+        self._begin_window(time.monotonic())
         self._rate = 0.0
 
-    def disconnected(self, session: PacketProtocol) -> None:
-        """It is over; what its protocol counted stays counted."""
-        framer = session.framer
-        self._skipped += framer.skipped + len(framer.rest)
-        self._resyncs += framer.resyncs
-        self._unknown += session.unknown
-        self._tails += session.tails
+    def disconnected(self) -> None:
+        """The connection is over; what its protocol counted stays counted."""
+        protocol, self._protocol = self._protocol, None
+        if protocol is not None:
+            self._skipped += protocol.framer.skipped + len(protocol.framer.rest)
+            self._resyncs += protocol.framer.resyncs
+            self._unknown += protocol.unknown
+            self._tails += protocol.tails
 
-    def count(self, packets: int, failed: int, size: int, stamp: Stamp) -> None:
-        """So many packets were decoded and so many failed, in so many bytes."""
-        self._bytes += size
-        self._failed += failed
-        self.received += packets + failed
-        arrived = stamp[0]
-        since, before = self._window
-        if arrived - since >= 1.0:
-            self._rate = (self.received - before) / (arrived - since)
-            self._window = (arrived, self.received)
-        if packets:
-            self._arrived = arrived
+    def arrived(self, stamp: Stamp) -> None:
+        """The packets counted last arrived then."""
+        now = self._arrived = stamp[0]
+        if now >= self._window_ends:
+            self._rate = (self.received - self._window_received) / (now - self._window_began)
+            self._begin_window(now)
+
+    def _begin_window(self, now: float) -> None:
+        self._window_began = now
+        self._window_ends = now + 1.0
+        self._window_received = self.received
 
     @property
-    def failed(self) -> int:
-        """Packets that could not be decoded."""
-        return self._failed
+    def statistics(self) -> StreamStatistics:
+        """The counters at this moment."""
+        return snapshot(self._look)
 
-    def statistics(self, dropped: int, session: PacketProtocol | None) -> StreamStatistics:
-        """The counters at this moment. `dropped` was read before, so that it is part of `received`."""
+    def _look(self) -> StreamStatistics:
         now = time.monotonic()
-        failed = self._failed
-        received = self.received
-        (since, count), rate = self._window, self._rate
-        elapsed = now - since
+        protocol, rate, elapsed = self._protocol, self._rate, now - self._window_began
         if elapsed > 2.0 or (not rate and elapsed > 0.5):
-            rate = (received - count) / elapsed  # the last whole window is too old, or there was none
+            # The last whole window is too old, or there was none.
+            rate = (self.received - self._window_received) / elapsed
         return StreamStatistics(
-            received=received,
-            delivered=received - dropped - failed,
-            dropped=dropped,
-            failed=failed,
-            reconnects=max(self._connections - 1, 0),
+            received=self.received,
+            decoded=self.decoded,
+            failed=self.failed,
+            slow_inline=self.slow_inline,
+            reconnects=max(self.connections - 1, 0),
             rate=rate,
-            bytes=self._bytes,
-            skipped=self._skipped + (session.framer.skipped if session is not None else 0),
-            resyncs=self._resyncs + (session.framer.resyncs if session is not None else 0),
-            unknown=self._unknown + (session.unknown if session is not None else 0),
-            tails=self._tails + (session.tails if session is not None else 0),
+            bytes=self.bytes,
+            skipped=self._skipped + (protocol.framer.skipped if protocol is not None else 0),
+            resyncs=self._resyncs + (protocol.framer.resyncs if protocol is not None else 0),
+            unknown=self._unknown + (protocol.unknown if protocol is not None else 0),
+            tails=self._tails + (protocol.tails if protocol is not None else 0),
             age=None if self._arrived is None else now - self._arrived,
         )

@@ -1,4 +1,8 @@
-"""A callback with its own queue and its own thread, so that it can be slow or fail by itself."""
+"""A callback and who calls it: a thread of its own, with a queue before it, or the thread that reads the stream.
+
+The threads hold a `Delivery` and never a `Subscription`, so that a stream which nobody holds any more can be collected
+although its threads still run.
+"""
 
 from __future__ import annotations
 
@@ -6,114 +10,359 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from threading import get_ident
 from typing import Any
 
-from .packet_queue import Inbox
-from .statistics import SubscriptionStatistics
+from ..arguments import check_seconds
+from ..threads import started
+from .packet_queue import PacketQueue
+from .statistics import SLOW_INLINE, StreamCounters, SubscriptionStatistics, snapshot
 
-__all__ = ["QUICK", "Subscription"]
+__all__ = ["Delivery", "InlineDelivery", "Subscription", "ThreadedDelivery"]
 
 _log = logging.getLogger(__name__)
 
-
-#: Seconds that a call may last to count as quick.
-QUICK = 0.5e-3
-#: Calls in a row that have to be quick before the reader makes them itself.
-_TRUST = 64
-_MOST_TRUST = 1024
+_NEVER = float("inf")
 
 
-class Subscription:
-    """Delivers packets to a callback, in order and one at a time, until closed.
+class Delivery:
+    """Calls one callback, one packet at a time, and counts what comes of it.
 
-    In a thread of its own; a callback that has proved quick is called by the stream's reader thread
-    instead, see `linkcore.streaming.shortcut`.
-    Made by `Stream.subscribe`; a context manager that closes itself.
+    Args:
+        callback: gets each packet, or each of its parts.
+        name: for the log and for threads.
+        expand: the parts of a packet that the callback is for; None where it gets the packet itself.
+        deadline: seconds within which a packet has to come; None for ever.
+        on_deadline: called with the seconds since the last packet, once for each time that the deadline is missed.
+
+    Attributes:
+        sink: what the fan-out offers packets to.
+        missed_deadlines: how often nothing came in time.
     """
 
     def __init__(
         self,
-        inbox: Inbox,
         callback: Callable[[Any], object],
         *,
         name: str,
-        detach: Callable[[Subscription], object],
-        trust: Callable[[Subscription], object] | None = None,
         expand: Callable[[Any], Iterable[Any]] | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
-        linger: float = 0.0,
     ) -> None:
         self.name = name
-        self.inbox = inbox
-        self._callback = callback
-        self._detach = detach
-        self._trust = trust
-        self._expand = expand
+        self._callback = callback if expand is None else _for_each(callback, expand)
         self._deadline = deadline
         self._on_deadline = on_deadline
-        self._linger = linger
         self._delivered = 0
-        self._failed = 0
-        self._missed = 0
-        self._last = time.monotonic()
-        self._quick = 0
-        self._needed = _TRUST
-        # Whoever calls back holds the turn, so that there is never more than one call at a time.
-        self._turn = threading.Lock()
-        self._holder = 0
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
+        self._raised = 0
+        self._is_calling = False
+        self._last = time.monotonic()  # when a packet came last; kept only where there is a deadline
+        self.missed_deadlines = 0
 
     @property
-    def stats(self) -> SubscriptionStatistics:
+    def sink(self) -> Any:
+        """What the fan-out offers packets to."""
+        raise NotImplementedError
+
+    @property
+    def statistics(self) -> SubscriptionStatistics:
         """The counters at this moment."""
-        delivered, failed = self._delivered, self._failed
-        dropped, received = self.inbox.dropped, self.inbox.received
-        return SubscriptionStatistics(
-            received=received,
-            delivered=delivered,
-            dropped=dropped,
-            failed=failed,
-            waiting=received - delivered - dropped - failed,
-            missed_deadlines=self._missed,
-        )
+        return snapshot(self._look)
 
-    def close(self, timeout: float = 1.0) -> None:
-        """Stop delivering; what waits is dropped and counted. Idempotent, may be called from the callback.
+    def _look(self) -> SubscriptionStatistics:
+        raise NotImplementedError
 
-        Waits up to `timeout` seconds for a callback that is running; the callback is left to end by
-        itself after that.
-        """
-        self.inbox.close()
-        self._detach(self)
-        self.join(timeout)
+    def close(self, timeout: float) -> None:
+        """Take no more, drop what waits, and wait up to `timeout` seconds for a callback that is running."""
+        raise NotImplementedError
 
     def finish(self, timeout: float = 5.0) -> bool:
         """Take no more, but deliver what waits; False when time is up before that is done."""
-        self._detach(self)
-        self.inbox.end()
+        self.sink.end()
         return self.join(timeout)
 
-    def join(self, timeout: float | None) -> bool:
-        """Wait until the subscription has ended and delivered everything; False when time is up."""
-        until = None if timeout is None else time.monotonic() + max(timeout, 0.0)
-        if self.runs_in(get_ident()):
-            return not self._thread.is_alive()
-        self._thread.join(timeout if timeout is None else max(timeout, 0.0))
-        if self._thread.is_alive():
-            return False
-        # The reader may be in the callback.
-        left = -1 if until is None else max(until - time.monotonic(), 0.0)
-        if not self._turn.acquire(timeout=left):
+    def join(self, timeout: float) -> bool:
+        """Wait until no more will come and all is delivered; False when time is up, or in the callback itself."""
+        raise NotImplementedError
+
+    def runs_here(self) -> bool:
+        """The current thread is in the callback."""
+        raise NotImplementedError
+
+    def _fail(self) -> None:
+        self._raised += 1
+        count = self._raised
+        if count & (count - 1) == 0:  # each power of two: a failing callback at 500 Hz must not fill the disk
+            _log.exception("callback of %s raised; its subscription goes on (%d so far)", self.name, count)
+
+    def _miss(self, age: float) -> None:
+        self.missed_deadlines += 1
+        if self._on_deadline is None:
+            _log.warning("%s: nothing came for %.3f s", self.name, age)
+            return
+        try:
+            self._on_deadline(age)
+        except BaseException:
+            _log.exception("on_deadline of %s raised", self.name)
+
+
+def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterable[Any]]) -> Callable[[Any], object]:
+    """Call back with each part of a packet; one that raises keeps none of the others from being called."""
+
+    def call(packet: Any) -> None:
+        failure: BaseException | None = None
+        for part in expand(packet):
+            try:
+                callback(part)
+            except BaseException as error:
+                failure = error
+        if failure is not None:
+            raise failure
+
+    return call
+
+
+class ThreadedDelivery(Delivery):
+    """Takes packets out of a queue in a thread of its own.
+
+    A callback that raises costs nobody anything but this packet, whatever it raises: also `SystemExit`, of
+    ``sys.exit()``, which Python lets end a thread without a word.
+
+    Args:
+        queue: of this callback alone.
+        gather: seconds for which packets gather before they are handed over: it spares the reader waking this thread
+            for each.
+
+    Raises:
+        LocalError: the system has no thread left.
+    """
+
+    def __init__(
+        self, queue: PacketQueue, callback: Callable[[Any], object], *, gather: float = 0.0, **options: Any
+    ) -> None:
+        super().__init__(callback, **options)
+        self._queue = queue
+        self._gather = gather
+        self._thread = started(threading.Thread(target=self._run, name=self.name, daemon=True))
+
+    @property
+    def sink(self) -> PacketQueue:
+        return self._queue
+
+    def _look(self) -> SubscriptionStatistics:
+        return SubscriptionStatistics(
+            offered=self._queue.offered,
+            delivered=self._delivered,
+            dropped=self._queue.dropped,
+            raised=self._raised,
+            waiting=self._queue.waiting + self._is_calling,
+            missed_deadlines=self.missed_deadlines,
+        )
+
+    def close(self, timeout: float) -> None:
+        self._queue.close()
+        self.join(timeout)
+
+    def join(self, timeout: float) -> bool:
+        if not self.runs_here():
+            self._thread.join(min(timeout, threading.TIMEOUT_MAX))
+        return not self._thread.is_alive()
+
+    def runs_here(self) -> bool:
+        return threading.current_thread() is self._thread
+
+    def _run(self) -> None:
+        take, callback, deadline = self._queue.next, self._callback, self._deadline
+        wait = 0.0 if self._gather else deadline
+        told = -1.0
+        while True:
+            packet = take(wait)
+            if packet is not None:
+                self._is_calling = True
+                try:
+                    callback(packet)
+                    self._delivered += 1
+                except BaseException:
+                    self._fail()
+                self._is_calling = False
+                del packet  # not kept while waiting for the next
+                if deadline is not None:
+                    self._last = time.monotonic()
+                    wait = deadline
+            elif self._queue.is_over:
+                return
+            elif self._gather:
+                # Nobody waits on the queue meanwhile, so nobody has to be woken by the reader.
+                time.sleep(self._gather)
+            elif deadline is not None:
+                last = self._last
+                age = time.monotonic() - last
+                wait = deadline - age if age < deadline else deadline
+                if age >= deadline and told != last:  # told once for each time
+                    told = last
+                    self._miss(age)
+
+
+class InlineDelivery(Delivery):
+    """Is called by the thread that reads the stream, with no queue between.
+
+    Only a deadline, if there is one, is watched by a thread of its own.
+
+    Args:
+        counters: of the stream, where slow calls are counted.
+
+    Raises:
+        LocalError: a deadline, and the system has no thread left.
+    """
+
+    #: After the queues, so that a callback that is slow keeps nobody waiting who has a thread of his own.
+    is_inline = True
+    #: What is given to it is called at once: there is nothing that could be delivered later.
+    evicts = True
+
+    def __init__(self, callback: Callable[[Any], object], counters: StreamCounters, **options: Any) -> None:
+        super().__init__(callback, **options)
+        self._counters = counters
+        self._offered = 0
+        self._is_closed = False
+        # Held while calling back. Re-entrant, so that the callback can close its own subscription.
+        self._turn = threading.RLock()
+        self._closing = threading.Condition()
+        if self._deadline is not None:
+            started(threading.Thread(target=self._watch, name=f"{self.name} deadline", daemon=True))
+
+    @property
+    def sink(self) -> InlineDelivery:
+        return self
+
+    @property
+    def offered(self) -> int:
+        """Packets that came here."""
+        return self._offered
+
+    def _look(self) -> SubscriptionStatistics:
+        return SubscriptionStatistics(
+            offered=self._offered,
+            delivered=self._delivered,
+            dropped=0,
+            raised=self._raised,
+            waiting=int(self._is_calling),
+            missed_deadlines=self.missed_deadlines,
+        )
+
+    def offer(self, packets: Sequence[Any]) -> None:
+        """Call back with each packet, here and now."""
+        callback = self._callback
+        with self._turn:
+            now = time.monotonic()
+            for packet in packets:
+                if self._is_closed:
+                    return
+                self._offered += 1
+                self._is_calling = True
+                try:
+                    callback(packet)
+                    self._delivered += 1
+                except BaseException:
+                    self._fail()
+                self._is_calling = False
+                began, now = now, time.monotonic()
+                if now - began > SLOW_INLINE:
+                    self._counters.slow_inline += 1
+            self._last = now
+
+    def end(self) -> None:
+        """No more will come. Idempotent."""
+        with self._closing:
+            self._is_closed = True
+            self._closing.notify_all()
+
+    def close(self, timeout: float = 0.0) -> None:
+        self.end()
+        self.join(timeout)
+
+    def join(self, timeout: float) -> bool:
+        until = time.monotonic() + min(timeout, threading.TIMEOUT_MAX)
+        if not (self._waits_closed(timeout) and self._turn.acquire(timeout=max(until - time.monotonic(), 0.0))):
             return False
         self._turn.release()
         return True
 
-    def runs_in(self, thread: int) -> bool:
-        """Whether its callback is called in the thread of this identity."""
-        return thread in (self._thread.ident, self._holder)
+    def _waits_closed(self, timeout: float) -> bool:
+        with self._closing:
+            return self._closing.wait_for(lambda: self._is_closed, min(timeout, threading.TIMEOUT_MAX))
+
+    def runs_here(self) -> bool:
+        # Whoever can take the turn again while a call is on is the one who calls.
+        if not self._turn.acquire(blocking=False):
+            return False
+        try:
+            return self._is_calling
+        finally:
+            self._turn.release()
+
+    def _watch(self) -> None:
+        assert self._deadline is not None
+        wait, told = self._deadline, -1.0
+        while not self._waits_closed(wait):
+            last = self._last
+            age = time.monotonic() - last
+            wait = self._deadline - age if age < self._deadline else self._deadline
+            if age >= self._deadline and told != last:
+                told = last
+                self._miss(age)
+
+
+class Subscription:
+    """A callback that gets packets, in order and one at a time, until it is closed.
+
+    Made by `Stream.subscribe`; a context manager that closes itself. Whoever does not need it can let it go: the
+    callback is called all the same, for as long as the stream is open.
+    """
+
+    def __init__(self, delivery: Delivery, detach: Callable[[Delivery], object], owner: object = None) -> None:
+        self._delivery = delivery
+        self._detach = detach
+        self._owner = owner  # keeps the stream from being collected
+
+    @property
+    def name(self) -> str:
+        """Of the stream, and of the class of packets."""
+        return self._delivery.name
+
+    @property
+    def stats(self) -> SubscriptionStatistics:
+        """The counters at this moment."""
+        return self._delivery.statistics
+
+    def close(self, timeout: float = 1.0) -> None:
+        """Stop delivering; what waits is dropped and counted. Idempotent, may be called from the callback.
+
+        Waits up to `timeout` seconds for a callback that is running; the callback is left to end by itself after that.
+
+        Raises:
+            BadValue: `timeout` is no number of seconds.
+        """
+        timeout = check_seconds(timeout, "timeout")
+        self._detach(self._delivery)
+        self._delivery.close(timeout)
+
+    def finish(self, timeout: float = 5.0) -> bool:
+        """Take no more, but deliver what waits; False when time is up before that is done.
+
+        Raises:
+            BadValue: `timeout` is no number of seconds.
+        """
+        timeout = check_seconds(timeout, "timeout")
+        self._detach(self._delivery)
+        return self._delivery.finish(timeout)
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait until everything is delivered and no more will come, as after a recording; False when time is up.
+
+        Raises:
+            BadValue: `timeout` is no number of seconds.
+        """
+        return self._delivery.join(_NEVER if timeout is None else check_seconds(timeout, "timeout"))
 
     def __enter__(self) -> Subscription:
         return self
@@ -121,94 +370,7 @@ class Subscription:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    # -- the reader's side ---------------------------------------------------------------------
-
-    def deliver(self, packets: Sequence[Any]) -> bool:
-        """Call back with each packet here and now; False where others have to come first."""
-        if not self._turn.acquire(False):
-            return False
-        try:
-            inbox = self.inbox
-            # What the own thread has taken but not called back with yet comes first too.
-            if inbox.received != self._delivered + self._failed + inbox.dropped or inbox.closed:
-                return False
-            self._holder = get_ident()
-            inbox.received += len(packets)
-            self._call(packets)
-            self._holder = 0
-            if self._deadline is not None:
-                self._last = time.monotonic()
-            return True
-        finally:
-            self._turn.release()
-
-    def distrust(self) -> None:
-        """It was slow: it has to prove itself anew, and for longer."""
-        self._needed = min(self._needed * 4, _MOST_TRUST)
-
-    # -- its own thread ------------------------------------------------------------------------
-
-    def _run(self) -> None:
-        take, deadline = self.inbox.next, self._deadline
-        timeout = 0.0 if self._linger else deadline
-        told = -1.0
-        while True:
-            packet = take(timeout)
-            if packet is not None:
-                began = time.monotonic()
-                with self._turn:
-                    self._call((packet,))
-                self._last = time.monotonic()
-                timeout = 0.0 if self._linger else deadline
-                if self._trust is not None:
-                    self._judge(self._trust, self._last - began)
-            elif self.inbox.is_over:
-                return
-            elif self._linger:
-                # Nobody waits on the queue meanwhile, so nobody has to be woken by the reader.
-                time.sleep(self._linger)
-            elif deadline is not None:
-                last = self._last
-                age = time.monotonic() - last
-                # The reader may have called back in the meantime. Told once for each silence.
-                timeout = deadline - age if age < deadline else deadline
-                if age >= deadline and told != last:
-                    told = last
-                    self._miss(age)
-
-    def _judge(self, trust: Callable[[Subscription], object], seconds: float) -> None:
-        self._quick = self._quick + 1 if seconds < QUICK else 0
-        if self._quick >= self._needed and self.inbox.waiting == 0:
-            self._quick = 0
-            trust(self)
-
-    def _call(self, packets: Iterable[Any]) -> None:
-        callback, expand = self._callback, self._expand
-        for packet in packets:
-            try:
-                if expand is None:
-                    callback(packet)
-                else:
-                    for part in expand(packet):
-                        callback(part)
-                self._delivered += 1
-            except Exception:
-                self._failed += 1
-                self._complain(f"callback of {self.name} raised; its subscription goes on")
-
-    def _miss(self, age: float) -> None:
-        self._missed += 1
-        if self._on_deadline is None:
-            _log.warning("%s: nothing came for %.3f s", self.name, age)
-            return
-        try:
-            self._on_deadline(age)
-        except Exception:
-            self._complain(f"on_deadline of {self.name} raised")
-
-    def _complain(self, text: str) -> None:
-        # The first with its traceback, then each power of two: a failing callback at 500 Hz must not
-        # fill the disk.
-        count = self._failed
-        if count & (count - 1) == 0:
-            _log.exception("%s (%d so far)", text, count)
+    def __repr__(self) -> str:
+        stats = self.stats
+        counted = ", ".join(f"{getattr(stats, name)} {name}" for name in ("delivered", "dropped", "raised", "waiting"))
+        return f"<Subscription {self.name}: {counted}>"

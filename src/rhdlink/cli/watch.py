@@ -13,7 +13,7 @@ from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
 from linkcore.cli.terminal import strict_json
 from linkcore.stamp import Stamp
-from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import drop_oldest
 
 from ..client import Variables, connect
@@ -85,12 +85,12 @@ def _check(sync_thread: SyncThread) -> None:
 
 def _lines(robot: Variables, args: argparse.Namespace, until: float | None, interruption: Interruption) -> None:
     """One JSON object for each update."""
-    inbox = Inbox(drop_oldest(16384))
-    robot.subscribe(lambda update: inbox.offer([update]), *args.names, policy=drop_oldest(16384))
+    queue = PacketQueue(drop_oldest(16384))
+    robot.subscribe(lambda update: queue.offer([update]), *args.names, policy=drop_oldest(16384))
     sync_thread = robot.background(args.period)
     shown = 0
     while interruption.number is None and not _over(until):
-        update: Update | None = inbox.next(_left(0.05, until))
+        update: Update | None = queue.next(_left(0.05, until))
         if update is None:
             _check(sync_thread)
             continue
@@ -98,8 +98,8 @@ def _lines(robot: Variables, args: argparse.Namespace, until: float | None, inte
         shown += 1
         if shown == args.count:
             break
-    if inbox.dropped:
-        tell(f"{inbox.dropped} updates were dropped: the output was too slow for them")
+    if queue.dropped:
+        tell(f"{queue.dropped} updates were dropped: the output was too slow for them")
 
 
 def _views(robot: Variables, args: argparse.Namespace, until: float | None, interruption: Interruption) -> None:

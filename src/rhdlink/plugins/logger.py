@@ -15,10 +15,10 @@ import numpy as np
 from linkcore.errors import BadRecording, BadValue, LinkTimeout
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
-from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import drop_oldest
 from linkcore.streaming.statistics import SubscriptionStatistics
-from linkcore.streaming.subscription import Subscription
+from linkcore.streaming.subscription import ThreadedDelivery
 
 from ..host.config import Element
 from ..host.plugin import Plugin
@@ -97,8 +97,8 @@ class Logger(Plugin):
         if every < 1:
             raise BadValue(f"every is {every}; expected at least 1 tick")
         self._every = every
-        self._queue = Inbox(drop_oldest(_WAITING))
-        self._subscription: Subscription | None = None
+        self._queue = PacketQueue(drop_oldest(_WAITING))
+        self._delivery: ThreadedDelivery | None = None
 
     @property
     def path(self) -> Path | None:
@@ -108,7 +108,7 @@ class Logger(Plugin):
     @property
     def stats(self) -> SubscriptionStatistics | None:
         """What became of the entries; None before the first tick."""
-        return None if self._subscription is None else self._subscription.stats
+        return None if self._delivery is None else self._delivery.statistics
 
     def init(self, config: Element) -> None:
         """Take what the file says.
@@ -131,11 +131,9 @@ class Logger(Plugin):
     def periodic(self, tick: int) -> None:
         """Take down what is there."""
         database = self.host.database
-        if self._subscription is None:
+        if self._delivery is None:
             self._sheet.begin(database, self._by_name())
-            self._subscription = Subscription(
-                self._queue, self._sheet.write, name=f"rhdlink {self.name}", detach=lambda subscription: None
-            )
+            self._delivery = ThreadedDelivery(self._queue, self._sheet.write, name=f"rhdlink {self.name}")
         if tick % self._every == 0:
             self._queue.offer([_Moment(database)])
 
@@ -145,7 +143,7 @@ class Logger(Plugin):
         Raises:
             LinkTimeout: the disk did not take it in time.
         """
-        done = self._subscription is None or self._subscription.finish()
+        done = self._delivery is None or self._delivery.finish()
         self._sheet.close()
         if not done:
             raise LinkTimeout(f"{self._path}: the disk did not take all entries in time")

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from linkcore.errors import BadValue
-from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import latest
 from linkcore.streaming.statistics import SubscriptionStatistics
-from linkcore.streaming.subscription import Subscription
+from linkcore.streaming.subscription import ThreadedDelivery
 
 from ..host.config import Element
 from ..host.plugin import Plugin
@@ -88,15 +88,15 @@ class VelocityBridge(Plugin):
         self._dead_band = dead_band
         self._needs_master = needs_master
         self._own_thread = own_thread
-        self._queue = Inbox(latest)
-        self._subscription: Subscription | None = None
+        self._queue = PacketQueue(latest)
+        self._delivery: ThreadedDelivery | None = None
         self._poses: deque[tuple[float, float, float]] = deque(maxlen=_MOST_POSES)
         self._last: Twist | None = None
 
     @property
     def stats(self) -> SubscriptionStatistics | None:
         """What became of the velocities; None before `init`, and without an own thread."""
-        return None if self._subscription is None else self._subscription.stats
+        return None if self._delivery is None else self._delivery.statistics
 
     def update_pose(self, x: float, y: float, theta: float) -> None:
         """The robot is there: m, m, rad. From any thread; programs are told at the next tick.
@@ -111,9 +111,7 @@ class VelocityBridge(Plugin):
     def init(self, config: Element) -> None:
         """Start the thread of the function."""
         if self._own_thread:
-            self._subscription = Subscription(
-                self._queue, self._on_twist, name=f"rhdlink {self.name}", detach=lambda subscription: None
-            )
+            self._delivery = ThreadedDelivery(self._queue, self._on_twist, name=f"rhdlink {self.name}")
 
     def periodic(self, tick: int) -> None:
         """Hand over a new velocity, and tell the poses that have come."""
@@ -130,8 +128,8 @@ class VelocityBridge(Plugin):
     def terminate(self) -> None:
         """Hand over no velocity, and wait for the function to take it."""
         self._hand_over(Twist(0.0, 0.0))
-        if self._subscription is not None:
-            self._subscription.finish()
+        if self._delivery is not None:
+            self._delivery.finish()
 
     def _commanded(self) -> Twist:
         linear = self.cmdtransvel / self._scales[0]

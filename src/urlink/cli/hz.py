@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 
 def line(periods: deque[float], fresh: int, stats: StreamStatistics) -> str:
     """One line about the last periods; `fresh` is how many states have come since the line before."""
-    counters = f"received {stats.received} dropped {stats.dropped} failed {stats.failed} reconnects {stats.reconnects}"
+    counters = f"received {stats.received} failed {stats.failed} reconnects {stats.reconnects}"
     if not fresh:
         return f"no new states | {counters}"
     if not periods:

@@ -90,7 +90,6 @@ class Picture:
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append("received ", _LABEL).append(f"{stats.received}")
         losses = (
-            ("dropped", stats.dropped),
             ("failed", stats.failed),
             ("reconnects", stats.reconnects),
             ("skipped", stats.skipped),

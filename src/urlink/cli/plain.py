@@ -30,7 +30,7 @@ def line(glance: Glance, clock: str) -> str:
             parts.append(f"tool {_vector(reading.pose[:3], 3)} m")
         modes = (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program))
         parts += [f"{name} {safe(mode)}" for name, mode in modes if mode is not None]
-    counters = f"received {stats.received} dropped {stats.dropped} failed {stats.failed} reconnects {stats.reconnects}"
+    counters = f"received {stats.received} failed {stats.failed} reconnects {stats.reconnects}"
     return " | ".join([*parts, counters])
 
 

@@ -11,7 +11,6 @@ from linkcore.errors import LinkTimeout
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.policy import drop_oldest
 from linkcore.streaming.stream import Stream
-from linkcore.wire.packet import State
 
 __all__ = ["Tap", "tell"]
 
@@ -35,7 +34,7 @@ class Tap:
         self._stream = stream
         self._kind = kind
         # What is not read from a wire in time is gone, so there is much room; a recording can wait.
-        self._inbox = stream.open_inbox(kind, stream.default_policy(State, drop_oldest(_ROOM)))
+        self._queue = stream._connection.open_queue(kind, stream._policy(None, drop_oldest(_ROOM)))
         self._connection = stream.subscribe(_tell_connection, ConnectionEvent)
 
     def take(self, timeout: float | None = None) -> Sequence[Any] | None:
@@ -44,10 +43,10 @@ class Tap:
         Raises:
             RemoteError: the stream gave up.
         """
-        packet = self._inbox.next(timeout)
+        packet = self._queue.next(timeout)
         if packet is not None:
-            return list(self._stream.expand(self._kind, packet))
-        if self._inbox.is_over:
+            return list(self._stream._connection.fan_out.expand(self._kind, packet))
+        if self._queue.is_over:
             if self._stream.failure is not None:
                 raise self._stream.failure
             return None
@@ -74,8 +73,8 @@ class Tap:
     def __exit__(self, *exc: object) -> None:
         self._connection.close()  # before it tells of the connection that is given up on purpose
         # What waits when the command ends was not too late.
-        dropped = self._inbox.dropped
-        self._stream.close_inbox(self._inbox)
+        dropped = self._queue.dropped
+        self._stream._connection.close_queue(self._queue)
         stats = self._stream.stats
         if dropped:
             tell(f"{dropped} packets were dropped: the output was too slow for them")

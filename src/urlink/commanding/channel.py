@@ -75,4 +75,4 @@ class Outlet:
             send()
 
     def _send(self, text: str) -> None:
-        self._stream().send((text.rstrip("\n") + "\n").encode(), SEND_TIMEOUT)
+        self._stream()._connection.send((text.rstrip("\n") + "\n").encode(), SEND_TIMEOUT)

@@ -15,13 +15,11 @@ from linkcore.errors import BadRecording, Closed, ConnectFailed, ConnectionLost,
 from linkcore.net.transport import Finished
 from linkcore.recording.file import Kind, Record, Recording, RecordingWriter
 from linkcore.recording.recorder import Recorder
-from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.policy import block
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts
+from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
-AT_ONCE = Backoff(first=0, most=0)
 SCRIPT = {"name": "script"}
 
 
@@ -30,7 +28,7 @@ def make_stream() -> Iterator[Callable[[ScriptedTransport], Stream[Count]]]:
     streams: list[Stream[Count]] = []
 
     def make(transport: ScriptedTransport) -> Stream[Count]:
-        streams.append(Stream("script", transport, CountProtocol, Count, backoff=AT_ONCE, silence=None))
+        streams.append(scripted(transport))
         return streams[-1]
 
     yield make
@@ -85,7 +83,7 @@ def test_every_chunk_is_recorded_once_and_in_order(
         subscription = recorder.add(stream, {"name": "script", "firmware": "5.11"})
         transport.put(*chunks, Finished())
         assert stream.join(10)
-        assert subscription.stats.dropped == subscription.stats.failed == subscription.stats.waiting == 0
+        assert subscription.stats.dropped == subscription.stats.raised == subscription.stats.waiting == 0
     recording = Recording(tmp_path / "run")
     assert recording.is_complete
     assert recording.channels == {0: {"name": "script", "firmware": "5.11"}}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+import time
 
 import pytest
 from hypothesis import strategies as st
@@ -17,7 +17,7 @@ from hypothesis.stateful import (
 )
 
 from linkcore.errors import BadValue
-from linkcore.streaming.packet_queue import Inbox
+from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import Policy, block, drop_oldest, latest
 from tests.waiting import until
 
@@ -28,207 +28,246 @@ policies = st.one_of(
 )
 
 
-class InboxMachine(RuleBasedStateMachine):
-    """An inbox beside a list. One thread: what `block` does when full is tested below."""
+class QueueMachine(RuleBasedStateMachine):
+    """A queue beside a list. One thread: what `block` does when full is tested below."""
 
-    @initialize(policy=policies, picky=st.booleans())
-    def begin(self, policy: Policy, picky: bool) -> None:
+    @initialize(policy=policies)
+    def begin(self, policy: Policy) -> None:
         self.policy = policy
-        self.picky = picky
-        self.lost: list[int] = []
-        self.inbox = Inbox(policy, wants=(lambda item: item % 2 == 0) if picky else None, lost=self.lost.append)
+        self.queue = PacketQueue(policy)
         self.counter = 0
         self.model: list[int] = []
-        self.expected_lost: list[int] = []
-        self.received = self.taken = 0
-        self.ended = False
+        self.offered = self.taken = self.dropped = 0
+        self.is_ended = self.is_over = False
 
     @rule(count=st.integers(0, 12))
     def offer(self, count: int) -> None:
-        if not self.policy.evicts and not self.ended:
+        if not self.policy.evicts and not self.is_ended:
             count = min(count, self.policy.limit - len(self.model))
-        items = list(range(self.counter, self.counter + count))
+        packets = list(range(self.counter, self.counter + count))
         self.counter += count
-        self.inbox.offer(items)
-        if self.ended:
+        self.queue.offer(packets)
+        if self.is_ended:
             return
-        wanted = [item for item in items if item % 2 == 0] if self.picky else items
-        self.received += len(wanted)
-        self.model += wanted
-        while len(self.model) > self.policy.limit:
-            self.expected_lost.append(self.model.pop(0))
+        self.offered += count
+        self.model += packets
+        surplus = max(len(self.model) - self.policy.limit, 0)
+        self.dropped += surplus
+        del self.model[:surplus]
 
     @rule()
     def take(self) -> None:
-        item = self.inbox.next(0)
-        assert item == (self.model.pop(0) if self.model else None)
-        self.taken += item is not None
+        packet = self.queue.next(0)
+        assert packet == (self.model.pop(0) if self.model else None)
+        self.taken += packet is not None
+        self.is_over = self.is_over or (packet is None and self.is_ended)
 
     @rule()
     def end(self) -> None:
-        self.inbox.end()
-        self.ended = True
+        self.queue.end()
+        self.is_ended = True
 
     @precondition(lambda self: self.counter > 3)
     @rule()
     def close(self) -> None:
-        self.inbox.close()
-        self.ended = True
-        self.expected_lost += self.model
+        self.queue.close()
+        self.is_ended = self.is_over = True
+        self.dropped += len(self.model)
         self.model = []
-        assert self.inbox.closed
 
     @invariant()
     def counters_add_up(self) -> None:
-        inbox = self.inbox
-        assert inbox.received == self.received == self.taken + inbox.dropped + inbox.waiting
-        assert inbox.waiting == len(self.model) <= self.policy.limit
+        queue = self.queue
+        assert (queue.offered, queue.dropped, queue.waiting) == (self.offered, self.dropped, len(self.model))
+        assert queue.offered == self.taken + queue.dropped + queue.waiting
+        assert queue.waiting <= self.policy.limit
 
     @invariant()
-    def what_is_lost_is_told_in_order(self) -> None:
-        assert self.lost == self.expected_lost
-        assert self.inbox.dropped == len(self.lost)
-
-    @invariant()
-    def is_over_when_nothing_can_come(self) -> None:
-        assert self.inbox.is_over == (self.ended and not self.model)
+    def is_over_once_its_consumer_has_been_told(self) -> None:
+        assert self.queue.is_over == self.is_over
 
 
 @pytest.mark.property
 def test_behaves_as_a_list_does() -> None:
-    run_state_machine_as_test(InboxMachine)
+    run_state_machine_as_test(QueueMachine)
 
 
 def test_keeps_the_newest() -> None:
-    inbox = Inbox(drop_oldest(3))
-    inbox.offer(range(10))
-    assert [inbox.next(0) for _ in range(4)] == [7, 8, 9, None]
-    assert (inbox.received, inbox.dropped, inbox.waiting) == (10, 7, 0)
+    queue = PacketQueue(drop_oldest(3))
+    queue.offer(range(10))
+    assert [queue.next(0) for _ in range(4)] == [7, 8, 9, None]
+    assert (queue.offered, queue.dropped, queue.waiting) == (10, 7, 0)
+
+
+def test_what_does_not_fit_takes_the_place_of_the_oldest() -> None:
+    queue = PacketQueue(drop_oldest(4))
+    queue.offer([1, 2, 3])
+    queue.offer([4, 5])
+    assert [queue.next(0) for _ in range(5)] == [2, 3, 4, 5, None]
+    assert (queue.offered, queue.dropped) == (5, 1)
 
 
 @pytest.mark.parametrize("policy", [latest, block])
 def test_what_waits_at_the_end_can_be_taken(policy: Policy) -> None:
-    inbox = Inbox(policy)
-    inbox.offer([1])
-    inbox.end()
-    inbox.offer([2])
-    assert not inbox.is_over
+    queue = PacketQueue(policy)
+    queue.offer([1])
+    queue.end()
+    queue.offer([2])
+    assert not queue.is_over
     # Without a timeout: neither what waits nor the end may make it wait.
-    assert [inbox.next(), inbox.next(), inbox.next(), inbox.is_over] == [1, None, None, True]
-    assert inbox.received == 1
+    assert [queue.next(), queue.next(), queue.next(), queue.is_over] == [1, None, None, True]
+    assert queue.offered == 1
 
 
-def consume(inbox: Inbox) -> tuple[threading.Thread, list[object]]:
+def test_waits_no_longer_than_it_was_told() -> None:
+    queue = PacketQueue(latest)
+    queue.end()
+    fresh = PacketQueue(latest)
+    began = time.monotonic()
+    assert fresh.next(0.05) is None
+    assert 0.05 <= time.monotonic() - began < 5
+    assert not fresh.is_over
+
+
+def consume(queue: PacketQueue) -> tuple[threading.Thread, list[object]]:
     """A thread that takes until the end."""
     taken: list[object] = []
 
     def run() -> None:
-        while (item := inbox.next()) is not None:
-            taken.append(item)
+        while (packet := queue.next()) is not None:
+            taken.append(packet)
 
     thread = threading.Thread(target=run)
     thread.start()
     return thread, taken
 
 
-@pytest.mark.parametrize("policy", [latest, drop_oldest(4), block])
+@pytest.mark.parametrize("policy", [latest, drop_oldest(3), block])
 @pytest.mark.parametrize("finish", ["end", "close"])
 def test_a_consumer_that_waits_is_woken(policy: Policy, finish: str) -> None:
-    inbox = Inbox(policy)
-    thread, taken = consume(inbox)
-    inbox.offer([1])
+    queue = PacketQueue(policy)
+    thread, taken = consume(queue)
+    queue.offer([1])
     until(lambda: taken == [1])
-    getattr(inbox, finish)()
+    getattr(queue, finish)()
     thread.join(10)
     assert not thread.is_alive()
 
 
 def test_block_waits_for_room_and_keeps_everything() -> None:
-    inbox = Inbox(Policy(4, evicts=False))
-    offered = threading.Thread(target=inbox.offer, args=(range(100),))
+    queue = PacketQueue(Policy(4, evicts=False))
+    offered = threading.Thread(target=queue.offer, args=(range(100),))
     offered.start()
-    until(lambda: inbox.waiting == 4)
+    until(lambda: queue.waiting == 4)
     assert offered.is_alive()
-    assert [inbox.next(10) for _ in range(100)] == list(range(100))
+    assert [queue.next(10) for _ in range(100)] == list(range(100))
     offered.join(10)
     assert not offered.is_alive()
-    assert (inbox.received, inbox.dropped, inbox.waiting) == (100, 0, 0)
+    assert (queue.offered, queue.dropped, queue.waiting) == (100, 0, 0)
 
 
 def test_close_frees_a_reader_that_waits_for_room() -> None:
-    lost: list[int] = []
-    inbox = Inbox(Policy(4, evicts=False), lost=lost.append)
-    offered = threading.Thread(target=inbox.offer, args=(range(100),))
+    queue = PacketQueue(Policy(4, evicts=False))
+    offered = threading.Thread(target=queue.offer, args=(range(100),))
     offered.start()
-    until(lambda: inbox.waiting == 4)
-    inbox.close()
+    until(lambda: queue.waiting == 4)
+    queue.close()
     offered.join(10)
     assert not offered.is_alive()
-    assert (inbox.received, inbox.dropped, inbox.waiting) == (100, 100, 0)
-    assert sorted(lost) == list(range(100))
+    assert (queue.offered, queue.dropped, queue.waiting) == (100, 100, 0)
 
 
-class ClosedMeanwhile(list[int]):
-    """Items whose inbox is closed, by another thread as it were, while they are being handed over."""
+class Meanwhile(list[int]):
+    """Packets whose queue is ended or closed, by another thread as it were, while they are being handed over."""
 
-    inbox: Inbox
+    queue: PacketQueue
+    finish = "close"
 
-    def __iter__(self) -> Iterator[int]:
-        self.inbox.close()
-        return super().__iter__()
+    def __len__(self) -> int:
+        getattr(self.queue, self.finish)()
+        return super().__len__()
 
 
-@pytest.mark.parametrize("policy", [latest, drop_oldest(2), block])
+@pytest.mark.parametrize("policy", [latest, drop_oldest(2), drop_oldest(9), block])
 def test_closed_in_the_middle_of_an_offer_it_keeps_nothing(policy: Policy) -> None:
-    inbox = Inbox(policy)
-    items = ClosedMeanwhile([1, 2, 3])
-    items.inbox = inbox
-    inbox.offer(items)
-    assert inbox.received == inbox.dropped + inbox.waiting
-    assert inbox.waiting == 0
-    assert inbox.is_over
+    queue = PacketQueue(policy)
+    packets = Meanwhile([1, 2, 3])
+    packets.queue = queue
+    queue.offer(packets)
+    assert (queue.offered, queue.dropped, queue.waiting) == (3, 3, 0)
+    assert queue.is_over
+
+
+def test_ended_in_the_middle_of_an_offer_it_loses_nothing_silently() -> None:
+    """Its consumer has been told that no more will come, and then more came."""
+    queue = PacketQueue(drop_oldest(9))
+    packets = Meanwhile([1, 2, 3])
+    packets.queue, packets.finish = queue, "end"
+    thread, taken = consume(queue)
+    queue.offer(packets)
+    thread.join(10)
+    assert queue.offered == 3 == len(taken) + queue.dropped + queue.waiting
+    assert queue.waiting == 0 or not queue.is_over
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", [latest, drop_oldest(8), Policy(8, evicts=False)])
 def test_counters_add_up_between_threads(policy: Policy) -> None:
-    lost: list[int] = []
-    inbox = Inbox(policy, lost=lost.append)
-    thread, taken = consume(inbox)
+    queue = PacketQueue(policy)
+    thread, taken = consume(queue)
     for first in range(0, 30_000, 6):
-        inbox.offer(range(first + 1, first + 1 + first % 7))
+        queue.offer(range(first + 1, first + 1 + first % 7))
     total = sum(first % 7 for first in range(0, 30_000, 6))
-    inbox.end()
+    queue.end()
     thread.join(30)
     assert not thread.is_alive()
-    assert inbox.received == total == len(taken) + inbox.dropped
-    assert inbox.waiting == 0
-    assert inbox.dropped == len(lost) == (0 if not policy.evicts else len(lost))
-    assert taken == sorted(taken)  # type: ignore[type-var]
-    assert len({*taken, *lost}) == total, "each is either taken or lost, and once"
+    assert queue.offered == total == len(taken) + queue.dropped
+    assert queue.waiting == 0
+    assert policy.evicts or queue.dropped == 0
+    assert taken == sorted(set(taken))  # type: ignore[type-var]
+
+
+@pytest.mark.slow
+def test_the_newest_is_never_the_one_that_is_dropped() -> None:
+    """A consumer that takes while the reader makes room must not cost the packet that comes."""
+    queue = PacketQueue(latest)
+    thread, taken = consume(queue)
+    for number in range(2, 4000, 2):
+        queue.offer([number])
+        queue.offer([number + 1])
+        end = time.monotonic() + 10
+        while taken[-1:] != [number + 1]:
+            assert time.monotonic() < end, "the newest was dropped"
+            time.sleep(0)
+    queue.end()
+    thread.join(10)
+    assert len(taken) + queue.dropped == queue.offered
 
 
 @pytest.mark.slow
 def test_closing_at_any_moment_leaves_nothing_uncounted() -> None:
     for round_ in range(200):
-        inbox = Inbox(drop_oldest(5) if round_ % 2 else Policy(5, evicts=False))
-        thread, taken = consume(inbox)
-        offering = threading.Thread(target=offer_often, args=(inbox,))
+        queue = PacketQueue(drop_oldest(5) if round_ % 2 else Policy(5, evicts=False))
+        thread, taken = consume(queue)
+        offering = threading.Thread(target=offer_often, args=(queue,))
         offering.start()
-        while inbox.received < round_ % 90:
+        while queue.offered < round_ % 90:
             offering.join(0)
-        inbox.close()
+        queue.close()
         for each in (offering, thread):
             each.join(10)
             assert not each.is_alive()
-        assert inbox.received == len(taken) + inbox.dropped + inbox.waiting
+        assert queue.offered == len(taken) + queue.dropped + queue.waiting
 
 
-def offer_often(inbox: Inbox) -> None:
+def offer_often(queue: PacketQueue) -> None:
     for _ in range(20):
-        inbox.offer(range(1, 9))
+        queue.offer(range(1, 9))
 
 
 def test_a_limit_of_nothing_is_refused() -> None:
-    with pytest.raises(BadValue, match="at least one"):
-        drop_oldest(0)
+    for limit in (0, -1):
+        with pytest.raises(BadValue, match="at least one"):
+            drop_oldest(limit)
+        with pytest.raises(BadValue, match="at least one"):
+            Policy(limit, evicts=False)

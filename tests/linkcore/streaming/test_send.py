@@ -14,7 +14,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts
+from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 
@@ -25,52 +25,53 @@ def transport() -> ScriptedTransport:
 
 @pytest.fixture
 def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(first=0, most=0), silence=None)
+    stream = scripted(transport)
     yield stream
     stream.close()
 
 
 def test_connects_if_nothing_has_yet(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    stream.send(b"text\n", 1.0)
+    stream._connection.send(b"text\n", 1.0)
     assert transport.sent == [b"text\n"]
     assert stream.connection is ConnectionState.CONNECTED
 
 
 def test_nobody_there() -> None:
     transport = ScriptedTransport(ConnectFailed("refused"))
-    stream = Stream("script", transport, CountProtocol, Count, silence=None)
+    stream = scripted(transport)
     with pytest.raises(ConnectFailed):
-        stream.send(b"text\n", 1.0)
+        stream._connection.send(b"text\n", 1.0)
     assert transport.sent == []
     stream.close()
 
 
 def test_nothing_is_kept_for_the_next_connection() -> None:
     transport = ScriptedTransport(None, ConnectFailed("gone for now"))
-    stream = Stream("script", transport, CountProtocol, Count, backoff=Backoff(first=30, most=30), silence=None)
-    stream.send(b"one\n", 1.0)
+    stream = scripted(transport, backoff=Backoff(first=30, most=30))
+    stream._connection.send(b"one\n", 1.0)
     transport.put(ConnectionLost("pulled"))
     until(lambda: stream.connection is ConnectionState.LOST)
     with pytest.raises(ConnectionLost, match="not connected: pulled"):
-        stream.send(b"two\n", 1.0)
+        stream._connection.send(b"two\n", 1.0)
     assert transport.sent == [b"one\n"]
     stream.close()
 
 
 def test_half_a_text_ends_the_connection(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    stream.send(b"one\n", 1.0)
-    transport.refusal = LinkTimeout("it is not taken")
-    with pytest.raises(LinkTimeout):
-        stream.send(b"two\n", 1.0)
+    stream._connection.send(b"one\n", 1.0)
+    transport.make_room(2)
+    with pytest.raises(LinkTimeout, match="did not take"):
+        stream._connection.send(b"two\n", 0.05)
     until(lambda: transport.opened == 2 and stream.connection is ConnectionState.CONNECTED)
-    stream.send(b"three\n", 1.0)
-    assert transport.sent == [b"one\n", b"three\n"]
+    transport.make_room(None)
+    stream._connection.send(b"three\n", 1.0)
+    assert transport.sent == [b"one\n", b"tw", b"three\n"]
 
 
 def test_closed(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.close()
     with pytest.raises(Closed):
-        stream.send(b"text\n", 1.0)
+        stream._connection.send(b"text\n", 1.0)
     assert transport.sent == []
 
 
@@ -80,15 +81,7 @@ def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTra
         transport.put(counts(1, 2))
         until(lambda: stream.stats.received == 2)
     recording = Recording(tmp_path / "run.log")
-    played = Stream(
-        "played",
-        ReplayTransport(recording, "script", ReplayClock(recording, 0)),
-        CountProtocol,
-        Count,
-        backoff=Backoff(first=0, most=0),
-        silence=None,
-        lossless=True,
-    )
+    played = scripted(ReplayTransport(recording, "script", ReplayClock(recording, 0)), name="played", lossless=True)
     with pytest.raises(LocalError, match=r"recording|is over"):
-        played.send(b"text\n", 1.0)
+        played._connection.send(b"text\n", 1.0)
     played.close()

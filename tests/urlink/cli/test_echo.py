@@ -149,7 +149,7 @@ def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> Non
         assert tap.take(5.0)
         assert capsys.readouterr().err == ""
         # As if nobody had read for half a minute.
-        tap._inbox.offer([robot.realtime.wait()] * 20000)
+        tap._queue.offer([robot.realtime.wait()] * 20000)
     assert "packets were dropped: the output was too slow for them" in capsys.readouterr().err
 
 

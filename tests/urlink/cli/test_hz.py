@@ -14,9 +14,9 @@ from .conftest import Run, write
 
 _STATS = StreamStatistics(
     received=9,
-    delivered=6,
-    dropped=2,
+    decoded=8,
     failed=1,
+    slow_inline=0,
     reconnects=3,
     rate=0.0,
     bytes=0,
@@ -26,7 +26,7 @@ _STATS = StreamStatistics(
     tails=0,
     age=None,
 )
-_COUNTERS = "received 9 dropped 2 failed 1 reconnects 3"
+_COUNTERS = "received 9 failed 1 reconnects 3"
 
 
 def test_figures() -> None:

@@ -106,7 +106,7 @@ def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
     path = write(tmp_path / "bad.urlog", {"realtime": [bad, bad]})
     status, out, err = run("replay", str(path), "--rate", "max")
     assert (status, out) == (0, "")
-    assert "WARNING linkcore.streaming.stream" in err
+    assert "WARNING linkcore.streaming.receiver" in err
     assert "bad packet" in err
     assert err.endswith("urlink: 2 packets could not be decoded\n")
 

@@ -133,7 +133,7 @@ def test_nothing_heard_at_all(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -
 
 def test_nobody_there(robot: StandIn) -> None:
     robot.fast = ScriptedTransport(ConnectFailed("refused"))
-    robot.realtime._transport = robot.fast
+    robot.realtime._connection._transport = robot.fast
     robot.state()
     with pytest.raises(ConnectFailed, match="refused"):
         robot.outlet.motion("movej(q)")
@@ -181,9 +181,9 @@ def test_listening_more_closely_closes_nothing() -> None:
         mover = threading.Thread(target=robot.outlet.motion, args=("movej(q)",))
         mover.start()
         until(lambda: robot.fast.opened == 1)
-        before = robot.primary.stats.delivered
+        before = robot.primary.stats.decoded
         robot.state(fast=False)
-        until(lambda: robot.primary.stats.delivered > before)
+        until(lambda: robot.primary.stats.decoded > before)
         assert robot.sent == []
         robot.state()
         mover.join(10)

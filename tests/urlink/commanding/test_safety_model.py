@@ -47,6 +47,7 @@ class Line:
         self.subscribers: dict[type, Callable[[Any], object]] = {}
         self.on_silence: Callable[[float], object] | None = None
         self.sent: list[str] = []
+        self._connection = self  # a stream sends by it
 
     def subscribe(self, callback: Callable[[Any], object], kind: type, **options: Any) -> mock.Mock:
         self.subscribers[kind] = callback

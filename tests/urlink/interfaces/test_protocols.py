@@ -15,7 +15,6 @@ from linkcore.errors import PacketError, WrongPeer
 from linkcore.net.transport import Finished
 from linkcore.stamp import Stamp
 from linkcore.streaming.policy import block
-from linkcore.streaming.stream import Stream
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests.linkcore.script import ScriptedTransport
@@ -37,11 +36,13 @@ from urlink import (
     VersionMessage,
 )
 from urlink.firmware import RELEASES, Firmware, Release, release_of
+from urlink.identity import Identity
 from urlink.interfaces.primary.framing import PackageBoundary
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 from urlink.interfaces.realtime.framing import RealtimeBoundary
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.source import Source
 
 Session = type[RealtimeProtocol] | type[PrimaryProtocol]
 
@@ -554,7 +555,8 @@ def test_what_shares_its_bytes_with_a_bad_package_is_counted_once() -> None:
     longer = JointData.LAYOUTS.of("5.8").encode({}, b"appended")
     chunk = UNKNOWN + of_type(16, longer) + broken + UNKNOWN + robot_state()
     transport = ScriptedTransport()
-    stream: Stream[RobotState] = Stream("script", transport, PrimaryProtocol, RobotState, silence=None)
+    source = Source(lambda: Identity(Firmware(5, 11), True, None), lambda name: transport, None, 5.0, None, False)
+    stream = source.stream("primary", "script", lambda: None)
     transport.put(VERSION + chunk, Finished())
     stream.subscribe(lambda state: None, policy=block)
     assert stream.join(10)

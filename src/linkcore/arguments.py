@@ -1,0 +1,37 @@
+"""Checks of arguments that many calls share: an error says what was given and what was expected."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .errors import BadValue
+
+__all__ = ["check_callable", "check_seconds"]
+
+
+def check_seconds(value: Any, name: str, *, positive: bool = False) -> float:
+    """`value` as a number of seconds, 0 or more; infinity is one.
+
+    Args:
+        value: what the caller was given.
+        name: what the caller calls it.
+        positive: 0 will not do.
+
+    Raises:
+        BadValue: it is no number, not a number (NaN), or below what is allowed.
+    """
+    try:
+        seconds = math.nan if isinstance(value, (str, bytes)) else float(value)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if seconds > 0 or (seconds == 0 and not positive):
+        return seconds
+    expected = "a positive number of seconds" if positive else "a number of seconds, 0 or more"
+    raise BadValue(f"{name}={value!r}; expected {expected}")
+
+
+def check_callable(value: Any, name: str) -> None:
+    """Raise `BadValue` unless `value` can be called."""
+    if not callable(value):
+        raise BadValue(f"{name}={value!r}; expected a function or something else that can be called")

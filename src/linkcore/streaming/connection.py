@@ -1,0 +1,442 @@
+"""One connection of one peer, kept up: opened, read in a thread of its own, and opened again when it is lost.
+
+    transport -> receiver -> fan-out -> queues -> callbacks
+    [------ reader thread --------]   [own threads]
+
+It is what the library holds; users hold a `Stream` or a `Feed`, which ask this one. The reader thread holds it too, so
+it lives until it is closed.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer
+from ..net.transport import Finished, Transport
+from ..stamp import Stamp
+from ..text import printable
+from ..threads import started
+from ..wire.protocol import PacketProtocol
+from .backoff import Backoff
+from .events import ConnectionEvent, ConnectionState
+from .fanout import FanOut, Sink
+from .packet_queue import PacketQueue
+from .policy import Policy
+from .receiver import Receiver
+from .silence import SilenceMonitor
+from .statistics import StreamCounters
+from .subscription import InlineDelivery, Subscription, ThreadedDelivery
+
+__all__ = ["Connection"]
+
+_log = logging.getLogger(__name__)
+
+
+class Connection:
+    """A connection, its reader, and its subscribers. Connects when first used.
+
+    Args:
+        name: for messages and threads.
+        transport: where bytes come from.
+        protocol: makes the protocol of one connection.
+        fan_out: who gets the packets.
+        backoff: how to connect again.
+        timeout: seconds for a connection to be made.
+        silence: seconds without a packet after which a connection counts as lost; None for ever.
+
+    Attributes:
+        state: what the connection is doing.
+        failure: what ended it, where it was not closed on purpose.
+        error: what ended the last connection, or kept the next one from being made.
+        silence: tells how long the peer has been silent.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        transport: Transport,
+        protocol: Callable[[], PacketProtocol],
+        fan_out: FanOut,
+        *,
+        backoff: Backoff | None = None,
+        timeout: float = 5.0,
+        silence: float | None = 2.0,
+    ) -> None:
+        self.name = name
+        self.fan_out = fan_out
+        self.counters = StreamCounters()
+        self.state = ConnectionState.IDLE
+        self.failure: Exception | None = None
+        self.error: Exception | None = None
+        self._transport = transport
+        self._protocol = protocol
+        self._backoff = backoff or Backoff()
+        self._timeout = timeout
+        self.silence = SilenceMonitor(name, silence)
+        # What follows changes under this condition. Its lock is re-entrant: a signal handler, or the collection of a
+        # stream that nobody holds any more, can come between any two instructions of the thread that has it.
+        self._changed = threading.Condition()
+        self._sending = threading.Lock()
+        self._reader: threading.Thread | None = None
+        self._is_settled = False  # the first connection was made, or could not be
+        self._has_opened = False
+        self._is_patient = False  # whoever began it does not wait: failures are retried
+        self._is_closing = False
+        self._is_finishing = False  # the reader is about to end
+        self._is_over = False
+
+    # -- beginning and ending --------------------------------------------------------------------
+
+    @property
+    def is_running(self) -> bool:
+        """A reader has been started, and has not ended."""
+        reader = self._reader
+        return reader is not None and reader.is_alive()
+
+    @property
+    def is_over(self) -> bool:
+        """No packet will ever come again."""
+        return self._is_closing or self._is_over
+
+    def reads_here(self) -> bool:
+        """The current thread is the one that reads."""
+        return threading.current_thread() is self._reader
+
+    def refuse_to_wait(self, what: str) -> None:
+        """Raise where the current thread would wait for itself.
+
+        Raises:
+            LocalError: it is the one that reads.
+        """
+        if self.reads_here():
+            raise LocalError(
+                f"{what} would wait for ever: it was called in an inline callback, so by the thread that reads "
+                f"{self.name}, which reads nothing meanwhile; subscribe without inline=True, or wait in another thread"
+            )
+
+    def start(self, add: Callable[[], object] | None = None) -> None:
+        """Connect, if nothing has yet, and wait until it is done.
+
+        Args:
+            add: is called before anything can come.
+
+        Raises:
+            RemoteError: the connection could not be made; the next use tries again.
+            LocalError: the system has no thread left, or this is the reader itself, which is not connected.
+            Closed: it was closed.
+        """
+        with self._changed:
+            if self._is_finishing or not self._is_settled:
+                self.refuse_to_wait("connecting")
+            # A reader that ends takes its subscribers with it: who comes now is for the next one.
+            self._changed.wait_for(lambda: not self._is_finishing, self._timeout)
+            if self._is_closing:
+                raise Closed(f"{self.name} was closed")
+            if add is not None:
+                add()
+            self._begin(is_patient=False)
+            if not self._changed.wait_for(lambda: self._is_settled, self._timeout + 1.0):
+                raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
+        if not self._has_opened and self.failure is not None:
+            raise self.failure
+
+    def start_quietly(self) -> None:
+        """Begin to connect, if nothing has yet, without waiting; failures are retried by the back-off."""
+        if self._reader is None and not self._is_closing:
+            with self._changed:
+                self._begin(is_patient=True)
+
+    def _begin(self, is_patient: bool) -> None:
+        if self._reader is not None or self._is_closing:
+            return
+        self.failure = self.error = None
+        self._is_patient = is_patient
+        self._has_opened = self._is_settled = False
+        self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
+        try:
+            started(self._reader)
+        except LocalError:
+            self._reader = None
+            raise
+
+    def join(self, timeout: float) -> bool:
+        """Wait until no packet will come any more and all are delivered; False when time is up."""
+        until = time.monotonic() + timeout
+        reader = self._reader
+        if reader is not None and not self.reads_here():
+            reader.join(min(timeout, threading.TIMEOUT_MAX))
+            if reader.is_alive():
+                return False
+        return all(delivery.join(max(until - time.monotonic(), 0.0)) for delivery in self.fan_out.deliveries)
+
+    def close(self, timeout: float) -> None:
+        """Disconnect and end every queue and callback; within `timeout` seconds. Idempotent, from any thread."""
+        until = time.monotonic() + timeout
+        self._stop()
+        self.fan_out.close(all=False)
+        self._transport.close()
+        reader = self._reader
+        if reader is not None and not self.reads_here():
+            reader.join(min(timeout, threading.TIMEOUT_MAX))
+        for delivery in self.fan_out.deliveries:
+            delivery.join(max(until - time.monotonic(), 0.0))
+        if reader is not None and reader.is_alive():
+            self.fan_out.close(all=True)
+        self.state = ConnectionState.CLOSED
+
+    def abandon(self) -> None:
+        """End everything without waiting for anything."""
+        self._stop()
+        self._transport.abort()
+
+    def _stop(self) -> None:
+        with self._changed:
+            self._is_closing = self._is_settled = True
+            self._changed.notify_all()
+
+    # -- sending ---------------------------------------------------------------------------------
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send on the present connection, whole or not at all as far as the peer can tell; connects if nothing has yet.
+
+        Nothing is kept for later: what cannot be sent now is not sent. Where the peer takes only a part of it in time,
+        the connection is given up, since whatever followed would be read as its rest.
+
+        Raises:
+            LinkTimeout: the peer did not take it within `timeout` seconds.
+            RemoteError, LocalError, Closed: as `start` and `send_some`.
+        """
+        self.start()
+        until = time.monotonic() + timeout
+        rest = memoryview(data)
+        with self._sending:
+            while rest:
+                sent = self.send_some(rest)
+                rest = rest[sent:]
+                if not sent and not self.wait_for_room(max(until - time.monotonic(), 0.0)):
+                    self.abort()
+                    raise LinkTimeout(f"{self.name} did not take what was sent within {timeout:g} s")
+
+    def send_some(self, data: bytes | memoryview) -> int:
+        """Hand to the kernel what it takes at once; its number of bytes. Neither waits nor takes a lock.
+
+        Raises:
+            ConnectionLost: there is no connection at present.
+            Closed: it was closed, or is over.
+        """
+        if self.state is not ConnectionState.CONNECTED:
+            if self.is_over:
+                raise Closed(f"{self.name} was closed, or is over")
+            because = f": {self.error}" if self.error is not None else ""
+            raise ConnectionLost(f"{self.name} is not connected{because}")
+        return self._transport.send_some(data)
+
+    def wait_for_room(self, timeout: float) -> bool:
+        """Wait until something can be sent; False when time is up.
+
+        Raises:
+            ConnectionLost: the connection is gone.
+        """
+        return self._transport.wait_for_room(timeout)
+
+    def abort(self) -> None:
+        """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
+        self._transport.abort()
+
+    # -- subscribers -----------------------------------------------------------------------------
+
+    def open_queue(self, kind: type, policy: Policy) -> PacketQueue:
+        """A queue of packets that are or hold a `kind`; connects if nothing has yet. See `close_queue`.
+
+        Raises:
+            RemoteError, LocalError, Closed: as `start`.
+        """
+        queue = PacketQueue(policy)
+        self._join(queue, kind)
+        return queue
+
+    def _join(self, sink: Sink, kind: type) -> None:
+        """Offer packets to `sink` from now on; connects if nothing has yet."""
+        try:
+            self.start(lambda: self.fan_out.add(sink, kind))
+        except BaseException:
+            self.fan_out.remove(sink)
+            sink.close()
+            raise
+        if self.is_over:
+            sink.end()
+
+    def close_queue(self, queue: PacketQueue) -> None:
+        """Take a queue away; what waits in it is dropped and counted."""
+        self.fan_out.remove(queue)
+        queue.close()
+
+    def subscribe(
+        self,
+        kind: type,
+        callback: Callable[[Any], object],
+        *,
+        policy: Policy,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+        gather: float = 0.0,
+        owner: object = None,
+    ) -> Subscription:
+        """A callback in a thread of its own, on a queue of its own.
+
+        Raises:
+            RemoteError, LocalError, Closed: as `start`; LocalError also where there is no thread for the callback.
+        """
+        queue = self.open_queue(kind, policy)
+        options = self._options(kind, deadline, on_deadline)
+        try:
+            delivery = ThreadedDelivery(queue, callback, gather=gather, **options)
+        except LocalError:
+            self.close_queue(queue)
+            raise
+        self.fan_out.add_delivery(delivery)
+        return Subscription(delivery, self.fan_out.remove_delivery, owner)
+
+    def subscribe_inline(
+        self,
+        kind: type,
+        callback: Callable[[Any], object],
+        *,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+        owner: object = None,
+    ) -> Subscription:
+        """A callback that the reader calls.
+
+        Raises:
+            RemoteError, LocalError, Closed: as `start`.
+        """
+        delivery = InlineDelivery(callback, self.counters, **self._options(kind, deadline, on_deadline))
+        self._join(delivery, kind)
+        self.fan_out.add_delivery(delivery)
+        return Subscription(delivery, self.fan_out.remove_delivery, owner)
+
+    def _options(
+        self, kind: type, deadline: float | None, on_deadline: Callable[[float], object] | None
+    ) -> dict[str, Any]:
+        name = f"{self.name} {kind.__name__}"
+        expand = self.fan_out.expander(kind)
+        return {"name": name, "expand": expand, "deadline": deadline, "on_deadline": on_deadline}
+
+    # -- the reader thread -----------------------------------------------------------------------
+
+    def _read(self) -> None:
+        waits = self._backoff.waits()
+        failure: Exception | None = None
+        while True:
+            before = self.counters.received
+            error: Exception | None = None
+            try:
+                self._connect_and_receive()
+            except Finished:
+                break
+            except WrongPeer as raised:
+                error = raised
+                if not self.counters.received:  # it never was the right one: trying again would not help
+                    failure = raised
+                    self._disconnected(raised)
+                    break
+            except RemoteError as raised:
+                error = raised
+            except Exception as raised:
+                _log.exception("%s: the reader failed", self.name)
+                failure = raised
+                break
+            self._disconnected(error)
+            if self._is_closing:
+                break
+            self.error = error
+            if not self._has_opened and not self._is_patient:
+                failure = error
+                break
+            if self.counters.received > before:
+                waits = self._backoff.waits()  # reset by success: by packets, not by a mere connection
+            wait = next(waits, None)
+            if wait is None:
+                failure = error
+                break
+            with self._changed:
+                if self._changed.wait_for(lambda: self._is_closing, wait):
+                    break
+        self._finish(failure)
+
+    def _connect_and_receive(self) -> None:
+        """One connection, until the transport or the protocol raises, or it is closed."""
+        self._tell(ConnectionState.CONNECTING)
+        self._transport.open(self._timeout)
+        if self._is_closing:  # closed while connecting: that could not see this socket
+            return
+        protocol = self._protocol()
+        self.counters.connected(protocol)
+        self._has_opened = True
+        self._tell(ConnectionState.CONNECTED)
+        with self._changed:
+            self._is_settled = True
+            self._changed.notify_all()
+        self._receive(Receiver(self.name, protocol, self.counters))
+
+    def _receive(self, receiver: Receiver) -> None:
+        """Hand out what comes, until the transport raises or the peer has been silent for too long."""
+        receive, feed = self._transport.receive, receiver.feed
+        silence, fan_out = self.silence, self.fan_out
+        publish = fan_out.publish
+        silence.end(time.monotonic())
+        while True:
+            try:
+                data, stamp = receive(silence.wait)
+            except LinkTimeout:
+                silence.timed_out()
+                continue
+            if fan_out.taps:
+                fan_out.tap(data, receiver.rest, stamp)
+            packets = feed(data, stamp)
+            if packets:
+                silence.last = stamp[0]
+                if silence.is_quiet:
+                    silence.end(stamp[0])
+                publish(packets)
+            else:
+                silence.no_packet(stamp[0])
+
+    def _disconnected(self, error: Exception | None) -> None:
+        self._transport.abort()
+        self.fan_out.forget()
+        self.counters.disconnected()
+        if not self._is_closing:
+            _log.info("%s: connection lost: %s", self.name, printable(error))
+        self._tell(ConnectionState.LOST, error)
+
+    def _finish(self, failure: Exception | None) -> None:
+        with self._changed:
+            self._is_finishing = True
+            self.failure = failure
+            self._is_over = failure is None
+        self._transport.abort()
+        self.counters.disconnected()
+        if failure is not None or self._is_closing:
+            self.fan_out.forget()  # the last of a recording stays: it is no older than the others
+        if failure is not None and self._has_opened:
+            _log.warning(
+                "%s: given up: %s", self.name, printable(failure)
+            )  # all that some callbacks' owners learn of it
+        self._tell(ConnectionState.IDLE if failure is not None else ConnectionState.CLOSED, failure)
+        self.fan_out.end()
+        with self._changed:
+            if failure is not None:
+                self._reader = None  # the next use tries again
+            self._is_finishing = False
+            self._is_settled = True
+            self._changed.notify_all()
+
+    def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
+        self.state = state
+        self.fan_out.tell(ConnectionEvent(state, self.name, error, Stamp.now()))

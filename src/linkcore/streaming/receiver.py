@@ -1,0 +1,75 @@
+"""Bytes to packets, counted, sans-IO: the part of a stream that needs neither thread nor socket.
+
+The reader thread gives it what it has received and hands out what comes back; an asyncio protocol would do the same
+from `data_received`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from ..errors import PacketError
+from ..stamp import Stamp
+from ..text import printable
+from ..wire.protocol import PacketProtocol
+from .statistics import StreamCounters
+
+__all__ = ["Receiver"]
+
+_log = logging.getLogger(__name__)
+
+
+class Receiver:
+    """The receiving side of one connection.
+
+    Args:
+        name: of the stream, for the log.
+        protocol: of this connection.
+        counters: of the stream, which outlive the connection.
+    """
+
+    def __init__(self, name: str, protocol: PacketProtocol, counters: StreamCounters) -> None:
+        self._name = name
+        self._protocol = protocol
+        self._feed = protocol.framer.feed
+        self._counters = counters
+
+    @property
+    def rest(self) -> bytes:
+        """The bytes that belong to no packet yet."""
+        return self._protocol.framer.rest
+
+    def feed(self, data: bytes, stamp: Stamp) -> Sequence[Any]:
+        """The typed packets that `data` completes. One bad packet takes no other with it.
+
+        Raises:
+            WrongPeer: what comes is no such stream at all.
+        """
+        counters = self._counters
+        counters.bytes += len(data)
+        frames = self._feed(data)
+        if not frames:
+            return ()
+        counters.received += len(frames)
+        packets: Sequence[Any]
+        if len(frames) == 1:  # the common case, without the lists
+            try:
+                packets = (self._protocol.decode(frames[0], stamp),)
+            except PacketError as error:
+                self._fail(error)
+                return ()
+        else:
+            packets, failures = self._protocol.decode_all(frames, stamp)
+            for failure in failures:
+                self._fail(failure)
+        counters.decoded += len(packets)
+        counters.arrived(stamp)
+        return packets
+
+    def _fail(self, error: PacketError) -> None:
+        self._counters.failed += 1
+        failed = self._counters.failed
+        if failed & (failed - 1) == 0:  # each power of two: bad packets at 500 Hz must not fill the disk
+            _log.warning("%s: bad packet, %d so far: %s", self._name, failed, printable(error))

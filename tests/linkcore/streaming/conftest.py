@@ -1,0 +1,22 @@
+"""A stream of `Count` over a script, closed after the test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from linkcore.streaming.stream import Stream
+from tests.linkcore.script import Count, ScriptedTransport, scripted
+
+
+@pytest.fixture
+def transport() -> ScriptedTransport:
+    return ScriptedTransport()
+
+
+@pytest.fixture
+def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
+    stream = scripted(transport)
+    yield stream
+    stream.close()

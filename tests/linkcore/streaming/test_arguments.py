@@ -1,0 +1,144 @@
+"""First contact: what cannot work says so at once and says what was expected, and what users hold shows what it is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from linkcore.arguments import check_callable, check_seconds
+from linkcore.errors import BadValue
+from linkcore.net.transport import Finished
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.events import ConnectionEvent, Traffic
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.policy import block, drop_oldest
+from linkcore.streaming.stream import Stream
+from linkcore.wire.packet import State
+from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts, scripted
+
+
+@pytest.mark.parametrize("value", [-1, -1e-9, math.nan, "1", b"1", None, [], "soon"])
+def test_what_is_no_number_of_seconds(value: object) -> None:
+    with pytest.raises(BadValue, match=r"timeout=.*; expected a number of seconds, 0 or more"):
+        check_seconds(value, "timeout")
+
+
+@pytest.mark.parametrize("value", [0, 0.0, 2, 1e300, math.inf, True])
+def test_what_is_one(value: float) -> None:
+    assert check_seconds(value, "timeout") == value
+
+
+def test_nothing_is_not_positive() -> None:
+    with pytest.raises(BadValue, match="deadline=0; expected a positive number"):
+        check_seconds(0, "deadline", positive=True)
+
+
+def test_what_cannot_be_called() -> None:
+    check_callable(print, "callback")
+    with pytest.raises(BadValue, match="callback=3; expected a function"):
+        check_callable(3, "callback")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "says"),
+    [
+        ((3,), {}, "callback=3; expected a function"),
+        ((None,), {}, "callback=None"),
+        ((print, 3), {}, "kind=3; expected a class of packets such as Count"),
+        ((print, Count(number=1)), {}, "kind=Count"),
+        ((print, int), {}, "kind=<class 'int'>; expected a class of packets"),
+        ((print,), {"policy": "latest"}, r"policy='latest'; expected latest, drop_oldest\(n\) or block"),
+        ((print,), {"policy": drop_oldest}, r"policy=<function drop_oldest.*expected latest"),
+        ((print,), {"deadline": 0}, "deadline=0; expected a positive number of seconds"),
+        ((print,), {"deadline": "soon"}, "deadline='soon'"),
+        ((print,), {"deadline": 1.0, "on_deadline": 3}, "on_deadline=3; expected a function"),
+        ((print,), {"on_deadline": print}, "on_deadline was given without a deadline"),
+        ((print,), {"policy": block, "inline": True}, "takes no policy"),
+    ],
+)
+def test_subscribe_says_what_was_expected(
+    stream: Stream[Count], transport: ScriptedTransport, arguments: Any, options: Any, says: str
+) -> None:
+    with pytest.raises(BadValue, match=says):
+        stream.subscribe(*arguments, **options)
+    assert transport.opened == 0, "before anything was connected"
+
+
+def test_times_are_checked_everywhere(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    subscription = stream.subscribe(lambda count: None)
+    for call in (
+        stream.wait,
+        stream.join,
+        stream.close,
+        subscription.close,
+        subscription.finish,
+        subscription.join,
+        lambda timeout: stream.iterate(timeout=timeout),
+    ):
+        with pytest.raises(BadValue, match="timeout=-1"):
+            call(-1)
+    with pytest.raises(BadValue, match="policy='latest'"):
+        stream.iterate("latest")  # type: ignore[arg-type]
+
+
+def test_for_ever_is_a_time(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """More than the operating system's clocks can count."""
+    transport.put(counts(1), Finished())
+    subscription = stream.subscribe(lambda count: None, deadline=1e300)
+    assert stream.join(math.inf)
+    assert subscription.join(1e300)
+    assert subscription.finish(math.inf)
+
+
+class Other(State):
+    """Something that a stream of `Count` never has."""
+
+
+class Near(Count):
+    """Something that it could have."""
+
+
+def test_a_kind_that_can_never_come_is_refused(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    for use in (stream.of, lambda kind: stream.subscribe(print, kind)):
+        with pytest.raises(BadValue, match="script never has a Other; what comes there is Count"):
+            use(Other)
+    for kind in (Count, State, Near, ConnectionEvent, Traffic):
+        assert stream.of(kind)
+    assert transport.opened == 0
+
+
+def test_a_kind_that_others_declare_can_come(transport: ScriptedTransport) -> None:
+    fan_out = FanOut(Count, parts=lambda packet: (), others=(Other,))
+    stream = Stream(Connection("script", transport, CountProtocol, fan_out), Count)
+    assert stream.of(Other)
+
+
+# -- what users hold ---------------------------------------------------------------------------------------
+
+
+def test_they_show_what_they_are(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    assert repr(stream) == "<Stream of Count from script: idle, 0 Hz, nothing received>"
+    subscription = stream.subscribe(lambda count: None)
+    transport.put(counts(1, 2), Finished())
+    assert stream.join(10)
+    assert repr(stream).startswith("<Stream of Count from script: closed, ")
+    assert "2 received, the last 0." in repr(stream)
+    assert repr(stream.of(Count)) == "<Feed of Count from script>"
+    assert repr(subscription) == "<Subscription script Count: 2 delivered, 0 dropped, 0 raised, 0 waiting>"
+
+
+def public(held: object) -> set[str]:
+    return {name for name in dir(held) if not name.startswith("_")}
+
+
+def test_completion_shows_what_users_should_touch(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    feed = {"iterate", "latest", "subscribe", "wait"}
+    assert public(stream.of(Count)) == feed
+    assert public(stream) == feed | {"close", "connection", "failure", "join", "name", "of", "start", "stats"}
+    assert public(stream.subscribe(print)) == {"close", "finish", "join", "name", "stats"}
+
+
+def test_a_stream_of_a_name_says_it(transport: ScriptedTransport) -> None:
+    assert scripted(transport, name="left").name == "left"

@@ -1,0 +1,111 @@
+"""What a callback may do, and what it costs: its own subscription something, and nobody else anything."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import pytest
+
+from linkcore.net.transport import Finished
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.packet_queue import PacketQueue
+from linkcore.streaming.policy import block
+from linkcore.streaming.stream import Stream
+from linkcore.streaming.subscription import ThreadedDelivery
+from tests.linkcore.script import Count, ScriptedTransport, counts
+from tests.waiting import until
+
+
+@pytest.mark.parametrize("error", [SystemExit(1), KeyboardInterrupt(), GeneratorExit()])
+def test_exit_in_a_callback_is_one_more_error(
+    stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture, error: BaseException
+) -> None:
+    """Python would let the thread end without a word, and its queue fill and drop."""
+    got: list[int] = []
+
+    def leave(count: Count) -> None:
+        got.append(count.number)
+        raise error
+
+    leaving = stream.subscribe(leave, policy=block)
+    transport.put(counts(1, 2), counts(3), Finished())
+    assert stream.join(10)
+    assert got == [1, 2, 3]
+    assert (leaving.stats.offered, leaving.stats.raised, leaving.stats.dropped) == (3, 3, 0)
+    assert "callback of script Count raised" in caplog.text
+
+
+def test_sys_exit_in_on_deadline(stream: Stream[Count], caplog: pytest.LogCaptureFixture) -> None:
+    subscription = stream.subscribe(lambda count: None, deadline=0.01, on_deadline=lambda age: sys.exit(1))
+    until(lambda: "on_deadline of script Count raised" in caplog.text)
+    assert subscription.stats.missed_deadlines == 1
+
+
+class Packet:
+    def __init__(self, *parts: Packet) -> None:
+        self.parts = parts
+
+
+class Part(Packet):
+    pass
+
+
+def test_a_part_whose_callback_raises_keeps_no_other_part() -> None:
+    fan_out = FanOut(Packet, parts=lambda packet: packet.parts, others=(Part,))
+    parts = [Part(), Part(), Part()]
+    got: list[Part] = []
+
+    def fail_once(part: Part) -> None:
+        got.append(part)
+        if part is parts[0]:
+            raise ValueError("on purpose")
+
+    queue = PacketQueue(block)
+    delivery = ThreadedDelivery(queue, fail_once, name="parts", expand=fan_out.expander(Part))
+    fan_out.add(queue, Part)
+    fan_out.publish([Packet(*parts), Packet(), Packet(parts[1])])
+    fan_out.end()
+    assert delivery.join(10)
+    assert got == [*parts, parts[1]]
+    stats = delivery.statistics
+    assert (stats.offered, stats.raised, stats.delivered) == (2, 1, 1), "packets, and not their parts"
+
+
+def test_the_newest_is_there_at_every_moment() -> None:
+    """Another thread that looks while packets come never finds nothing."""
+    fan_out = FanOut(Packet, parts=lambda packet: packet.parts, others=(Part,))
+    fan_out.publish([Packet(Part())])
+    stop = threading.Event()
+
+    def publish() -> None:
+        while not stop.is_set():
+            fan_out.publish([Packet(Part())])
+
+    publisher = threading.Thread(target=publish, daemon=True)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        publisher.start()
+        missing = sum(fan_out.newest(kind) is None for _ in range(20_000) for kind in (Packet, Part))
+    finally:
+        sys.setswitchinterval(interval)
+        stop.set()
+        publisher.join(10)
+    assert missing == 0
+
+
+def test_the_newest_of_several_classes_is_the_one_that_came_last() -> None:
+    class Other(Packet):
+        pass
+
+    fan_out = FanOut(Packet, parts=lambda packet: packet.parts, others=(Part, Other))
+    first, second = Other(), Part()
+    fan_out.publish([first, second])
+    assert fan_out.newest(Packet) is second
+    again = Other()
+    fan_out.publish([again])
+    assert fan_out.newest(Packet) is again
+    assert fan_out.newest(Part) is second
+    fan_out.forget()
+    assert fan_out.newest(Packet) is None

@@ -1,0 +1,256 @@
+"""Every counter, exactly, and their sums under whatever order of events.
+
+The expected numbers are kept by the tests themselves, beside the code and not by it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
+
+from linkcore.errors import ConnectionLost
+from linkcore.net.transport import Finished
+from linkcore.streaming.policy import Policy, block, drop_oldest, latest
+from linkcore.streaming.statistics import SubscriptionStatistics
+from linkcore.streaming.stream import Stream
+from linkcore.streaming.subscription import Subscription
+from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
+from tests.waiting import until
+
+
+def test_each_counter_of_a_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    stream.subscribe(lambda count: None, policy=block)
+    transport.put(b"xx" + counts(1, 2), counts(BAD), counts(3, BAD, BAD), counts(4)[:3])
+    transport.put(ConnectionLost("cut"), counts(5), Finished())
+    assert stream.join(10)
+    stats = stream.stats
+    assert stats.received == 7
+    assert stats.decoded == 4
+    assert stats.failed == 3
+    assert stats.bytes == 2 + 7 * 5 + 3
+    assert stats.skipped == 2 + 3
+    assert stats.resyncs == 1
+    assert stats.reconnects == 1
+    assert (stats.unknown, stats.tails, stats.slow_inline) == (0, 0, 0)
+
+
+def test_what_a_protocol_counts_is_the_streams(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """While the connection lasts, and afterwards."""
+    stream.start()
+    protocol = stream._connection.counters._protocol
+    assert protocol is not None
+    for name in ("unknown", "tails"):
+        setattr(protocol, name, 3)
+    assert (stream.stats.unknown, stream.stats.tails) == (3, 3)
+    transport.put(ConnectionLost("cut"))
+    until(lambda: stream.stats.reconnects == 1)
+    assert (stream.stats.unknown, stream.stats.tails) == (3, 3)
+
+
+def test_one_slow_subscriber_does_not_count_for_the_others(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    go, asleep = threading.Event(), threading.Event()
+
+    def hang(count: Count) -> None:
+        asleep.set()
+        assert go.wait(10)
+
+    slow = stream.subscribe(hang, policy=latest)
+    quick = stream.subscribe(lambda count: None, policy=block)
+    transport.put(counts(0))
+    assert asleep.wait(10)
+    transport.put(counts(*range(1, 100)))
+    until(lambda: quick.stats.delivered == 100)
+    assert (slow.stats.offered, slow.stats.dropped, slow.stats.waiting) == (100, 98, 2)
+    assert (quick.stats.offered, quick.stats.dropped, quick.stats.waiting) == (100, 0, 0)
+    assert (stream.stats.received, stream.stats.decoded) == (100, 100)
+    go.set()
+
+
+def test_with_nobody_subscribed_nothing_is_delivered(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    assert stream.latest is None
+    transport.put(counts(1, 2, 3))
+    until(lambda: stream.stats.decoded == 3)
+    late = stream.subscribe(lambda count: None)
+    assert late.stats == SubscriptionStatistics(0, 0, 0, 0, 0, 0)
+
+
+def test_age_is_that_of_the_last_packet(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    stream.start()
+    assert [stream.stats.age] == [None]
+    transport.put(b"xx")
+    until(lambda: stream.stats.bytes == 2)
+    assert [stream.stats.age] == [None], "bytes are no packet"
+    transport.put(counts(1))
+    until(lambda: stream.stats.received == 1)
+    time.sleep(0.02)
+    age = stream.stats.age
+    assert age is not None
+    assert age >= 0.02
+
+
+def test_the_rate_is_that_of_the_last_second(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    stream.start()
+    counters = stream._connection.counters
+    assert stream.stats.rate == 0
+    began = counters._window_began
+    counters.received = 500
+    counters.arrived((began + 0.9, 0.0))  # type: ignore[arg-type]
+    assert counters._rate == 0
+    counters.received = 600
+    counters.arrived((began + 1.2, 0.0))  # type: ignore[arg-type]
+    assert counters._rate == pytest.approx(500)
+    counters.received = 700
+    counters.arrived((began + 2.3, 0.0))  # type: ignore[arg-type]
+    assert counters._rate == pytest.approx(100 / 1.1)
+
+
+def test_the_rate_of_a_stream_that_stopped_goes_down(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    stream.start()
+    counters = stream._connection.counters
+    counters._rate, counters.received = 500.0, 500
+    counters._window_began -= 10.0
+    assert stream.stats.rate == pytest.approx(50, rel=0.1)
+
+
+class Recipient:
+    """A callback that counts by itself, waits where it is told to, and raises at each multiple of `raises_at`."""
+
+    def __init__(self, raises_at: int) -> None:
+        self.raises_at = raises_at
+        self.go = threading.Event()
+        self.go.set()
+        self.called = self.raised = 0
+
+    def __call__(self, count: Count) -> None:
+        assert self.go.wait(30)
+        self.called += 1
+        if count.number % self.raises_at == 0:
+            self.raised += 1
+            raise RuntimeError("on purpose")
+
+
+class StreamMachine(RuleBasedStateMachine):
+    """A stream whose packets, subscribers, connections and callbacks come in any order; the sums hold at each rest."""
+
+    @initialize()
+    def begin(self) -> None:
+        self.transport = ScriptedTransport()
+        self.stream = scripted(self.transport)
+        self.stream.start()
+        self.made: list[tuple[Subscription, Recipient, bool]] = []
+        self.open: list[int] = []
+        self.offered: list[int] = []
+        self.sent = self.bad = self.bytes = 0
+        self.connections = 1
+
+    def teardown(self) -> None:
+        if hasattr(self, "stream"):
+            for _, recipient, _ in self.made:
+                recipient.go.set()
+            self.rest()
+            self.stream.close()
+            for subscription, recipient, _ in self.made:
+                until(lambda subscription=subscription: subscription.stats.waiting == 0)  # type: ignore[misc]
+                self.check(subscription, recipient)
+
+    def rest(self) -> None:
+        """Wait until the reader has nothing left to do and no callback that may run does."""
+        until(lambda: self.stream.stats.received == self.sent and self.stream.stats.bytes == self.bytes)
+        until(lambda: self.stream.stats.decoded + self.stream.stats.failed == self.sent)
+        for number in self.open:
+            subscription, recipient, _ = self.made[number]
+            until(lambda subscription=subscription, number=number: subscription.stats.offered == self.offered[number])  # type: ignore[misc]
+            if recipient.go.is_set():
+                until(lambda subscription=subscription: subscription.stats.waiting == 0)  # type: ignore[misc]
+            else:
+                # One is in the callback, or nothing came; the others stand in the queue.
+                until(lambda subscription=subscription: self.adds_up(subscription.stats))  # type: ignore[misc]
+
+    @staticmethod
+    def adds_up(stats: SubscriptionStatistics) -> bool:
+        return stats.offered == stats.delivered + stats.dropped + stats.raised + stats.waiting
+
+    def check(self, subscription: Subscription, recipient: Recipient) -> None:
+        stats = subscription.stats
+        assert self.adds_up(stats), stats
+        assert stats.raised == recipient.raised
+        assert stats.delivered == recipient.called - recipient.raised
+
+    @rule(numbers=st.lists(st.integers(0, 20).map(lambda n: BAD if n == 0 else n), max_size=12))
+    def send(self, numbers: list[int]) -> None:
+        data = counts(*numbers)
+        if data:
+            self.transport.put(data)
+        self.sent += len(numbers)
+        self.bytes += len(data)
+        self.bad += numbers.count(BAD)
+        for number in self.open:
+            self.offered[number] += len(numbers) - numbers.count(BAD)
+        self.rest()
+
+    @precondition(lambda self: len(self.made) < 6)
+    @rule(
+        policy=st.sampled_from([None, latest, drop_oldest(3), block, Policy(64, evicts=False)]),
+        raises_at=st.integers(2, 5),
+    )
+    def subscribe(self, policy: Policy | None, raises_at: int) -> None:
+        recipient = Recipient(raises_at)
+        is_inline = policy is None
+        subscription = self.stream.subscribe(recipient, policy=policy, inline=is_inline)
+        self.open.append(len(self.made))
+        self.made.append((subscription, recipient, is_inline))
+        self.offered.append(0)
+
+    @rule(data=st.data())
+    def hold(self, data: st.DataObject) -> None:
+        """Let a callback with a thread of its own hang."""
+        held = [number for number in self.open if not self.made[number][2]]
+        if held:
+            self.made[data.draw(st.sampled_from(held))][1].go.clear()
+
+    @rule(data=st.data())
+    def release(self, data: st.DataObject) -> None:
+        if self.open:
+            self.made[data.draw(st.sampled_from(self.open))][1].go.set()
+            self.rest()
+
+    @rule(data=st.data(), finish=st.booleans())
+    def end(self, data: st.DataObject, finish: bool) -> None:
+        if self.open:
+            number = data.draw(st.sampled_from(self.open))
+            subscription, recipient, _ = self.made[number]
+            if finish and recipient.go.is_set():
+                assert subscription.finish()
+            else:
+                subscription.close(timeout=0)
+            self.open.remove(number)
+
+    @rule()
+    def lose(self) -> None:
+        self.transport.put(ConnectionLost("cut"))
+        self.connections += 1
+        until(lambda: self.stream.stats.reconnects == self.connections - 1)
+
+    @rule()
+    def look(self) -> None:
+        stats = self.stream.stats
+        assert (stats.received, stats.failed, stats.decoded) == (self.sent, self.bad, self.sent - self.bad)
+        for number in self.open:
+            subscription, recipient, is_inline = self.made[number]
+            stats_of = subscription.stats
+            assert stats_of.offered == self.offered[number]
+            if recipient.go.is_set():
+                assert stats_of.waiting == 0
+                self.check(subscription, recipient)
+            if is_inline:
+                assert stats_of.dropped == 0
+
+
+@pytest.mark.property
+def test_the_sums_hold_whatever_happens() -> None:
+    run_state_machine_as_test(StreamMachine, settings=settings(stateful_step_count=20))

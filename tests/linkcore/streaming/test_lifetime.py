@@ -1,0 +1,173 @@
+"""Streams that nobody closes, threads that cannot be had, and processes that fork."""
+
+from __future__ import annotations
+
+import gc
+import os
+import socket
+import subprocess
+import sys
+import threading
+import weakref
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from linkcore.errors import LocalError
+from linkcore.net.transport import Finished
+from linkcore.streaming.events import ConnectionState
+from linkcore.streaming.stream import Stream
+from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
+from tests.waiting import until
+
+
+def let_go(held: list[Any]) -> None:
+    held.clear()
+    gc.collect()
+
+
+def test_a_stream_that_nobody_holds_any_more_is_closed_and_said_so(transport: ScriptedTransport) -> None:
+    stream = scripted(transport)
+    stream.subscribe(lambda count: None)
+    stream.subscribe(lambda count: None, inline=True)
+    transport.put(counts(1))
+    assert stream.wait(10).number == 1
+    seen, held = weakref.ref(stream), [stream]
+    del stream
+    with pytest.warns(ResourceWarning, match=r"Stream of Count from script.*was not closed"):
+        let_go(held)
+    assert seen() is None
+    until(lambda: not [thread for thread in threading.enumerate() if thread.name.startswith("script")])
+
+
+@pytest.mark.parametrize("how", ["feed", "subscription", "iterator"])
+def test_whoever_holds_a_part_of_it_keeps_it(transport: ScriptedTransport, how: str) -> None:
+    stream = scripted(transport)
+    got: list[int] = []
+    part: Any
+    if how == "feed":
+        part = stream.of(Count)
+        stream.start()
+    elif how == "subscription":
+        part = stream.subscribe(lambda count: got.append(count.number))
+    else:
+        part = stream.iterate()
+        transport.put(counts(0))
+        assert next(part).number == 0
+    connection, held = stream._connection, [part]
+    del stream, part
+    gc.collect()
+    assert connection.state is ConnectionState.CONNECTED
+    with pytest.warns(ResourceWarning, match="was not closed"):
+        let_go(held)
+
+
+@pytest.mark.parametrize("how", ["never used", "closed", "over"])
+def test_a_stream_that_is_not_open_is_let_go_quietly(transport: ScriptedTransport, how: str) -> None:
+    stream = scripted(transport)
+    if how == "closed":
+        stream.start()
+        stream.close()
+    elif how == "over":
+        transport.put(Finished())
+        assert list(stream) == []
+    del stream
+    gc.collect()
+
+
+def no_more_threads(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
+    """No thread whose name begins so can be started."""
+    start = threading.Thread.start
+
+    def refuse(self: threading.Thread) -> None:
+        if self.name.startswith(first):
+            raise RuntimeError("can't start new thread")
+        start(self)
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+
+
+def test_no_thread_for_the_reader(
+    stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        no_more_threads(patch, "script reader")
+        for use in (stream.start, stream.wait, lambda: stream.subscribe(print), lambda: stream.latest):
+            with pytest.raises(LocalError, match=r"no thread could be started for script reader \(can't start"):
+                use()
+        stream.of(Count)
+    # As soon as there are threads again, all is well.
+    transport.put(counts(7))
+    assert stream.wait(10).number == 7
+
+
+@pytest.mark.parametrize("inline", [False, True])
+def test_no_thread_for_a_callback(
+    stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch, inline: bool
+) -> None:
+    stream.start()
+    with monkeypatch.context() as patch:
+        no_more_threads(patch, "script Count")
+        with pytest.raises(LocalError, match="no thread could be started"):
+            stream.subscribe(print, deadline=1.0, inline=inline)
+    assert stream.connection is ConnectionState.CONNECTED
+    assert not stream._connection.fan_out._routes
+    stream.close()
+
+
+def test_close_without_threads(transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = scripted(transport)
+    no_more_threads(monkeypatch, "script")
+    with pytest.raises(LocalError):
+        stream.subscribe(print)
+    stream.close()
+    stream.close()
+
+
+_FORKED = """
+import os, sys
+from linkcore.net.transport import TcpTransport
+from tests.linkcore.script import scripted
+
+stream = scripted(TcpTransport("127.0.0.1", int(sys.argv[1]), silence=60))
+first = stream.wait(20).number
+child = os.fork()
+if child == 0:
+    stream.close(0.5)
+    os._exit(0)
+os.waitpid(child, 0)
+for _ in range(3):
+    assert stream.wait(20).number > first
+print(stream.stats.reconnects)
+stream.close()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_child_that_closes_the_stream_harms_nobody() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(30)
+        command = [sys.executable, "-c", _FORKED, str(server.getsockname()[1])]
+        root = Path(__file__).resolve().parents[3]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as process:
+            connection, _ = server.accept()
+            stop = threading.Event()
+
+            def send() -> None:
+                with connection:
+                    number = 0
+                    while not stop.wait(0.01):
+                        number += 1
+                        try:
+                            connection.sendall(counts(number))
+                        except OSError:
+                            return
+
+            sender = threading.Thread(target=send, daemon=True)
+            sender.start()
+            out, _ = process.communicate(timeout=40)
+            stop.set()
+            sender.join(10)
+    assert out == "0\n"

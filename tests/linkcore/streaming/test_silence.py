@@ -1,0 +1,246 @@
+"""The peer's silence is told from a stall of one's own: by the reader, which alone can know."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from linkcore.errors import BadValue, LinkTimeout
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.silence import SilenceMonitor
+from tests.linkcore.script import ScriptedTransport, counts, scripted
+from tests.waiting import until
+
+
+def monitor(limit: float | None = 2.0) -> SilenceMonitor:
+    silence = SilenceMonitor("script", limit)
+    silence.end(100.0)
+    return silence
+
+
+#: Where `tests` can be imported from.
+ROOT = Path(__file__).resolve().parents[3]
+
+
+# -- the monitor, without clock or thread ----------------------------------------------------------------
+
+
+def test_waits_that_ran_out_add_up() -> None:
+    silence, told = monitor(), list[float]()
+    silence.watch(0.5, told.append)
+    assert silence.wait == 0.5
+    silence.timed_out()
+    assert told == [0.5]
+    assert silence.wait == pytest.approx(1.5)
+    with pytest.raises(LinkTimeout, match="script: nothing came for 2 s"):
+        silence.timed_out()
+    assert told == [0.5], "once for each silence"
+
+
+def test_a_packet_ends_the_silence() -> None:
+    silence, told = monitor(), list[float]()
+    silence.watch(0.5, told.append)
+    for _ in range(3):
+        before = silence.is_quiet
+        silence.timed_out()
+        during = silence.is_quiet
+        silence.end(101.0)
+        assert (before, during, silence.is_quiet) == (False, True, False)
+        assert silence.wait == 0.5
+    assert told == [0.5] * 3
+
+
+def test_time_that_only_passed_is_no_silence() -> None:
+    """The process was suspended for an hour: no wait ran out, and then a packet comes."""
+    silence, told = monitor(), list[float]()
+    silence.watch(0.5, told.append)
+    silence.last = 3700.0
+    assert told == []
+    assert not silence.is_quiet
+
+
+def test_several_limits_are_met_in_turn() -> None:
+    silence, told = monitor(), list[str]()
+    silence.watch(1.0, lambda seconds: told.append(f"one {seconds:g}"))
+    silence.watch(0.25, lambda seconds: told.append(f"quarter {seconds:g}"))
+    waits = []
+    for _ in range(2):
+        waits.append(silence.wait)
+        silence.timed_out()
+    assert waits == [0.25, 0.75]
+    assert told == ["quarter 0.25", "one 1"]
+    assert silence.wait == 1.0
+    with pytest.raises(LinkTimeout):
+        silence.timed_out()
+
+
+def test_sums_that_are_rounded_meet_their_limit() -> None:
+    silence, told = monitor(0.3), list[float]()
+    silence.watch(0.1, told.append)
+    silence.watch(0.2, told.append)
+    silence.timed_out()
+    silence.timed_out()
+    assert told == [pytest.approx(0.1), pytest.approx(0.2)]
+    with pytest.raises(LinkTimeout):
+        silence.timed_out()
+
+
+def test_without_a_limit_it_is_only_told() -> None:
+    silence, told = monitor(None), list[float]()
+    assert silence.wait is None
+    silence.timed_out()  # a transport that gives up by itself: nothing is known of how long it waited
+    remove = silence.watch(0.5, told.append)
+    silence.timed_out()
+    silence.timed_out()
+    assert told == [0.5]
+    remove()
+    silence.end(101.0)
+    assert silence.wait is None
+
+
+def test_who_went_away_is_not_told() -> None:
+    silence, told = monitor(), list[float]()
+    remove = silence.watch(0.5, told.append)
+    remove()
+    remove()
+    assert silence.wait == 0.5, "until the next packet"
+    silence.timed_out()
+    assert told == []
+
+
+def test_bytes_without_a_packet_are_silence() -> None:
+    silence, told = monitor(), list[float]()
+    silence.watch(0.5, told.append)
+    for now in (100.2, 100.4, 100.6):
+        silence.no_packet(now)
+    assert told == []
+    silence.no_packet(100.8)
+    assert told == [pytest.approx(0.6)]
+    silence.no_packet(102.1)
+    with pytest.raises(LinkTimeout, match="bytes came, but no packet, for 2 s"):
+        silence.no_packet(102.2)
+
+
+def test_half_a_packet_after_a_stall_is_no_silence() -> None:
+    """It was read late, and its other half waits in the socket."""
+    silence, told = monitor(), list[float]()
+    silence.watch(0.5, told.append)
+    silence.no_packet(160.0)
+    silence.end(160.001)
+    silence.no_packet(160.1)
+    silence.no_packet(160.2)
+    assert told == []
+
+
+def test_whoever_raises_when_told_harms_nobody(caplog: pytest.LogCaptureFixture) -> None:
+    silence, told = monitor(), list[float]()
+
+    def fail(seconds: float) -> None:
+        raise ValueError("on purpose")
+
+    silence.watch(0.5, fail)
+    silence.watch(0.5, told.append)
+    silence.timed_out()
+    assert told == [0.5]
+    assert "on purpose" in caplog.text
+
+
+@pytest.mark.parametrize("seconds", [0, -1, 2.1, float("nan")])
+def test_what_could_never_be_told_is_refused(seconds: float) -> None:
+    with pytest.raises(BadValue, match="expected a positive number, at most silence=2"):
+        monitor().watch(seconds, print)
+
+
+# -- in a stream ----------------------------------------------------------------------------------------
+
+
+def test_a_silent_peer_is_told_and_then_lost() -> None:
+    transport = ScriptedTransport()
+    stream = scripted(transport, silence=0.1, backoff=Backoff(first=60, most=60))
+    told: list[tuple[float, bool]] = []
+    events: list[ConnectionEvent] = []
+    stream.subscribe(events.append, ConnectionEvent, inline=True)
+    here = stream._connection
+    here.silence.watch(0.03, lambda seconds: told.append((seconds, here.reads_here())))
+    transport.put(counts(1))
+    until(lambda: any(event.state is ConnectionState.LOST for event in events))
+    (lost,) = (event for event in events if event.state is ConnectionState.LOST)
+    assert isinstance(lost.error, LinkTimeout)
+    ((seconds, in_the_reader),) = told
+    assert seconds == pytest.approx(0.03)
+    assert in_the_reader
+    stream.close()
+
+
+def test_bytes_without_packets_count_as_silence() -> None:
+    transport = ScriptedTransport()
+    stream = scripted(transport, silence=0.05, backoff=Backoff(tries=0))
+    stop = threading.Event()
+
+    def babble() -> None:
+        while not stop.wait(0.002):
+            transport.put(b"x")
+
+    babbler = threading.Thread(target=babble, daemon=True)
+    babbler.start()
+    try:
+        with pytest.raises(LinkTimeout, match="bytes came, but no packet"):
+            next(stream.iterate(timeout=10))
+    finally:
+        stop.set()
+        babbler.join(10)
+        stream.close()
+
+
+#: Reads a stream while a C call holds the interpreter's lock for 1 s, which is five times the silence that ends it.
+_STALLED = """
+import ctypes, sys, threading
+from linkcore.net.transport import TcpTransport
+from linkcore.streaming.events import ConnectionEvent
+from tests.linkcore.script import Count, scripted
+
+stream = scripted(TcpTransport("127.0.0.1", int(sys.argv[1]), silence=60), silence=0.2)
+events, told = [], []
+stream.subscribe(lambda event: events.append(event.state.value), ConnectionEvent, inline=True)
+stream._connection.silence.watch(0.1, told.append)
+stream.wait(10)
+before = stream.stats.received
+ctypes.PyDLL(None).usleep(1_000_000)
+stream.wait(10)
+print(stream.stats.received - before > 20, stream.stats.reconnects, events[-1], told)
+stream.close()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="has no usleep to hold the interpreter's lock with")
+def test_a_stall_of_ones_own_is_no_silence() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(30)
+        command = [sys.executable, "-c", _STALLED, str(server.getsockname()[1])]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+            connection, _ = server.accept()
+            stop = threading.Event()
+
+            def send() -> None:
+                with connection:
+                    number = 0
+                    while not stop.wait(0.01):
+                        number += 1
+                        try:
+                            connection.sendall(counts(number))
+                        except OSError:
+                            return
+
+            sender = threading.Thread(target=send, daemon=True)
+            sender.start()
+            out, _ = process.communicate(timeout=40)
+            stop.set()
+            sender.join(10)
+    assert out.split("\n")[0] == "True 0 connected []"
