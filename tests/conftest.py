@@ -10,16 +10,17 @@ from hypothesis import Phase, settings
 
 from tests import real_captures
 
-settings.register_profile("default", deadline=None, derandomize=False, max_examples=50)
+# Few by default, so that the suite stays quick; `nox -s fuzz` tries many.
+settings.register_profile("default", deadline=None, derandomize=False, max_examples=25)
 # A gate gives the same verdict on the same tree; `fuzz` and every run at home look for what is new.
-settings.register_profile("ci", deadline=None, derandomize=True, max_examples=50, print_blob=True)
+settings.register_profile("ci", deadline=None, derandomize=True, max_examples=25, print_blob=True)
 settings.register_profile("fuzz", deadline=None, derandomize=False, max_examples=2000, print_blob=True)
 # What fails ends the run of a mutant, so nothing is made smaller or remembered.
 settings.register_profile(
     "mutants",
     deadline=None,
     derandomize=True,
-    max_examples=50,
+    max_examples=25,
     database=None,
     phases=(Phase.explicit, Phase.generate),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -49,8 +50,13 @@ def name_of(path: Path) -> str:
 MODULES = {name_of(path): path for path in sorted(SRC.rglob("*.py"))}
 
 
-def imports(module: str) -> Iterator[str]:
+@cache
+def imports(module: str) -> frozenset[str]:
     """The full name of everything that a module imports, wherever in it, also for its types only."""
+    return frozenset(_imports(module))
+
+
+def _imports(module: str) -> Iterator[str]:
     path = MODULES[module]
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -78,13 +84,12 @@ def within(module: str, package: str) -> bool:
 def test_the_imports_are_read() -> None:
     """Of one module of each way to import, so that the rules below are not true of nothing."""
     assert {"linkcore", "urlink"} <= {module.partition(".")[0] for module in MODULES}
-    assert {"json", "linkcore.errors", "linkcore.streaming.stream"} <= set(imports("linkcore.recording.recorder"))
-    assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= set(
-        imports("urlink.simulator.controller")
-    )
-    framing = set(imports("urlink.interfaces.realtime.framing"))
+    assert {"json", "linkcore.errors", "linkcore.streaming.stream"} <= imports("linkcore.recording.recorder")
+    simulator = imports("urlink.simulator.controller")
+    assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= simulator
+    framing = imports("urlink.interfaces.realtime.framing")
     assert {"urlink.interfaces.headers", "urlink.interfaces.enums"} <= framing
-    assert "urlink.decode" in set(imports("urlink"))
+    assert "urlink.decode" in imports("urlink")
 
 
 def offenders(is_wrong: Callable[[str, str], bool]) -> list[str]:
