@@ -4,7 +4,7 @@ Controllers that are stepped cycle by cycle run the programs that `robot.motion.
 movement of ten seconds. Everything happens in one thread: the programs' sockets are real ones over loopback, and their
 peer, in this process, says what it has to say before each cycle, so that the streaming program never waits for a
 set-point. What the peer does is part of the time, which is processor time. Nobody asks for packets: a controller that
-serves its ports has those to make as well.
+serves its ports has those to make as well. Long programs are compiled besides.
 
     python benchmarks/urscript.py                  # 10 s of controller time each, seven times
     python benchmarks/urscript.py --quick          # three times
@@ -25,9 +25,10 @@ from contextlib import closing
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState
 from urlink.motion.setpoints import STOP_WORD, setpoint
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Still
 from urlink.simulator.robot.kinematics import pose
-from urlink.simulator.robot.sources import Still
+from urlink.simulator.urscript import compile_script
+from urlink.simulator.urscript.limits import MAX_TOKENS
 from urlink.urscript import programs, source, waypoints
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
@@ -38,6 +39,8 @@ SECONDS = 10.0
 APART = 0.5
 #: Times real time, of the streaming program.
 GOAL = 20.0
+#: Characters of the programs that are compiled, and s that each may take.
+COMPILED, LONGEST = 250_000, 1.0
 
 
 def standing(model: str, firmware: str) -> Controller:
@@ -159,6 +162,26 @@ def moving(model: str, firmware: str) -> float:
     return taken * SECONDS * controller.firmware.rate / cycles
 
 
+def repeated(statement: str, tokens: int | None = None) -> str:
+    """A program of 250 kB of one statement, or with so many of its tokens."""
+    count = COMPILED // len(statement) if tokens is None else (MAX_TOKENS - 10) // tokens
+    return f"def long():\n{statement * count}end\n"
+
+
+def compiling(text: str) -> float:
+    """Seconds of processor time that it takes to compile a program."""
+    began = time.process_time()
+    compile_script(text, Firmware.parse("5.11"))
+    return time.process_time() - began
+
+
+LONG = {
+    "statements": repeated("  x = (1 + 2) * 3 - 4\n"),
+    "movements": repeated("  movej([0.1, -1.57, 1.57, -1.57, -1.57, 0.0], a=1.4, v=1.05)\n"),
+    "most tokens": repeated(" x=1" + "+1" * 60 + "\n", tokens=123),
+}
+
+
 def check(actual: Sequence[float], goal: Sequence[float], within: float) -> None:
     """The arm must have done what is measured."""
     away = max(abs(a - g) for a, g in zip(actual, goal, strict=True))
@@ -189,8 +212,15 @@ def main() -> None:
                 "cycles_per_second": SECONDS * rate / seconds,
                 "times_real_time": SECONDS / seconds,
             }
+    compiled = {
+        name: {
+            "seconds": statistics.median(compiling(text) for _ in range(rounds)),
+            "characters": len(text),
+        }
+        for name, text in LONG.items()
+    }
     if options.json:
-        print(json.dumps(figures))
+        print(json.dumps({**figures, **{f"compiling {name}": row for name, row in compiled.items()}}))
         return
     print(f"{SECONDS:g} s of controller time, stepped (median)")
     for name, row in figures.items():
@@ -199,6 +229,10 @@ def main() -> None:
             f"  {name:24} {row['seconds'] * 1e3:7.0f} ms {row['cycles_per_second']:9.0f} cycles/s"
             f" {row['times_real_time']:6.0f} x real time{goal}"
         )
+    print("compiling (median)")
+    for name, row in compiled.items():
+        goal = f"   (goal: at most {LONGEST * 1e3:g} ms)"
+        print(f"  {name:24} {row['seconds'] * 1e3:7.0f} ms {row['characters'] / 1e3:9.0f} kB{goal}")
 
 
 if __name__ == "__main__":

@@ -134,7 +134,7 @@ class Controller:
 
     def _script_receiver(self, port: str, client: Client) -> ScriptReceiver:
         return ScriptReceiver(
-            client, self.counters, lambda line: self.received.append((port, line)), self._loader.queue
+            client, self.counters, lambda line: self.received.append((port, line)), self._loader.open().put
         )
 
     def _may_connect(self, host: str) -> bool:

@@ -231,6 +231,8 @@ class Server:
 
     def _next(self, cycle: int) -> int:
         """The first cycle after this one in which something is to be done at its time; others are caught up then."""
+        if self._loader.is_waiting:
+            return cycle + 1
         wanted = [
             self._control.next_event(cycle),
             *(self._ports[kind].next_cycle(cycle) for kind in {interface(client.name) for client in self.clients}),

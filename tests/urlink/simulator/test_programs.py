@@ -546,6 +546,12 @@ def test_lines_switch_the_arm_off_and_on(watched: Watched) -> None:
     assert watched.story == []
 
 
+def test_a_line_stops_the_program(watched: Watched) -> None:
+    watched.take(WAIT).step(0.1)
+    watched.take("stop program", "stop  program").step(0.1)
+    assert watched.story == ["started wait", "stopped wait"]
+
+
 def test_local_control_refuses_text_and_commands() -> None:
     watched = Watched(files={"a.urp": WAIT})
     watched.controller.remote_control = False

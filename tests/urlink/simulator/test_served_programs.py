@@ -13,10 +13,12 @@ import pytest
 import urlink
 from linkcore.errors import BadValue
 from tests.waiting import until
+from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState, RobotMode
 from urlink.simulator import Controller
-from urlink.simulator.programs.loader import LONG, MOST_WAITING
+from urlink.simulator.programs.loader import BUDGET, LEAST, LONG, MOST_WAITING
 from urlink.simulator.robot.sources import Still
+from urlink.simulator.urscript import Script, compile_script
 
 Connect = Callable[[Controller, str], Any]
 
@@ -109,22 +111,65 @@ def test_local_control_over_the_port(controller: Controller, connect: Connect) -
 # -- long programs -------------------------------------------------------------------------------------
 
 
-def is_compiling() -> bool:
-    return any(thread.name == "urlink sim compiling" for thread in threading.enumerate())
+class Compiling:
+    """The compiling of long programs, which waits until the test lets it go on."""
+
+    def __init__(self) -> None:
+        self.has_begun = threading.Event()
+        self.may_end = threading.Event()
+
+    def __call__(self, text: str, firmware: Firmware) -> Script:
+        if len(text) >= LONG:
+            self.has_begun.set()
+            assert self.may_end.wait(10)
+        return compile_script(text, firmware)
 
 
-def test_a_long_program_does_not_hold_up_the_clock(controller: Controller, connect: Connect) -> None:
-    assert len(PADDING) > LONG
+@pytest.fixture
+def compiling(monkeypatch: pytest.MonkeyPatch) -> Iterator[Compiling]:
+    compiling = Compiling()
+    monkeypatch.setattr("urlink.simulator.programs.loader.compile_script", compiling)
+    yield compiling
+    compiling.may_end.set()
+
+
+def test_a_long_program_does_not_hold_up_the_clock(
+    controller: Controller, connect: Connect, compiling: Compiling
+) -> None:
     realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
-    # What comes after it waits for it.
+    # What the same client sends after it waits for it.
     primary.send(f"def long():\n{PADDING}end\n{TURN}".encode())
-    until(is_compiling)
-    packets = 0
-    while is_compiling():
+    assert compiling.has_begun.wait(10)
+    for _ in range(20):
         realtime.packet()
-        packets += 1
-    assert packets > 10
+    assert not controller.is_running_program
+    compiling.may_end.set()
     assert keys(primary, 4) == ["started long", "stopped long", "started turn", "stopped turn"]
+
+
+def test_a_long_program_does_not_hold_up_other_clients(
+    controller: Controller, connect: Connect, compiling: Compiling
+) -> None:
+    primary, other = connect(controller, "primary"), connect(controller, "secondary")
+    primary.send(f"def long():\n{PADDING}end\n".encode())
+    assert compiling.has_begun.wait(10)
+    other.send(TURN.encode())
+    assert keys(primary, 2) == ["started turn", "stopped turn"]
+    compiling.may_end.set()
+    assert keys(primary, 2) == ["started long", "stopped long"]
+
+
+def test_long_programs_of_several_clients_are_compiled_one_after_the_other(
+    controller: Controller, connect: Connect, compiling: Compiling
+) -> None:
+    primary, other = connect(controller, "primary"), connect(controller, "secondary")
+    primary.send(f"def first():\n{PADDING}end\n".encode())
+    assert compiling.has_begun.wait(10)
+    other.send(f"def second():\n{PADDING}end\n".encode())
+    until(lambda: len(controller.received) == 2 * (PADDING.count("\n") + 2) or len(controller.received) == 1000)
+    assert threading.active_count() < 20
+    compiling.may_end.set()
+    assert keys(primary, 4) == ["started first", "stopped first", "started second", "stopped second"]
 
 
 def test_a_long_program_that_does_not_compile(controller: Controller, connect: Connect) -> None:
@@ -134,29 +179,55 @@ def test_a_long_program_that_does_not_compile(controller: Controller, connect: C
     assert error.line == 2002
     primary.send(b"def long():\n" + b"  # " + b"x" * 60_000 + b"\n" * 250_000 + b"end\n")
     (error,) = messages(primary, urlink.RuntimeExceptionMessage, 1)
+    assert error.text.startswith("program_too_long")
     primary.send(TURN.encode())
     assert keys(primary, 2) == ["started turn", "stopped turn"]
 
 
-def test_a_reboot_forgets_what_is_being_compiled(controller: Controller, connect: Connect) -> None:
+def test_a_reboot_forgets_what_is_being_compiled(
+    controller: Controller, connect: Connect, compiling: Compiling
+) -> None:
     primary = connect(controller, "primary")
-    primary.send(f"def long():\n{PADDING * 4}  sleep(60)\nend\n".encode())
-    until(is_compiling)
+    primary.send(f"def long():\n{PADDING}  sleep(60)\nend\n".encode())
+    assert compiling.has_begun.wait(10)
     controller.faults.reboot(downtime=0.01)
     until(lambda: controller.is_up)
-    until(lambda: not is_compiling())
+    compiling.may_end.set()
     primary = connect(controller, "primary")
     primary.send(TURN.encode())
     assert keys(primary, 2) == ["started turn", "stopped turn"]
 
 
-def test_closing_waits_for_what_is_being_compiled(connect: Connect) -> None:
+def test_closing_waits_for_what_is_being_compiled(connect: Connect, compiling: Compiling) -> None:
     before = set(threading.enumerate())
     with Controller("UR5e", "5.11") as controller:
-        connect(controller, "primary").send(f"def long():\n{PADDING * 4}  sleep(60)\nend\n".encode())
-        until(is_compiling)
-    assert set(threading.enumerate()) <= before
+        connect(controller, "primary").send(f"def long():\n{PADDING}  sleep(60)\nend\n".encode())
+        assert compiling.has_begun.wait(10)
+        threading.Timer(0.1, compiling.may_end.set).start()
+    until(lambda: set(threading.enumerate()) <= before)
     assert not controller.is_running_program
+
+
+def test_what_is_begun_in_one_cycle_is_bounded() -> None:
+    """A flood of lines, each a program, costs each cycle a little, and other clients have their turn."""
+    controller = Controller("UR5e", "5.11", motion=Still())
+    loader = controller._loader
+    flood, other = loader.open(), loader.open()
+    for _ in range(100):
+        assert flood.put("nonsense()")
+    other.put(TURN)
+    in_a_cycle = -(-BUDGET // LEAST)
+    begun = [len(controller.take_messages())]
+    while loader.is_waiting:
+        controller.step()
+        loader.advance()
+        begun.append(len(controller.take_messages()))
+        loader.advance()
+        assert not controller.take_messages()  # nothing more in this cycle
+    assert begun[0] == in_a_cycle
+    assert max(begun) <= in_a_cycle + 1
+    assert controller.program_name == "turn"
+    assert sum(begun) == 101
 
 
 def test_what_waits_is_bounded() -> None:
@@ -164,10 +235,13 @@ def test_what_waits_is_bounded() -> None:
     compiled = threading.Event()
     loader = controller._loader
     loader.on_compiled = compiled.set
-    assert loader.queue(f"def long():\n{PADDING}end\n")
-    assert loader.queue("x" * (MOST_WAITING - 100))
-    assert not loader.queue("y" * 101)
-    assert loader.queue(TURN)
+    queue, other = loader.open(), loader.open()
+    assert queue.put(f"def long():\n{PADDING}end\n")
+    assert queue.put("x" * (MOST_WAITING - 100))
+    assert not queue.put("y" * 101)
+    # What one client sends does not hold up another.
+    assert other.put("y" * 101)
+    assert queue.put(TURN)
     assert compiled.wait(10)
     loader.advance()
     assert controller.program_name == "long"

@@ -7,10 +7,9 @@ same program in the same world does the same, cycle by cycle.
 
 from __future__ import annotations
 
-from .code import Script
 from .compiler import compile_script
 from .errors import ScriptError
-from .execution import Execution
+from .machine import Execution, Script
 from .world import MotionCommands, Move, Sockets, World
 
 __all__ = ["Execution", "MotionCommands", "Move", "Script", "ScriptError", "Sockets", "World", "compile_script"]

@@ -8,14 +8,14 @@ in the expression is worked out before, into slots too, so that the order is tha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from urlink.firmware import Firmware
 
 from . import operations
 from .builtins import find
-from .builtins.declaration import REQUIRED
-from .code import FIRST, Code, Instruction, Script
-from .errors import ScriptError, name_not_found
+from .builtins.declaration import REQUIRED, Builtin
+from .errors import ScriptError
 from .instructions import (
     Label,
     await_builtin,
@@ -33,9 +33,10 @@ from .instructions import (
     store,
     store_element,
 )
-from .operations import Function, Place
+from .machine import FIRST, Code, Instruction, Script
+from .operations import Function
 from .parser import parse
-from .scopes import Functions, assigned, declared_local, definitions, global_names
+from .scopes import Functions, Names, global_names
 from .syntax import (
     Assign,
     Binary,
@@ -61,6 +62,7 @@ from .syntax import (
     Unary,
     While,
 )
+from .tokens import Source
 from .values import UNSET
 
 __all__ = ["compile_script"]
@@ -83,13 +85,15 @@ def compile_script(text: str, firmware: Firmware) -> Script:
     Raises:
         ScriptError: it does not compile, with the place and the controller's text.
     """
-    return _Program(parse(text), firmware).script
+    source = Source(text)
+    return _Program(source, parse(source), firmware).script
 
 
 class _Program:
     """What all functions of a program share."""
 
-    def __init__(self, statements: Block, firmware: Firmware) -> None:
+    def __init__(self, source: Source, statements: Block, firmware: Firmware) -> None:
+        self.source = source
         self.firmware = firmware
         last = statements[-1] if statements else None
         body = statements
@@ -97,12 +101,27 @@ class _Program:
         if isinstance(last, Definition) and last.kind != "thread":
             name, self.kind = last.name, last.kind
             for parameter in last.parameters:
-                raise ScriptError(parameter.line, parameter.column, f"program_with_parameters:{name}:")
+                raise source.failure(parameter.place, f"program_with_parameters:{name}:")
             body = [*statements[:-1], *last.body]
         self.globals = {variable: slot for slot, variable in enumerate(global_names(body))}
+        self._builtins: dict[str, Builtin | None] = {}
         main = Code(name)
         _Compiler(self, main, body, (), None).compile()
-        self.script = Script(name, "sec" if self.kind == "sec" else "def", firmware, main, len(self.globals))
+        self.script = Script(source, name, "sec" if self.kind == "sec" else "def", firmware, main, len(self.globals))
+
+    def builtin(self, name: str) -> Builtin | None:
+        """The built-in function of that name, if the firmware has it."""
+        if name not in self._builtins:
+            self._builtins[name] = find(name, self.firmware)
+        return self._builtins[name]
+
+    def error(self, node: Node, text: str) -> ScriptError:
+        """Something is wrong with a part of the program."""
+        return self.source.failure(node.place, text)
+
+    def not_found(self, node: Node, name: str) -> ScriptError:
+        """Nothing is called that."""
+        return self.error(node, f"compile_error_name_not_found:{name}:")
 
 
 class _Compiler:
@@ -115,16 +134,28 @@ class _Compiler:
         self._code = code
         self._body = body
         self._parameters = [parameter for one in definition for parameter in one.parameters]
-        self._functions = Functions(definitions(body), outer)
-        names = [parameter.name for parameter in self._parameters]
-        free = sorted(assigned(body) - program.globals.keys())
-        self._slots = {
-            name: slot for slot, name in enumerate(dict.fromkeys([*names, *sorted(declared_local(body)), *free]), FIRST)
-        }
+        names = Names.of(body)
+        self._functions = Functions(names, outer)
+        own = [
+            *(parameter.name for parameter in self._parameters),
+            *sorted(names.local),
+            *sorted(names.free.keys() - program.globals.keys()),
+        ]
+        self._slots = {name: slot for slot, name in enumerate(dict.fromkeys(own), FIRST)}
         self._used = self._top = FIRST + len(self._slots)
-        self._makers: list[tuple[Callable[[int], Instruction], Place]] = []
+        self._makers: list[tuple[Callable[[int], Instruction], int]] = []
         self._loops: list[tuple[Label, Label]] = []
         self._taking: dict[int, bool] = {}
+        self._visitors: dict[type[Expression], Callable[[Any], Function]] = {
+            Constant: lambda node: operations.constant(node.value),
+            Name: self._variable,
+            ListDisplay: self._list,
+            PoseDisplay: lambda node: operations.pose_display(self._sequence(node.items), node.place),
+            Index: self._index,
+            Unary: self._unary,
+            Binary: self._binary,
+            Call: self._call,
+        }
         # Of the expressions since the last instruction.
         self._parts = 0
 
@@ -135,8 +166,7 @@ class _Compiler:
                 self._default(parameter, parameter.default, self._slots[parameter.name])
         self._block(self._body)
         last = self._body[-1] if self._body else None
-        place = (last.line, last.column) if last else (1, 1)
-        self._makers.append((lambda after: leave(None), place))
+        self._makers.append((lambda after: leave(None), last.place if last else 0))
         self._code.size = self._top
         self._code.instructions.extend(maker(at) for at, (maker, _) in enumerate(self._makers, 1))
         self._code.places.extend(place for _, place in self._makers)
@@ -154,8 +184,8 @@ class _Compiler:
     def _emit(self, node: Node, maker: Callable[[int], Instruction]) -> None:
         parts, self._parts = self._parts, 0
         if parts > _SHORT:
-            self._makers.append((lambda after: spend(parts, after), (node.line, node.column)))
-        self._makers.append((maker, (node.line, node.column)))
+            self._makers.append((lambda after: spend(parts, after), node.place))
+        self._makers.append((maker, node.place))
 
     def _mark(self, label: Label) -> None:
         label.at = len(self._makers)
@@ -190,7 +220,8 @@ class _Compiler:
                 self._emit(s, lambda after: leave(value))
             case Break() | Continue():
                 if not self._loops:
-                    raise ScriptError(s.line, s.column, f"not_in_a_loop_on_line:{s.line}:")
+                    line, _ = self._program.source.line_and_column(s.place)
+                    raise self._program.error(s, f"not_in_a_loop_on_line:{line}:")
                 label = self._loops[-1][isinstance(s, Break)]
                 self._emit(s, lambda after: jump(label))
             case Halt():
@@ -210,19 +241,19 @@ class _Compiler:
         assert found is not None
         definition, code = found
         if definition is not s or s.kind == "sec":
-            raise ScriptError(s.line, s.column, f"compile_error_name_already_used:{s.name}:")
+            raise self._program.error(s, f"compile_error_name_already_used:{s.name}:")
         _Compiler(self._program, code, s.body, (s,), self._functions).compile()
 
     def _assign(self, s: Assign) -> None:
         is_known = s.name in self._slots or s.name in self._program.globals
         if not is_known and s.name in _SETTERS and len(s.indices) == 1:
-            setting = Call(s.line, s.column, 1, _SETTERS[s.name], [s.indices[0], s.value], [], False)
+            setting = Call(s.place, 1, True, _SETTERS[s.name], [s.indices[0], s.value], [], False)
             value = self._call_builtin(setting)
             self._emit(s, lambda after: evaluate(value, after))
             return
         if s.scope == "global" or s.name not in self._slots:
             if s.name not in self._program.globals:
-                raise name_not_found(s.line, s.column, s.name)
+                raise self._program.not_found(s, s.name)
             is_global, slot = True, self._program.globals[s.name]
         else:
             is_global, slot = False, self._slots[s.name]
@@ -235,7 +266,7 @@ class _Compiler:
     def _evaluate(self, s: Evaluate) -> None:
         expression = s.value
         if isinstance(expression, Name) and expression.name in _BARE:
-            expression = Call(expression.line, expression.column, 1, expression.name, [], [], False)
+            expression = Call(expression.place, 1, True, expression.name, [], [], False)
         value = self._value(expression)
         if not (isinstance(expression, Call) and self._takes(expression, alone=True)):
             self._emit(s, lambda after: evaluate(value, after))
@@ -274,11 +305,13 @@ class _Compiler:
 
     def _takes(self, node: Expression, alone: bool = False) -> bool:
         """It has calls that are instructions; with `alone`, it is one."""
+        if not node.has_calls:
+            return False
         if not alone and id(node) in self._taking:
             return self._taking[id(node)]
         taking = False
         if isinstance(node, Call) and not node.is_run:
-            builtin = None if self._functions.find(node.name) else find(node.name, self._program.firmware)
+            builtin = None if self._functions.find(node.name) else self._program.builtin(node.name)
             taking = builtin is None or builtin.takes_time
         if alone:
             return taking
@@ -288,7 +321,12 @@ class _Compiler:
 
     def _sequence(self, nodes: Sequence[Expression]) -> list[Function]:
         """Several expressions, worked out from left to right."""
-        last = max((at for at, node in enumerate(nodes) if self._takes(node)), default=-1)
+        last = -1
+        for at, node in enumerate(nodes):
+            if node.has_calls and self._takes(node):
+                last = at
+        if last < 0:
+            return [self._value(node) for node in nodes]
         functions = []
         for at, node in enumerate(nodes):
             function = self._value(node)
@@ -304,48 +342,35 @@ class _Compiler:
 
     def _value(self, node: Expression) -> Function:
         """The expression; what in it is an instruction is emitted."""
-        place = (node.line, node.column)
         self._parts += 1
-        match node:
-            case Constant():
-                return operations.constant(node.value)
-            case Name():
-                return self._variable(node)
-            case ListDisplay():
-                if all(isinstance(item, Constant) for item in node.items) and len(node.items) < 32:
-                    return operations.constant(tuple([item.value for item in node.items if isinstance(item, Constant)]))
-                return operations.display(self._sequence(node.items), place)
-            case PoseDisplay():
-                return operations.pose_display(self._sequence(node.items), place)
-            case Index():
-                base, index = self._sequence([node.base, node.index])
-                return operations.element(base, index, place)
-            case Unary():
-                operand = self._value(node.operand)
-                return (
-                    operations.inverted(operand, place)
-                    if node.operator == "not"
-                    else (operations.signed(node.operator, operand, place))
-                )
-            case Binary():
-                return self._binary(node)
-            case Call():
-                return self._call(node)
-            case _:
-                raise AssertionError(node)
+        return self._visitors[node.__class__](node)
+
+    def _list(self, node: ListDisplay) -> Function:
+        if all(isinstance(item, Constant) for item in node.items) and len(node.items) < 32:
+            return operations.constant(tuple([item.value for item in node.items if isinstance(item, Constant)]))
+        return operations.display(self._sequence(node.items), node.place)
+
+    def _index(self, node: Index) -> Function:
+        base, index = self._sequence((node.base, node.index))
+        return operations.element(base, index, node.place)
+
+    def _unary(self, node: Unary) -> Function:
+        operand = self._value(node.operand)
+        if node.operator == "not":
+            return operations.inverted(operand, node.place)
+        return operations.signed(node.operator, operand, node.place)
 
     def _variable(self, node: Name) -> Function:
-        place = (node.line, node.column)
         if node.name in self._slots:
-            return operations.local_variable(self._slots[node.name], node.name, place)
+            return operations.local_variable(self._slots[node.name], node.name, node.place)
         if node.name in self._program.globals:
-            return operations.global_variable(self._program.globals[node.name], node.name, place)
-        raise name_not_found(node.line, node.column, node.name)
+            return operations.global_variable(self._program.globals[node.name], node.name, node.place)
+        raise self._program.not_found(node, node.name)
 
     def _binary(self, node: Binary) -> Function:
-        place = (node.line, node.column)
+        place = node.place
         if node.operator not in ("and", "or"):
-            left, right = self._sequence([node.left, node.right])
+            left, right = self._sequence((node.left, node.right))
             return operations.operation(node.operator, left, right, place)
         join_of = operations.both if node.operator == "and" else operations.either
         if not self._takes(node.right):
@@ -368,27 +393,27 @@ class _Compiler:
         found = self._functions.find(node.name)
         if found is None:
             if node.is_run:
-                raise name_not_found(node.line, node.column, node.name)
+                raise self._program.not_found(node, node.name)
             return self._call_builtin(node)
         definition, code = found
         if node.is_run is not (definition.kind == "thread"):
             wanted = "thread" if node.is_run else "function"
-            raise ScriptError(node.line, node.column, f"compile_error_not_a_{wanted}:{node.name}:")
+            raise self._program.error(node, f"compile_error_not_a_{wanted}:{node.name}:")
         arguments = self._arguments(
             node,
             [(p.name, REQUIRED if p.default is None else UNSET) for p in definition.parameters],
         )
         if node.is_run:
             self._takes_time(node, "run")
-            return operations.placed(start(code, arguments), (node.line, node.column))
+            return operations.placed(start(code, arguments), node.place)
         slot = self._slot()
         self._emit(node, lambda after: call(code, arguments, slot, after))
         return operations.temporary(slot)
 
     def _call_builtin(self, node: Call) -> Function:
-        builtin = find(node.name, self._program.firmware)
+        builtin = self._program.builtin(node.name)
         if builtin is None:
-            raise name_not_found(node.line, node.column, node.name)
+            raise self._program.not_found(node, node.name)
         if not builtin.in_secondary:
             self._takes_time(node, node.name)
         if builtin.is_variadic:
@@ -396,7 +421,7 @@ class _Compiler:
         else:
             arguments = self._arguments(node, builtin.parameters)
         if not builtin.takes_time:
-            return operations.call(builtin.function, arguments, (node.line, node.column))
+            return operations.call(builtin.function, arguments, node.place)
         slot = self._slot()
         self._emit(node, lambda after: await_builtin(builtin.function, arguments, slot, after))
         return operations.temporary(slot)
@@ -404,29 +429,34 @@ class _Compiler:
     def _takes_time(self, node: Node, what: str) -> None:
         """That a `sec` program in which time passes does not compile, is a guess; it may not have such calls."""
         if self._program.kind == "sec":
-            raise ScriptError(node.line, node.column, f"compile_error_not_allowed_in_secondary_program:{what}:")
+            raise self._program.error(node, f"compile_error_not_allowed_in_secondary_program:{what}:")
 
     def _arguments(self, node: Call, parameters: Sequence[tuple[str, object]]) -> list[Function]:
         """One for each parameter, in their order; a wrong number of them is an error when the call is made."""
-        names = [name for name, _ in parameters]
+        positions = {name: at for at, (name, _) in enumerate(parameters)}
         for name, value in node.named:
-            if name not in names:
-                raise name_not_found(value.line, value.column, name)
+            if name not in positions:
+                raise self._program.not_found(value, name)
         worked_out = self._sequence([*node.arguments, *(value for _, value in node.named)])
-        given = dict(zip(names, worked_out[: len(node.arguments)], strict=False))
-        problem = len(node.arguments) > len(names)
+        given: list[Function | None] = [None] * len(parameters)
+        given[: len(node.arguments)] = worked_out[: len(node.arguments)]
+        problem = len(given) > len(parameters)
         for (name, _), function in zip(node.named, worked_out[len(node.arguments) :], strict=True):
-            problem |= name in given
-            given[name] = function
-        problem |= any(default is REQUIRED and name not in given for name, default in parameters)
-        if problem:
+            problem |= given[positions[name]] is not None
+            given[positions[name]] = function
+        if problem or any(
+            function is None and default is REQUIRED for function, (_, default) in zip(given, parameters, strict=False)
+        ):
             least = sum(default is REQUIRED for _, default in parameters)
-            wanted = f"exactly {least}" if least == len(names) else f"{least} to {len(names)}"
+            wanted = f"exactly {least}" if least == len(parameters) else f"{least} to {len(parameters)}"
             failing = operations.failing(
                 f"Type error: {node.name} takes {wanted} arguments, {len(node.arguments) + len(node.named)} given"
             )
-            return [failing] * max(1, len(names))
-        return [given[name] if name in given else operations.constant(default) for name, default in parameters]
+            return [failing] * max(1, len(parameters))
+        return [
+            operations.constant(default) if function is None else function
+            for function, (_, default) in zip(given, parameters, strict=True)
+        ]
 
 
 def _parts(node: Expression) -> Sequence[Expression]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from urlink.firmware import Firmware
 
-__all__ = ["ANOTHER_THREAD", "Fault", "ScriptError", "endless", "name_not_found", "type_error"]
+__all__ = ["ANOTHER_THREAD", "Fault", "ScriptError", "endless", "type_error"]
 
 ANOTHER_THREAD = "Another thread is already controlling the robot"
 
@@ -40,12 +40,15 @@ class ScriptError(Exception):
 
 
 class Fault(Exception):
-    """A run-time error whose place in the program is not known yet; the machine makes a `ScriptError` of it."""
+    """A run-time error, of which the machine makes a `ScriptError`.
 
+    Attributes:
+        place: where in the text it happened, if that is known better than by the instruction.
+    """
 
-def name_not_found(line: int, column: int, name: str) -> ScriptError:
-    """Nothing is called that."""
-    return ScriptError(line, column, f"compile_error_name_not_found:{name}:")
+    def __init__(self, text: str, place: int | None = None) -> None:
+        super().__init__(text)
+        self.place = place
 
 
 def type_error(text: str) -> Fault:

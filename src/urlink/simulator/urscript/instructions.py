@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from . import values
-from .code import ENDED, GLOBALS, THREAD, Code, Frame, Instruction
 from .errors import Fault, type_error
-from .machine import ScriptThread, Waiting
+from .machine import ENDED, GLOBALS, THREAD, Code, Frame, Instruction, ScriptThread, Waiting
 from .operations import Function
 from .values import NUMBERS, UNSET
 
@@ -48,7 +47,7 @@ class Label:
 def evaluate(value: Function, after: int) -> Instruction:
     """Work it out, for what it does."""
 
-    def run(f: Frame) -> int:
+    def run(f: Frame, value: Function = value, after: int = after) -> int:
         value(f)
         return after
 
@@ -69,13 +68,13 @@ def store(is_global: bool, slot: int, value: Function, after: int) -> Instructio
     """Assign to a variable."""
     if is_global:
 
-        def run_global(f: Frame) -> int:
+        def run_global(f: Frame, slot: int = slot, value: Function = value, after: int = after) -> int:
             f[GLOBALS][slot] = value(f)
             return after
 
         return run_global
 
-    def run(f: Frame) -> int:
+    def run(f: Frame, slot: int = slot, value: Function = value, after: int = after) -> int:
         f[slot] = value(f)
         return after
 

@@ -12,17 +12,23 @@ __all__ = [
     "MAX_INTEGER",
     "MAX_MEMORY",
     "MAX_NESTING",
+    "MAX_PARAMETERS",
     "MAX_STRING",
     "MAX_TEXT",
     "MAX_THREADS",
+    "MAX_TOKENS",
     "MAX_WORK",
     "MIN_INTEGER",
 ]
 
 #: characters of a program's text
 MAX_TEXT = 262_144
+#: of a program; 250 kB of ordinary statements have some 120 000
+MAX_TOKENS = 131_072
 #: of brackets, blocks and operators in one another
 MAX_NESTING = 64
+#: of one function; a call looks at each, given or not
+MAX_PARAMETERS = 64
 #: of one controller cycle, all threads together
 MAX_INSTRUCTIONS = 20_000
 #: Of one controller cycle, all threads together: elements and characters that are made, parts of long expressions, and

@@ -1,4 +1,8 @@
-"""The machine: threads that take turns, cycle by cycle.
+"""The machine that runs compiled programs: threads that take turns, cycle by cycle.
+
+A function is a list of instructions, and nothing in the machine calls itself. A frame is a plain list: the program's
+globals, the thread that runs, and the function's own variables. An instruction is a Python function of the frame that
+returns the number of the next instruction, or one of the three numbers below that say why there is none.
 
 In each cycle every thread runs, in the order in which they were started, until it does something that takes time.
 Which thread a real controller runs first is not known; its manual says that each has a slice of every cycle.
@@ -13,18 +17,82 @@ from __future__ import annotations
 import random
 from collections import deque
 from collections.abc import Callable, Generator
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from linkcore.errors import BadValue
+from urlink.firmware import Firmware
 
 from ..robot.generator import Unreachable
-from .code import ENDED, SWITCHED, THREAD, WAITING, Code, Frame, Script
 from .errors import ANOTHER_THREAD, Fault, ScriptError, endless
 from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, MAX_WORK
+from .tokens import Source
 from .values import UNSET, weight
 from .world import Move, World
 
-__all__ = ["Machine", "ScriptThread", "Waiting"]
+__all__ = [
+    "ENDED",
+    "FIRST",
+    "GLOBALS",
+    "SWITCHED",
+    "THREAD",
+    "WAITING",
+    "Code",
+    "Execution",
+    "Frame",
+    "Instruction",
+    "Machine",
+    "Script",
+    "ScriptThread",
+    "Waiting",
+]
+
+Frame = list[Any]
+Instruction = Callable[[Frame], int]
+
+#: Where in a frame the globals, the thread and the first variable are.
+GLOBALS, THREAD, FIRST = 0, 1, 2
+#: Another function goes on; the thread waits for a later cycle; the thread is over.
+SWITCHED, WAITING, ENDED = -1, -2, -3
+
+
+@dataclass(eq=False)
+class Code:
+    """A function.
+
+    Attributes:
+        name: for messages.
+        size: of its frame.
+        instructions: one after the other.
+        places: where in the text each stands.
+    """
+
+    name: str
+    size: int = FIRST
+    instructions: list[Instruction] = field(default_factory=list)
+    places: list[int] = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class Script:
+    """A program that compiles.
+
+    Attributes:
+        source: its text.
+        name: as after `def` or `sec`; "unnamed" (a guess) for statements alone.
+        kind: `sec` runs beside the program that moves the arm.
+        firmware: for which it was compiled.
+        main: where it begins.
+        n_globals: how many global variables it has.
+    """
+
+    source: Source
+    name: str
+    kind: Literal["def", "sec"]
+    firmware: Firmware
+    main: Code
+    n_globals: int
+
 
 #: A function that takes time: it yields once for every cycle that it waits, and returns its value.
 Waiting = Generator[None, None, Any]
@@ -126,14 +194,14 @@ class ScriptThread:
             machine.left = 0
             raise endless(machine.world.firmware)
         except Fault as fault:
-            raise self._error(at, str(fault)) from None
+            raise self._error(at, str(fault), fault.place) from None
         except (BadValue, ArithmeticError, ValueError) as error:
-            raise self._error(at, str(error)) from None
+            raise self._error(at, str(error), None) from None
 
-    def _error(self, at: int, text: str) -> ScriptError:
+    def _error(self, at: int, text: str, place: int | None) -> ScriptError:
         places = self._code.places
-        line, column = places[min(max(at, 0), len(places) - 1)]
-        return ScriptError(line, column, text)
+        where = places[min(max(at, 0), len(places) - 1)] if place is None else place
+        return self.machine.source.failure(where, text)
 
     @property
     def memory(self) -> int:
@@ -146,6 +214,7 @@ class Machine:
     """All threads of one program.
 
     Attributes:
+        source: the text of the program.
         world: the controller.
         left: instructions that may still be run in this cycle.
         random: for the function of that name; it gives the same numbers in every run.
@@ -154,6 +223,7 @@ class Machine:
     """
 
     def __init__(self, script: Script, world: World) -> None:
+        self.source = script.source
         self.world = world
         self.left = MAX_INSTRUCTIONS
         self.random = random.Random(0)
@@ -248,3 +318,43 @@ class Machine:
             held = sum(map(weight, self._globals)) + sum(thread.memory for thread in self._threads)
             if held > MAX_MEMORY:
                 raise Fault(f"Out of memory: the variables hold {held} elements")
+
+
+class Execution:
+    """One run of a program.
+
+    Attributes:
+        script: the program.
+        is_over: its main thread has ended, which ends the others, or it was stopped, or it failed.
+        error: the run-time error that ended it.
+    """
+
+    def __init__(self, script: Script, world: World) -> None:
+        self.script = script
+        self.is_over = False
+        self.error: ScriptError | None = None
+        self._world = world
+        self._machine = Machine(script, world)
+
+    def advance(self) -> None:
+        """One controller cycle: every thread runs until it waits for a later one."""
+        if self.is_over:
+            return
+        try:
+            self._machine.advance()
+        except ScriptError as error:
+            self.error = error
+            self.stop()
+        if self._machine.main.is_over:
+            self.stop()
+
+    def stop(self) -> None:
+        """End all threads, let go of the arm and close the program's sockets."""
+        if self.is_over:
+            return
+        self.is_over = True
+        self._machine.stop()
+        if self._machine.has_moved:
+            self._world.motion.release()
+        if self.script.kind == "def":
+            self._world.sockets.close_all()

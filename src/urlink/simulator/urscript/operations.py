@@ -1,6 +1,10 @@
 """Expressions as Python functions of the frame.
 
 The common cases, numbers in variables, are handled in the function itself; everything else is left to `values`.
+
+Many of them have their operands as default values rather than as variables of a closure. That is faster, and makes two
+objects where a closure makes five: of a long program there are hundreds of thousands, and each is looked at whenever
+Python collects its garbage.
 """
 
 from __future__ import annotations
@@ -10,14 +14,13 @@ from operator import itemgetter
 from typing import Any
 
 from . import values
-from .code import GLOBALS, THREAD, Frame
-from .errors import Fault, ScriptError, type_error
+from .errors import Fault, type_error
 from .limits import MAX_INTEGER, MIN_INTEGER
+from .machine import GLOBALS, THREAD, Frame
 from .values import NUMBERS, UNSET, Pose
 
 __all__ = [
     "Function",
-    "Place",
     "both",
     "call",
     "checked_truth",
@@ -38,18 +41,21 @@ __all__ = [
 ]
 
 Function = Callable[[Frame], Any]
-Place = tuple[int, int]
 
 
-def placed(function: Function, place: Place) -> Function:
+def _at(place: int, fault: Fault) -> Fault:
+    """The fault, which happened there if it does not know better."""
+    return fault if fault.place is not None else Fault(str(fault), place)
+
+
+def placed(function: Function, place: int) -> Function:
     """The same, but its faults say where they happened."""
-    line, column = place
 
     def run(f: Frame) -> Any:
         try:
             return function(f)
         except Fault as fault:
-            raise ScriptError(line, column, str(fault)) from None
+            raise _at(place, fault) from None
 
     return run
 
@@ -65,7 +71,11 @@ def failing(text: str) -> Function:
 
 def constant(value: Any) -> Function:
     """Always the same."""
-    return lambda f: value
+
+    def run(f: Frame, value: Any = value) -> Any:
+        return value
+
+    return run
 
 
 def temporary(slot: int) -> Function:
@@ -73,33 +83,31 @@ def temporary(slot: int) -> Function:
     return itemgetter(slot)
 
 
-def local_variable(slot: int, name: str, place: Place) -> Function:
+def local_variable(slot: int, name: str, place: int) -> Function:
     """A variable of the function."""
-    line, column = place
 
-    def run(f: Frame) -> Any:
+    def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[slot]
         if value is UNSET:
-            raise ScriptError(line, column, f"The variable '{name}' has no value")
+            raise Fault(f"The variable '{name}' has no value", place)
         return value
 
     return run
 
 
-def global_variable(slot: int, name: str, place: Place) -> Function:
+def global_variable(slot: int, name: str, place: int) -> Function:
     """A variable of the program."""
-    line, column = place
 
-    def run(f: Frame) -> Any:
+    def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[GLOBALS][slot]
         if value is UNSET:
-            raise ScriptError(line, column, f"The variable '{name}' has no value")
+            raise Fault(f"The variable '{name}' has no value", place)
         return value
 
     return run
 
 
-def display(items: Sequence[Function], place: Place) -> Function:
+def display(items: Sequence[Function], place: int) -> Function:
     """A list."""
 
     def run(f: Frame) -> Any:
@@ -108,7 +116,7 @@ def display(items: Sequence[Function], place: Place) -> Function:
     return placed(run, place)
 
 
-def pose_display(items: Sequence[Function], place: Place) -> Function:
+def pose_display(items: Sequence[Function], place: int) -> Function:
     """A pose."""
 
     def run(f: Frame) -> Any:
@@ -121,11 +129,10 @@ def pose_display(items: Sequence[Function], place: Place) -> Function:
     return placed(run, place)
 
 
-def element(base: Function, index: Function, place: Place) -> Function:
+def element(base: Function, index: Function, place: int) -> Function:
     """`base[index]`"""
-    line, column = place
 
-    def run(f: Frame) -> Any:
+    def run(f: Frame, base: Function = base, index: Function = index, place: int = place) -> Any:
         value, at = base(f), index(f)
         if at.__class__ is int and at >= 0 and (value.__class__ is tuple or value.__class__ is Pose):
             try:
@@ -135,7 +142,7 @@ def element(base: Function, index: Function, place: Place) -> Function:
         try:
             return values.element(value, at)
         except Fault as fault:
-            raise ScriptError(line, column, str(fault)) from None
+            raise _at(place, fault) from None
 
     return run
 
@@ -145,175 +152,188 @@ def truth(value: Any) -> bool:
     return value if value is True or value is False else values.truth(value)
 
 
-def both(left: Function, right: Function, place: Place) -> Function:
+def both(left: Function, right: Function, place: int) -> Function:
     """`and`; the right side is worked out only if the left holds (a guess)."""
     return placed(lambda f: truth(left(f)) and truth(right(f)), place)
 
 
-def either(left: Function, right: Function, place: Place) -> Function:
+def either(left: Function, right: Function, place: int) -> Function:
     """`or`; the right side is worked out only if the left does not hold (a guess)."""
     return placed(lambda f: truth(left(f)) or truth(right(f)), place)
 
 
-def inverted(operand: Function, place: Place) -> Function:
+def inverted(operand: Function, place: int) -> Function:
     """`not`"""
     return placed(lambda f: not truth(operand(f)), place)
 
 
-def checked_truth(operand: Function, place: Place) -> Function:
+def checked_truth(operand: Function, place: int) -> Function:
     """A truth value, or an error."""
     return placed(lambda f: truth(operand(f)), place)
 
 
-def signed(sign: str, operand: Function, place: Place) -> Function:
+def signed(sign: str, operand: Function, place: int) -> Function:
     """`-a`, `+a`"""
     factor = -1 if sign == "-" else 1
     return placed(lambda f: values.signed(factor, operand(f), f[THREAD].machine.charge), place)
 
 
-def operation(sign: str, left: Function, right: Function, place: Place) -> Function:
+def operation(sign: str, left: Function, right: Function, place: int) -> Function:
     """Arithmetic, comparison, or `xor`."""
-    if sign in _ARITHMETIC:
-        slow = _placed_pair(_ARITHMETIC[sign], place)
-        return _FAST[sign](left, right, slow) if sign in _FAST else _plain(left, right, slow)
-    if sign in ("==", "!="):
-        return _equality(left, right, sign == "==")
-    if sign == "xor":
-        return placed(lambda f: truth(left(f)) is not truth(right(f)), place)
-    return _comparison(sign, left, right, place)
-
-
-Pair = Callable[[Any, Any, Frame], Any]
-_ARITHMETIC: dict[str, Callable[[Any, Any, values.Charge], Any]] = {
-    "+": values.add,
-    "-": values.subtract,
-    "*": values.multiply,
-    "/": values.divide,
-    "%": values.modulo,
-}
-
-
-def _placed_pair(function: Callable[[Any, Any, values.Charge], Any], place: Place) -> Pair:
-    """An operation on two values whose faults say where they happened."""
-    line, column = place
-
-    def run(a: Any, b: Any, f: Frame) -> Any:
-        try:
-            return function(a, b, f[THREAD].machine.charge)
-        except Fault as fault:
-            raise ScriptError(line, column, str(fault)) from None
-
-    return run
-
-
-def _plain(left: Function, right: Function, slow: Pair) -> Function:
-    return lambda f: slow(left(f), right(f), f)
+    return _OPERATIONS[sign](left, right, place)
 
 
 # A result between the two limits is a good integer and a good float alike; the comparison is false for NaN. Whatever
 # is not between them is looked at by the slow way.
 
 
-def _sum(left: Function, right: Function, slow: Pair) -> Function:
-    def run(f: Frame) -> Any:
+def _slow(function: Callable[[Any, Any, values.Charge], Any], a: Any, b: Any, f: Frame, place: int) -> Any:
+    try:
+        return function(a, b, f[THREAD].machine.charge)
+    except Fault as fault:
+        raise _at(place, fault) from None
+
+
+def _sum(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
         if a.__class__ in NUMBERS and b.__class__ in NUMBERS:
             c = a + b
             if MIN_INTEGER <= c <= MAX_INTEGER:
                 return c
-        return slow(a, b, f)
+        return _slow(values.add, a, b, f, place)
 
     return run
 
 
-def _difference(left: Function, right: Function, slow: Pair) -> Function:
-    def run(f: Frame) -> Any:
+def _difference(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
         if a.__class__ in NUMBERS and b.__class__ in NUMBERS:
             c = a - b
             if MIN_INTEGER <= c <= MAX_INTEGER:
                 return c
-        return slow(a, b, f)
+        return _slow(values.subtract, a, b, f, place)
 
     return run
 
 
-def _product(left: Function, right: Function, slow: Pair) -> Function:
-    def run(f: Frame) -> Any:
+def _product(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
         if a.__class__ in NUMBERS and b.__class__ in NUMBERS:
             c = a * b
             if MIN_INTEGER <= c <= MAX_INTEGER:
                 return c
-        return slow(a, b, f)
+        return _slow(values.multiply, a, b, f, place)
 
     return run
 
 
-def _quotient(left: Function, right: Function, slow: Pair) -> Function:
-    def run(f: Frame) -> Any:
+def _quotient(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
         if a.__class__ in NUMBERS and b.__class__ in NUMBERS and b:
             c = a / b
             if MIN_INTEGER <= c <= MAX_INTEGER:
                 return c
-        return slow(a, b, f)
+        return _slow(values.divide, a, b, f, place)
 
     return run
 
 
-_FAST = {"+": _sum, "-": _difference, "*": _product, "/": _quotient}
+def _remainder(left: Function, right: Function, place: int) -> Function:
+    return lambda f: _slow(values.modulo, left(f), right(f), f, place)
 
 
-def _equality(left: Function, right: Function, is_equal: bool) -> Function:
-    def run(f: Frame) -> Any:
+def _exclusive(left: Function, right: Function, place: int) -> Function:
+    return placed(lambda f: truth(left(f)) is not truth(right(f)), place)
+
+
+def _equal(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right) -> Any:
         a, b = left(f), right(f)
         if a.__class__ in NUMBERS and b.__class__ in NUMBERS:
-            return (a == b) is is_equal
-        return values.equal(a, b, f[THREAD].machine.charge) is is_equal
+            return a == b
+        return values.equal(a, b, f[THREAD].machine.charge)
 
     return run
 
 
-def _comparison(sign: str, left: Function, right: Function, place: Place) -> Function:
-    line, column = place
+def _unequal(left: Function, right: Function, place: int) -> Function:
+    equal = _equal(left, right, place)
+    return lambda f: not equal(f)
 
-    def slow(a: Any, b: Any) -> bool:
-        try:
-            return values.compare(sign, a, b)
-        except Fault as fault:
-            raise ScriptError(line, column, str(fault)) from None
 
-    def less(f: Frame) -> Any:
+def _slow_comparison(sign: str, a: Any, b: Any, place: int) -> bool:
+    try:
+        return values.compare(sign, a, b)
+    except Fault as fault:
+        raise _at(place, fault) from None
+
+
+def _less(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
-        return a < b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else slow(a, b)
+        return a < b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else _slow_comparison("<", a, b, place)
 
-    def at_most(f: Frame) -> Any:
+    return run
+
+
+def _at_most(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
-        return a <= b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else slow(a, b)
+        return a <= b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else _slow_comparison("<=", a, b, place)
 
-    def greater(f: Frame) -> Any:
+    return run
+
+
+def _greater(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
-        return a > b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else slow(a, b)
+        return a > b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else _slow_comparison(">", a, b, place)
 
-    def at_least(f: Frame) -> Any:
+    return run
+
+
+def _at_least(left: Function, right: Function, place: int) -> Function:
+    def run(f: Frame, left: Function = left, right: Function = right, place: int = place) -> Any:
         a, b = left(f), right(f)
-        return a >= b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else slow(a, b)
+        return a >= b if a.__class__ in NUMBERS and b.__class__ in NUMBERS else _slow_comparison(">=", a, b, place)
 
-    return {"<": less, "<=": at_most, ">": greater, ">=": at_least}[sign]
+    return run
 
 
-def call(function: Callable[..., Any], arguments: Sequence[Function], place: Place) -> Function:
+_OPERATIONS: dict[str, Callable[[Function, Function, int], Function]] = {
+    "+": _sum,
+    "-": _difference,
+    "*": _product,
+    "/": _quotient,
+    "%": _remainder,
+    "==": _equal,
+    "!=": _unequal,
+    "<": _less,
+    "<=": _at_most,
+    ">": _greater,
+    ">=": _at_least,
+    "xor": _exclusive,
+}
+
+
+def call(function: Callable[..., Any], arguments: Sequence[Function], place: int) -> Function:
     """A built-in function that takes no time."""
-    line, column = place
 
-    def run(f: Frame) -> Any:
+    def run(
+        f: Frame,
+        function: Callable[..., Any] = function,
+        arguments: Sequence[Function] = arguments,
+        place: int = place,
+    ) -> Any:
         try:
             return function(f[THREAD], *[argument(f) for argument in arguments])
         except Fault as fault:
-            text = str(fault)
+            raise _at(place, fault) from None
         except (ArithmeticError, ValueError) as error:
-            text = str(error)
-        raise ScriptError(line, column, text)
+            raise Fault(str(error), place) from None
 
     return run

@@ -1,14 +1,14 @@
-"""From words to syntax, by recursive descent.
+"""From tokens to syntax, by recursive descent.
 
     program    = { statement }
-    statement  = [ definition | if | while | simple ] end-of-line
+    statement  = definition | if | while | simple | "pass" | "$" number string
     definition = ( "def" | "sec" | "thread" ) name "(" [ parameter { "," parameter } ] ")" ":" block "end"
     parameter  = name [ "=" expression ]
-    block      = statement { statement }               at least one that is not empty
+    block      = { statement }
     if         = "if" expression ":" block { "elif" expression ":" block } [ "else" ":" block ] "end"
     while      = "while" expression ":" block "end"
     simple     = [ "global" | "local" ] name [ "=" expression ] | name { "[" expressions "]" } "=" expression
-               | "return" [ expression ] | "break" | "continue" | "pass" | "halt" [ "(" ")" ]
+               | "return" [ expression ] | "break" | "continue" | "halt" [ "(" ")" ]
                | "kill" expression | "join" expression | expression
     expression = xor { "or" xor }
     xor        = and { "xor" and }
@@ -23,22 +23,26 @@
                | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
-Three things are read off drivers' programs: `m[i, j]` is the element of a matrix, a list of lists; `p[i]` that of a
-variable called p; and after an operator between two operands the line may end.
+Read off public programs that run on real controllers: line ends mean nothing, so that two statements stand on one line
+and an expression goes on in the next; blocks may be empty; PolyScope writes `$ 1 "Robot Program"` before each node of a
+program, which does nothing here; `m[i, j]` is the element of a matrix, a list of lists; `p[i]` that of a variable that
+is called p.
 
-Guesses: the precedence of `xor`; that an empty block is an error (`pass` is there to fill it); that the line after a
-colon need not end; that a word after a whole statement on one line is an error unless it is `end`, `else` or `elif`.
-`true` and `false` stand in users' programs and are taken as `True` and `False`.
+Guesses: the precedence of `xor`; that the value of a `return` begins on its line, since the next statement would be
+taken for it; that a statement which is an expression begins with a name. `true` and `false` stand in users' programs
+and are taken as `True` and `False`.
+
+Each token is looked at a bounded number of times, so the work is linear in the text.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from .errors import ScriptError
-from .limits import MAX_INTEGER, MAX_NESTING
+from .limits import MAX_INTEGER, MAX_NESTING, MAX_PARAMETERS
 from .syntax import (
     Assign,
     Binary,
@@ -66,7 +70,7 @@ from .syntax import (
     Unary,
     While,
 )
-from .tokens import Source, Token
+from .tokens import END, NAME, NUMBER, STRING, Source, tokens_of
 
 __all__ = ["parse"]
 
@@ -83,19 +87,19 @@ _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for op
 _COMPARISON = 4
 
 
-def parse(text: str) -> Block:
-    """The statements of a program's text.
+def parse(source: Source) -> Block:
+    """The statements of a program.
 
     Raises:
         ScriptError: it is no program, with the place and the controller's text.
     """
-    return _Parser(Source(text)).program()
+    return _Parser(source).program()
 
 
 class _Parser:
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._tokens = source.tokens
+        self._kinds, self._texts, self._places = tokens_of(source)
         self._at = 0
         self._nesting = 0
         self._readers: dict[str, Callable[[], Statement]] = {
@@ -105,112 +109,118 @@ class _Parser:
             "if": self._if,
             "while": self._while,
             "return": self._return,
-            "break": lambda: Break(*self._place()),
-            "continue": lambda: Continue(*self._place()),
+            "break": lambda: Break(self._take()),
+            "continue": lambda: Continue(self._take()),
             "halt": self._halt,
-            "kill": lambda: Kill(*self._place(), self._expression()),
-            "join": lambda: Join(*self._place(), self._expression()),
+            "kill": lambda: Kill(self._take(), self._expression()),
+            "join": lambda: Join(self._take(), self._expression()),
             "global": lambda: self._declaration("global"),
             "local": lambda: self._declaration("local"),
+            "run": self._evaluate,
+            NAME: self._simple,
         }
 
-    # -- words -------------------------------------------------------------------------------------
+    # -- tokens ------------------------------------------------------------------------------------
 
-    @property
-    def _next(self) -> Token:
-        return self._tokens[self._at]
+    def _take(self) -> int:
+        """Take the token at hand, which is not the end; its place."""
+        self._at += 1
+        return self._places[self._at - 1]
 
-    def _take(self) -> Token:
-        token = self._tokens[self._at]
-        if token.kind != "end of text":
-            self._at += 1
-        return token
-
-    def _place(self) -> tuple[int, int]:
-        """Of the word at hand, which is taken."""
-        token = self._take()
-        return token.line, token.column
-
-    def _expect(self, kind: str) -> Token:
-        if self._next.kind != kind:
+    def _expect(self, kind: str) -> int:
+        if self._kinds[self._at] != kind:
             raise self._unexpected()
-        return self._take()
+        self._at += 1
+        return self._places[self._at - 1]
 
     def _accept(self, kind: str) -> bool:
-        if self._next.kind == kind:
-            self._take()
+        if self._kinds[self._at] == kind:
+            self._at += 1
             return True
         return False
 
-    def _unexpected(self) -> ScriptError:
-        return self._source.error(self._next.line, self._next.column)
+    def _name(self) -> tuple[int, str]:
+        """Place and text of a name, which is taken."""
+        place = self._expect(NAME)
+        return place, self._texts[self._at - 1]
 
-    def _deeper(self, token: Token) -> None:
+    def _begins_a_line(self) -> bool:
+        """Nothing stands before the token at hand on its line."""
+        return "\n" in self._source.text[self._places[self._at - 1] : self._places[self._at]]
+
+    def _unexpected(self) -> ScriptError:
+        return self._source.syntax_error(self._places[self._at])
+
+    def _deeper(self) -> None:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise ScriptError(token.line, token.column, f"nesting_too_deep_on_line:{token.line}:")
+            raise self._too_deep(self._places[self._at])
 
-    def _joined(self, token: Token, *parts: Expression) -> int:
+    def _too_deep(self, place: int) -> ScriptError:
+        line, _ = self._source.line_and_column(place)
+        return self._source.failure(place, f"nesting_too_deep_on_line:{line}:")
+
+    def _depth(self, place: int, parts: Sequence[Expression]) -> int:
+        """Of an expression with these parts."""
         depth = 1 + max((part.depth for part in parts), default=0)
         if depth > MAX_NESTING:
-            raise ScriptError(token.line, token.column, f"nesting_too_deep_on_line:{token.line}:")
+            raise self._too_deep(place)
         return depth
 
     # -- statements --------------------------------------------------------------------------------
 
     def program(self) -> Block:
         block: Block = []
-        while self._next.kind != "end of text":
+        while self._kinds[self._at] != END:
             self._statement(block)
         return block
 
     def _block(self, *ends: str) -> Block:
-        """Statements up to one of those words, which is left."""
+        """Statements up to one of those keywords, which is left."""
         block: Block = []
-        self._deeper(self._next)
-        has_any = False
-        while self._next.kind not in ends:
-            has_any |= self._statement(block)
+        self._deeper()
+        while self._kinds[self._at] not in ends:
+            self._statement(block)
         self._nesting -= 1
-        if not has_any:
-            raise self._unexpected()
         return block
 
-    def _statement(self, block: Block) -> bool:
-        """Read a line; False where it was empty."""
-        token = self._next
-        if token.kind == "newline":
-            self._take()
-            return False
-        if token.kind == "pass":
-            self._take()
+    def _statement(self, block: Block) -> None:
+        kind = self._kinds[self._at]
+        reader = self._readers.get(kind)
+        if reader is not None:
+            block.append(reader())
+        elif kind == "$":
+            self._at += 1
+            self._expect(NUMBER)
+            self._expect(STRING)
+        elif kind == "pass":
+            self._at += 1
         else:
-            block.append(self._readers.get(token.kind, self._simple)())
-        if self._next.kind not in ("end", "else", "elif"):
-            self._expect("newline")
-        return True
+            raise self._unexpected()
 
     def _definition(self, kind: Literal["def", "sec", "thread"]) -> Definition:
-        self._take()
-        name = self._expect("name")
+        self._at += 1
+        place, name = self._name()
         self._expect("(")
-        parameters: list[Parameter] = []
-        while self._next.kind != ")":
+        parameters: dict[str, Parameter] = {}
+        while self._kinds[self._at] != ")":
             if parameters:
                 self._expect(",")
-            parameter = self._expect("name")
+            at, parameter = self._name()
+            if parameter in parameters:
+                raise self._source.syntax_error(at)
+            if len(parameters) == MAX_PARAMETERS:
+                raise self._source.failure(at, f"too_many_parameters:{name}:")
             default = self._expression() if self._accept("=") else None
-            if any(other.name == parameter.text for other in parameters):
-                raise self._source.error(parameter.line, parameter.column)
-            parameters.append(Parameter(parameter.line, parameter.column, parameter.text, default))
+            parameters[parameter] = Parameter(at, parameter, default)
         self._expect(")")
         self._expect(":")
         body = self._block("end")
         self._expect("end")
-        return Definition(name.line, name.column, kind, name.text, parameters, body)
+        return Definition(place, kind, name, list(parameters.values()), body)
 
     def _if(self) -> If:
-        word = self._take()
+        place = self._take()
         branches: list[tuple[Expression, Block]] = []
         otherwise: Block = []
         while True:
@@ -223,182 +233,189 @@ class _Parser:
             self._expect(":")
             otherwise = self._block("end")
         self._expect("end")
-        return If(word.line, word.column, branches, otherwise)
+        return If(place, branches, otherwise)
 
     def _while(self) -> While:
-        word = self._take()
+        place = self._take()
         condition = self._expression()
         self._expect(":")
         body = self._block("end")
         self._expect("end")
-        return While(word.line, word.column, condition, body)
+        return While(place, condition, body)
 
     def _return(self) -> Return:
-        word = self._take()
-        has_value = self._next.kind not in ("newline", "end", "else", "elif")
-        return Return(word.line, word.column, self._expression() if has_value else None)
+        place = self._take()
+        ends = self._kinds[self._at] in ("end", "else", "elif", END) or self._begins_a_line()
+        return Return(place, None if ends else self._expression())
 
     def _halt(self) -> Halt:
-        place = self._place()
+        place = self._take()
         if self._accept("("):
             self._expect(")")
-        return Halt(*place)
+        return Halt(place)
 
     def _declaration(self, scope: Scope) -> Statement:
-        self._take()
-        name = self._expect("name")
+        self._at += 1
+        place, name = self._name()
         if self._accept("="):
-            return Assign(name.line, name.column, name.text, scope, [], self._expression())
-        return Declare(name.line, name.column, name.text, scope)
+            return Assign(place, name, scope, [], self._expression())
+        return Declare(place, name, scope)
+
+    def _evaluate(self) -> Evaluate:
+        return Evaluate(self._places[self._at], self._expression())
 
     def _simple(self) -> Statement:
-        begin = self._next
+        place = self._places[self._at]
         value = self._expression()
-        if self._next.kind != "=":
-            return Evaluate(begin.line, begin.column, value)
+        if self._kinds[self._at] != "=":
+            return Evaluate(place, value)
         indices: list[Expression] = []
         target = value
         while isinstance(target, Index):
-            indices.insert(0, target.index)
+            indices.append(target.index)
             target = target.base
         if not isinstance(target, Name):
             raise self._unexpected()
-        self._take()
-        return Assign(begin.line, begin.column, target.name, "free", indices, self._expression())
+        indices.reverse()
+        self._at += 1
+        return Assign(place, target.name, "free", indices, self._expression())
 
     # -- expressions -------------------------------------------------------------------------------
 
     def _expression(self, level: int = 1) -> Expression:
         """An operation whose operators bind at `level` or tighter."""
-        token = self._next
-        self._deeper(token)
-        if token.kind == "not" and level <= _COMPARISON:
-            self._take()
+        kinds = self._kinds
+        self._deeper()
+        if kinds[self._at] == "not" and level <= _COMPARISON:
+            place = self._take()
             operand = self._expression(_COMPARISON)
-            left: Expression = Unary(token.line, token.column, self._joined(token, operand), "not", operand)
+            left: Expression = Unary(place, self._depth(place, (operand,)), operand.has_calls, "not", operand)
         else:
             left = self._unary()
-        while (binding := _BINDING.get(self._next.kind, 0)) >= level:
-            token = self._take()
-            while self._accept("newline"):
-                pass
+        while (binding := _BINDING.get(kinds[self._at], 0)) >= level:
+            operator, place = kinds[self._at], self._places[self._at]
+            self._at += 1
             right = self._expression(binding + 1)
-            left = Binary(token.line, token.column, self._joined(token, left, right), token.kind, left, right)
+            depth = 1 + (left.depth if left.depth > right.depth else right.depth)
+            if depth > MAX_NESTING:
+                raise self._too_deep(place)
+            left = Binary(place, depth, left.has_calls or right.has_calls, operator, left, right)
         self._nesting -= 1
         return left
 
     def _unary(self) -> Expression:
-        token = self._next
-        if token.kind not in ("-", "+"):
-            return self._postfix()
-        self._take()
-        self._deeper(token)
+        kind = self._kinds[self._at]
+        if kind not in ("-", "+"):
+            value = self._primary(kind)
+            return value if self._kinds[self._at] != "[" else self._indexed(value)
+        place = self._take()
+        self._deeper()
         operand = self._unary()
         self._nesting -= 1
-        if (
-            isinstance(operand, Constant)
-            and isinstance(operand.value, (int, float))
-            and not isinstance(operand.value, bool)
-        ):
-            return Constant(token.line, token.column, 1, -operand.value if token.kind == "-" else operand.value)
-        return Unary(token.line, token.column, self._joined(token, operand), token.kind, operand)
+        if isinstance(operand, Constant) and operand.value.__class__ in (int, float):
+            number = operand.value
+            return Constant(place, 1, False, -number if kind == "-" else number)
+        return Unary(place, self._depth(place, (operand,)), operand.has_calls, kind, operand)
 
-    def _postfix(self) -> Expression:
-        value = self._primary()
-        while self._next.kind == "[":
-            token = self._take()
+    def _indexed(self, value: Expression) -> Expression:
+        while self._kinds[self._at] == "[":
+            place = self._take()
             indices = self._items("]")
             if not indices:
-                raise self._source.error(token.line, token.column)
+                raise self._source.syntax_error(place)
             for index in indices:
-                value = Index(token.line, token.column, self._joined(token, value, index), value, index)
+                has_calls = value.has_calls or index.has_calls
+                value = Index(place, self._depth(place, (value, index)), has_calls, value, index)
         return value
 
-    def _primary(self) -> Expression:
-        token = self._next
-        line, column = token.line, token.column
-        if token.kind == "name":
-            self._take()
-            if self._next.kind == "(":
-                return self._call(token, is_run=False)
-            if token.text == "p" and self._next.kind == "[":
-                return self._pose(token)
-            return Name(line, column, 1, token.text)
-        if token.kind == "number":
-            self._take()
-            return Constant(line, column, 1, self._number(token))
-        if token.kind == "string":
-            self._take()
-            return Constant(line, column, 1, token.text[1:-1])
-        if token.kind in ("True", "False", "true", "false"):
-            self._take()
-            return Constant(line, column, 1, token.kind in ("True", "true"))
-        if token.kind == "(":
-            self._take()
+    def _primary(self, kind: str) -> Expression:
+        at = self._at
+        place = self._places[at]
+        if kind == NAME:
+            self._at += 1
+            follower = self._kinds[at + 1]
+            if follower == "(":
+                return self._call(place, self._texts[at], is_run=False)
+            if follower == "[" and self._texts[at] == "p":
+                return self._pose(place)
+            return Name(place, 1, False, self._texts[at])
+        if kind == NUMBER:
+            self._at += 1
+            return Constant(place, 1, False, self._number(place, self._texts[at]))
+        if kind == STRING:
+            self._at += 1
+            return Constant(place, 1, False, self._texts[at][1:-1])
+        if kind in ("True", "False", "true", "false"):
+            self._at += 1
+            return Constant(place, 1, False, kind in ("True", "true"))
+        if kind == "(":
+            self._at += 1
             value = self._expression()
             self._expect(")")
             return value
-        if token.kind == "[":
-            self._take()
+        if kind == "[":
+            self._at += 1
             items = self._items("]")
-            return ListDisplay(line, column, self._joined(token, *items), items)
-        if token.kind == "run":
-            self._take()
-            return self._call(self._expect("name"), is_run=True)
+            return ListDisplay(place, self._depth(place, items), _have_calls(items), items)
+        if kind == "run":
+            self._at += 1
+            return self._call(*self._name(), is_run=True)
         raise self._unexpected()
 
-    def _pose(self, token: Token) -> Expression:
+    def _pose(self, place: int) -> Expression:
         """Six numbers are a pose; with one it is the element of a variable that is called p."""
-        place = (token.line, token.column)
-        self._take()
+        self._at += 1
         items = self._items("]")
-        depth = self._joined(token, *items)
+        depth, has_calls = self._depth(place, items), _have_calls(items)
         if len(items) == 1:
-            return Index(*place, depth, Name(*place, 1, token.text), items[0])
+            return Index(place, depth, has_calls, Name(place, 1, False, "p"), items[0])
         if len(items) != 6:
-            raise self._source.error(*place)
-        return PoseDisplay(*place, depth, items)
+            raise self._source.syntax_error(place)
+        return PoseDisplay(place, depth, has_calls, items)
 
-    def _number(self, token: Token) -> float | int:
+    def _number(self, place: int, text: str) -> float | int:
         """An integer, if it is one of 32 bits; that a longer one is a float is a guess."""
-        text = token.text
-        if text.lower().startswith("0x"):
-            value: float | int = int(text, 16) if len(text) < 20 else math.inf
-        elif text.isdigit() and len(text) < 20:
-            value = int(text)
+        if text.isdigit() and len(text) < 20:
+            value: float | int = int(text)
+        elif text[:2] in ("0x", "0X"):
+            value = int(text, 16) if len(text) < 20 else math.inf
         else:
             value = float(text)
         if value > MAX_INTEGER:
             value = float(value)
-        if math.isinf(value):
-            raise self._source.error(token.line, token.column)
+            if math.isinf(value):
+                raise self._source.syntax_error(place)
         return value
 
     def _items(self, end: str) -> list[Expression]:
         items: list[Expression] = []
-        while self._next.kind != end:
+        while self._kinds[self._at] != end:
             if items:
                 self._expect(",")
             items.append(self._expression())
-        self._take()
+        self._at += 1
         return items
 
-    def _call(self, name: Token, is_run: bool) -> Call:
+    def _call(self, place: int, name: str, is_run: bool) -> Call:
+        kinds = self._kinds
         self._expect("(")
         arguments: list[Expression] = []
         named: list[tuple[str, Expression]] = []
-        while self._next.kind != ")":
+        while kinds[self._at] != ")":
             if arguments or named:
                 self._expect(",")
-            follower = self._tokens[min(self._at + 1, len(self._tokens) - 1)]
-            if self._next.kind == "name" and follower.kind == "=":
-                key = self._take().text
-                self._take()
+            if kinds[self._at] == NAME and kinds[self._at + 1] == "=":
+                _, key = self._name()
+                self._at += 1
                 named.append((key, self._expression()))
             elif named:
                 raise self._unexpected()
             else:
                 arguments.append(self._expression())
-        self._take()
-        depth = self._joined(name, *arguments, *(value for _, value in named))
-        return Call(name.line, name.column, depth, name.text, arguments, named, is_run)
+        self._at += 1
+        depth = self._depth(place, [*arguments, *(value for _, value in named)] if named else arguments)
+        return Call(place, depth, True, name, arguments, named, is_run)
+
+
+def _have_calls(items: Sequence[Expression]) -> bool:
+    return any(item.has_calls for item in items)

@@ -11,20 +11,67 @@ that name if there is one, and otherwise local to its function. What is assumed 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
-from .code import Code
-from .syntax import Assign, Block, Declare, Definition, If, Statement, While
+from .machine import Code
+from .syntax import Assign, Block, Declare, Definition, If, While
 
-__all__ = ["Functions", "assigned", "declared_local", "definitions", "global_names"]
+__all__ = ["Functions", "Names", "global_names"]
+
+
+@dataclass
+class Names:
+    """The names that a function mentions in its own body: nested functions have theirs.
+
+    Attributes:
+        local: called `local`.
+        global_: called `global`.
+        free: assigned without a word; assigning an element makes no variable.
+        definitions: the functions that stand in it.
+    """
+
+    local: dict[str, None] = field(default_factory=dict)
+    global_: dict[str, None] = field(default_factory=dict)
+    free: dict[str, None] = field(default_factory=dict)
+    definitions: list[Definition] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, body: Block) -> Names:
+        """Those of a function with this body. Each statement is looked at once."""
+        names = cls()
+        blocks = [body]
+        while blocks:
+            for statement in blocks.pop():
+                if isinstance(statement, (Assign, Declare)):
+                    if statement.scope == "local":
+                        names.local[statement.name] = None
+                    elif statement.scope == "global":
+                        names.global_[statement.name] = None
+                    elif isinstance(statement, Assign) and not statement.indices:
+                        names.free[statement.name] = None
+                elif isinstance(statement, Definition):
+                    names.definitions.append(statement)
+                elif isinstance(statement, If):
+                    blocks += [block for _, block in statement.branches]
+                    blocks.append(statement.otherwise)
+                elif isinstance(statement, While):
+                    blocks.append(statement.body)
+        return names
 
 
 class Functions:
-    """The functions and threads that are known somewhere in a program."""
+    """The functions and threads that are known somewhere in a program.
 
-    def __init__(self, definitions: Sequence[Definition], outer: Functions | None) -> None:
+    Args:
+        names: of the function they stand in.
+        outer: what is known around that.
+    """
+
+    def __init__(self, names: Names, outer: Functions | None) -> None:
         self._outer = outer
-        self._known = {definition.name: (definition, Code(definition.name)) for definition in definitions}
+        self._known: dict[str, tuple[Definition, Code]] = {}
+        for definition in names.definitions:
+            self._known[definition.name] = (definition, Code(definition.name))
 
     def find(self, name: str) -> tuple[Definition, Code] | None:
         """The one of that name, the innermost if there are several."""
@@ -36,42 +83,14 @@ class Functions:
         return None
 
 
-def _flat(block: Block) -> Iterator[Statement]:
-    """All statements of a function, those in loops and branches too; of nested functions only the definition."""
-    for statement in block:
-        yield statement
-        if isinstance(statement, If):
-            for _, body in statement.branches:
-                yield from _flat(body)
-            yield from _flat(statement.otherwise)
-        elif isinstance(statement, While):
-            yield from _flat(statement.body)
-
-
-def definitions(block: Block) -> list[Definition]:
-    """The functions that stand in a function."""
-    return [statement for statement in _flat(block) if isinstance(statement, Definition)]
-
-
-def declared_local(block: Block) -> set[str]:
-    """The names that a function calls `local`."""
-    return {s.name for s in _flat(block) if isinstance(s, (Assign, Declare)) and s.scope == "local"}
-
-
-def assigned(block: Block) -> set[str]:
-    """The names that a function assigns without a word; assigning an element makes no variable."""
-    return {s.name for s in _flat(block) if isinstance(s, Assign) and s.scope == "free" and not s.indices}
-
-
 def global_names(body: Block) -> list[str]:
-    """The global variables of a program, in the order in which they appear."""
-    names = dict.fromkeys(sorted(assigned(body) - declared_local(body)))
-    blocks = [body]
-    while blocks:
-        block = blocks.pop()
-        for statement in _flat(block):
-            if isinstance(statement, (Assign, Declare)) and statement.scope == "global":
-                names[statement.name] = None
-            elif isinstance(statement, Definition):
-                blocks.append(statement.body)
-    return list(names)
+    """The global variables of a program, those of its own body first."""
+    names = Names.of(body)
+    found = dict.fromkeys(sorted(names.free.keys() - names.local.keys()))
+    found |= names.global_
+    waiting = names.definitions
+    while waiting:
+        inner = Names.of(waiting.pop().body)
+        found |= inner.global_
+        waiting += inner.definitions
+    return list(found)

@@ -42,11 +42,10 @@ class Node:
     """A part of a program.
 
     Attributes:
-        line, column: where it stands, from 1 on; an operation where its operator stands.
+        place: where it stands in the text; an operation where its operator stands.
     """
 
-    line: int
-    column: int
+    place: int
 
 
 @dataclass(slots=True)
@@ -55,9 +54,11 @@ class Expression(Node):
 
     Attributes:
         depth: how many expressions lie in one another here.
+        has_calls: a function is called in it.
     """
 
     depth: int
+    has_calls: bool
 
 
 @dataclass(slots=True)

@@ -1,17 +1,26 @@
-"""The words of a program, each with its place.
+"""The tokens of a program, each with its place.
 
-One expression knows them all. A line's end is a word too, but not inside brackets; indentation means nothing.
+One expression knows them all, with the blanks and comments before each. Line ends are white space like any other, as
+public programs have it that run on real controllers: two statements stand on one line, and an expression goes on after
+`=` on the next.
+
+Work is linear in the text: each character is looked at once, since some alternative always matches, if only the one for
+what is no token.
 """
 
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from typing import NamedTuple
 
 from .errors import ScriptError
-from .limits import MAX_TEXT
+from .limits import MAX_TEXT, MAX_TOKENS
 
-__all__ = ["KEYWORDS", "Source", "Token"]
+__all__ = ["END", "KEYWORDS", "NAME", "NUMBER", "STRING", "Source", "Tokens", "tokens_of"]
+
+#: Kinds of tokens; that of a keyword or mark is its text.
+NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
 _OTHERS = {
@@ -32,72 +41,102 @@ _OTHERS = {
 }
 KEYWORDS = frozenset(_STATEMENTS | _OTHERS)
 
-# That numbers may be hexadecimal is a guess.
-_WORD = re.compile(
+# That numbers may be hexadecimal is a guess. A mark or keyword is its own kind, so these two groups come last.
+_TOKEN = re.compile(
     r"""
-      (?P<space>[ \t\r\f\v]+ | \#[^\n]*)
-    | (?P<newline>\n)
-    | (?P<number>0[xX][0-9a-fA-F]+ | (?:[0-9]+(?:\.[0-9]*)? | \.[0-9]+)(?:[eE][+-]?[0-9]+)?)
-    | (?P<name>[A-Za-z_][A-Za-z_0-9]*)
-    | (?P<string>"[^"\n]*" | '[^'\n]*')
-    | (?P<mark>==|!=|<=|>=|[-+*/%<>=()\[\]:,])
+    \s* (?: \#[^\n]* \s* )*
+    (?:
+        (?P<number>0[xX][0-9a-fA-F]+ | (?:[0-9]+(?:\.[0-9]*)? | \.[0-9]+)(?:[eE][+-]?[0-9]+)?)
+      | (?P<string>"[^"\n]*" | '[^'\n]*')
+      | (?P<name>[A-Za-z_][A-Za-z_0-9]*)
+      | (?P<mark>==|!=|<=|>=|[-+*/%<>=()\[\]:,$])
+      | (?P<end>\Z)
+      | (?P<unknown>.)
+    )
     """,
     re.VERBOSE,
 )
-
-
-class Token(NamedTuple):
-    """A word.
-
-    Attributes:
-        kind: `number`, `name`, `string`, `newline`, `end of text`, or the keyword or mark itself.
-        text: as written.
-        line, column: where it begins, from 1 on.
-    """
-
-    kind: str
-    text: str
-    line: int
-    column: int
+_NUMBER, _STRING, _NAME, _MARK, _END, _UNKNOWN = range(1, 7)
 
 
 class Source:
-    """A program's text, cut into words.
+    """A program's text, and the words in which a controller speaks of a place in it.
 
     Attributes:
-        tokens: all of them, a newline and the end of the text last.
+        text: the program.
 
     Raises:
-        ScriptError: there is something that is no word, or the text is too long.
+        ScriptError: the text is too long.
     """
 
     def __init__(self, text: str) -> None:
+        self.text = text
+        self._line_starts: list[int] | None = None
         if len(text) > MAX_TEXT:
             raise ScriptError(1, 1, f"program_too_long:{len(text)}:")
-        self._lines = text.split("\n")
-        self.tokens: list[Token] = []
-        line, begin, at, depth = 1, 0, 0, 0
-        while at < len(text):
-            match = _WORD.match(text, at)
-            if match is None:
-                raise self.error(line, at - begin + 1)
-            kind, word = match.lastgroup or "", match.group()
-            if kind == "newline":
-                if not depth:
-                    self.tokens.append(Token(kind, "", line, at - begin + 1))
-                line, begin = line + 1, match.end()
-            elif kind == "mark":
-                # A bracket too many is for the parser to find.
-                depth = max(0, depth + (word in "([") - (word in ")]"))
-                self.tokens.append(Token(word, word, line, at - begin + 1))
-            elif kind == "name" and word in KEYWORDS:
-                self.tokens.append(Token(word, word, line, at - begin + 1))
-            elif kind != "space":
-                self.tokens.append(Token(kind, word, line, at - begin + 1))
-            at = match.end()
-        column = at - begin + 1
-        self.tokens += [Token("newline", "", line, column), Token("end of text", "", line, column)]
 
-    def error(self, line: int, column: int) -> ScriptError:
+    def line_and_column(self, place: int) -> tuple[int, int]:
+        """Where that is, counted from 1."""
+        if self._line_starts is None:
+            self._line_starts = [0, *(match.end() for match in re.finditer("\n", self.text))]
+        line = bisect_right(self._line_starts, place)
+        return line, place - self._line_starts[line - 1] + 1
+
+    def failure(self, place: int, text: str) -> ScriptError:
+        """An error there, in these words."""
+        return ScriptError(*self.line_and_column(place), text)
+
+    def syntax_error(self, place: int) -> ScriptError:
         """A syntax error there; the controller quotes the line."""
-        return ScriptError(line, column, f"syntax_error_on_line:{line}:{self._lines[line - 1].rstrip()}:")
+        line, _ = self.line_and_column(place)
+        begin = self.text.rfind("\n", 0, place) + 1
+        end = self.text.find("\n", place)
+        quoted = self.text[begin : len(self.text) if end < 0 else end].rstrip()
+        return self.failure(place, f"syntax_error_on_line:{line}:{quoted}:")
+
+
+class Tokens(NamedTuple):
+    """What a text consists of.
+
+    Attributes:
+        kinds: of the tokens; the last is `END`.
+        texts: as written.
+        places: where in the text each begins.
+    """
+
+    kinds: list[str]
+    texts: list[str]
+    places: list[int]
+
+
+def tokens_of(source: Source) -> Tokens:
+    """The tokens of a text.
+
+    Raises:
+        ScriptError: there is something that is no token, or too many of them.
+    """
+    found = Tokens([], [], [])
+    kinds, texts, places = found
+    for match in _TOKEN.finditer(source.text):
+        group = match.lastindex or _UNKNOWN
+        word = match[group]
+        if group == _NAME:
+            kinds.append(word if word in KEYWORDS else NAME)
+        elif group == _MARK:
+            kinds.append(word)
+        elif group == _NUMBER:
+            kinds.append(NUMBER)
+        elif group == _STRING:
+            kinds.append(STRING)
+        elif group == _END:
+            break
+        else:
+            raise source.syntax_error(match.start(group))
+        texts.append(word)
+        places.append(match.start(group))
+        if len(kinds) > MAX_TOKENS:
+            raise source.failure(places[-1], f"program_too_long:{len(kinds)}:")
+    kinds.append(END)
+    texts.append("")
+    places.append(len(source.text))
+    return found

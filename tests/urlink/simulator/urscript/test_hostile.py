@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import re
+import sys
+import time
 import tracemalloc
+from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
@@ -16,34 +21,157 @@ from urlink.simulator.urscript.limits import (
     MAX_INSTRUCTIONS,
     MAX_MEMORY,
     MAX_NESTING,
+    MAX_PARAMETERS,
     MAX_STRING,
     MAX_TEXT,
     MAX_THREADS,
+    MAX_TOKENS,
 )
 
 FIRMWARE = Firmware(5, 11)
 ENDLESS = "The program used too much time without instructing the robot what to do."
 
 
+def names() -> Iterator[str]:
+    return ("v" + "".join(letters) for letters in itertools.product("abcdefgh", repeat=5))
+
+
+def repeated(unit: Callable[[int], str]) -> Callable[[int], str]:
+    """A program of about so many characters whose statements are made by `unit`, which is told their number."""
+
+    def text(size: int) -> str:
+        parts: list[str] = []
+        length = 0
+        while length < size:
+            parts.append(unit(len(parts)))
+            length += len(parts[-1])
+        return "def f():\n" + "".join(parts) + "end\n"
+
+    return text
+
+
+def listed(before: str, items: Callable[[], Iterable[str]], after: str) -> Callable[[int], str]:
+    """A program of about so many characters with one long list in it."""
+
+    def text(size: int) -> str:
+        taken: list[str] = []
+        for item in items():
+            taken.append(item)
+            if (len(item) + 1) * len(taken) > size:
+                break
+        return before + ",".join(taken) + after
+
+    return text
+
+
+DEFAULTS = ",".join(f"{name}=1" for name in itertools.islice(names(), 60))
+#: Programs that have made, or could make, compiling quadratic; by their length in characters.
+GROWING: dict[str, Callable[[int], str]] = {
+    "statements": repeated(lambda n: f"  x{n % 2000} = (1 + 2) * 3 - 4\n"),
+    "moves": repeated(lambda n: "  movej([0.1, -1.57, 1.57, -1.57, -1.57, 0.0], a=1.4, v=1.05)\n"),
+    "parameters": listed("def f():\ndef g(", names, "):\nend\nend\n"),
+    "parameters in turn": repeated(lambda n: f"def g{n}({','.join(itertools.islice(names(), 60))}):\nend\n"),
+    "arguments": listed("def f():\ndef g(a):\nend\ng(", lambda: itertools.repeat("1"), ")\nend\n"),
+    "named arguments": listed("def f():\nmovej(", lambda: (f"{name}=1" for name in names()), ")\nend\n"),
+    "calls with many parameters": repeated(
+        lambda n: (
+            f"def g({','.join(f'{name}=1' for name in itertools.islice(names(), 60))}):\nend\n" if not n else "g()\n"
+        )
+    ),
+    "definitions": repeated(lambda n: f"def g{n}():\n return g{max(n - 1, 0)}()\nend\n"),
+    "nested definitions": repeated(lambda n: "".join(f"def a{n}_{at}():\n" for at in range(40)) + "end\n" * 40),
+    "globals": repeated(lambda n: f"global g{n}=1\n"),
+    "locals": repeated(lambda n: f"local g{n}=1\n"),
+    "a list": listed("x=[", lambda: itertools.repeat("1"), "]\n"),
+    "a string": lambda size: f'x="{"a" * size}"\n',
+    "a name": lambda size: f"{'a' * size}=1\n",
+    "a number": lambda size: f"x={'9' * size}\n",
+    "an unfinished string": lambda size: f'x="{"a" * size}\n',
+    "quotes": lambda size: "x=" + "'\"" * (size // 2),
+    "blanks": lambda size: " " * size + "x=1\n",
+    "blank lines": lambda size: "\n" * size + "$\n",
+    "comments": lambda size: "#\n" * (size // 2) + "$\n",
+    "a comment": lambda size: "#" * size + "\n$\n",
+    "sums": repeated(lambda n: " x=1" + "+1" * 60 + "\n"),
+    "brackets": repeated(lambda n: " x=" + "(" * 50 + "1" + ")" * 50 + "\n"),
+    "lists in lists": repeated(lambda n: " x=" + "[" * 50 + "1" + "]" * 50 + "\n"),
+    "branches": repeated(lambda n: "if True:\n" * 40 + "end\n" * 40),
+    "else ifs": lambda size: "if x == 0:\nx = 1\n" + "elif x == 1:\nx = 1\n" * (size // 20) + "end\n",
+    "waiting calls": repeated(lambda n: " x=" + "+".join(["socket_read_line()"] * 20) + "\n"),
+    "own calls in one another": repeated(
+        lambda n: "def g(a):\nend\n" if not n else " x=" + "g(" * 30 + ")" * 30 + "\n"
+    ),
+    "threads": repeated(lambda n: "thread t():\nend\n" if not n else "run t()\n"),
+    "breaks": lambda size: "while True:\n" + "break\n" * (size // 6) + "end\n",
+    "an error at the end": lambda size: "x = 1 + 2\n" * (size // 10) + "nothing()\n",
+}
+
+
+def work_of(text: str) -> int:
+    """What it costs to compile a text: calls of functions, those that are built into Python included."""
+    calls = 0
+
+    def count(frame: object, event: str, argument: object) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    sys.setprofile(count)
+    try:
+        with contextlib.suppress(ScriptError):
+            compile_script(text, FIRMWARE)
+    finally:
+        sys.setprofile(None)
+    return calls
+
+
+@pytest.mark.parametrize("name", GROWING)
+def test_compiling_is_linear(name: str) -> None:
+    once, twice = (work_of(GROWING[name](size)) for size in (8_000, 16_000))
+    assert twice < 2.2 * once + 100
+
+
+@pytest.mark.parametrize("name", ["parameters", "named arguments", "definitions", "statements"])
+def test_the_longest_programs_compile_at_once(name: str) -> None:
+    """What calls do not count, such as a search in a list, shows in the time: 130 s here once, and now some 0.5 s."""
+    begun = time.process_time()
+    with contextlib.suppress(ScriptError):
+        compile_script(GROWING[name](250_000), FIRMWARE)
+    assert time.process_time() - begun < 15.0
+
+
+def test_more_tokens_than_a_program_may_have() -> None:
+    with pytest.raises(ScriptError, match=f"program_too_long:{MAX_TOKENS + 1}:"):
+        compile_script("x=1" + "+1" * (MAX_TOKENS // 2), FIRMWARE)
+
+
+def test_more_parameters_than_a_function_may_have() -> None:
+    def text(count: int) -> str:
+        return f"def f():\n def g({','.join(itertools.islice(names(), count))}):\n end\nend\n"
+
+    compile_script(text(MAX_PARAMETERS), FIRMWARE)
+    with pytest.raises(ScriptError, match=r"2:\d+: too_many_parameters:g:"):
+        compile_script(text(MAX_PARAMETERS + 1), FIRMWARE)
+
+
 def error_of(text: str, cycles: int = 300) -> str:
     return run(text, cycles=cycles).notes[-1]
 
 
-DEEP = 100_000
+DEEP = 30_000
 NESTED = {
     "brackets": "x = " + "(" * DEEP + "1" + ")" * DEEP,
     "lists": "x = " + "[" * DEEP + "]" * DEEP,
-    "poses": "x = " + "p[" * 50_000,
-    "calls": "x = " + "sin(" * 50_000 + "1" + ")" * 50_000,
-    "indices": "x = [1]\ny = x" + "[0]" * 50_000,
+    "poses": "x = " + "p[" * 30_000,
+    "calls": "x = " + "sin(" * 30_000 + "1" + ")" * 30_000,
+    "indices": "x = [1]\ny = x" + "[0]" * 30_000,
     "minus": "x = " + "-" * DEEP + "1",
-    "not": "x = " + "not " * 50_000 + "True",
-    "sum": "x = 1" + " + 1" * 50_000,
+    "not": "x = " + "not " * 30_000 + "True",
+    "sum": "x = 1" + " + 1" * 30_000,
     "or": "x = True" + " or True" * 20_000,
     "loops": "while True:\n" * 10_000 + "pass\n" + "end\n" * 10_000,
     "branches": "if True:\n" * 20_000,
     "functions": "".join(f"def f{i}():\n" for i in range(10_000)),
-    "open brackets": "(" * DEEP,
+    "open brackets": "x = " + "(" * DEEP,
 }
 
 
