@@ -1,4 +1,6 @@
-"""How long a sync takes between a client and a host of rhdlink, next to a bare echo of as many bytes.
+"""How long a sync takes between a client and a host of rhdlink, and how long a read of a variable.
+
+A sync is measured next to a bare echo of as many bytes, and a read next to that of a property of a plain Python class.
 
 Client and host are processes of their own on one machine, in lockstep: each request is one tick of the host, which
 sets variables and answers. The echo sends a request of the same size to a process that does nothing but answer with as
@@ -7,6 +9,9 @@ many bytes. Both are measured in turns, so that they meet the same machine; the 
 Each process has a processor of its own, as a robot's daemon and its client would. Left free, a scheduler may put the
 two ends of the echo on one processor, where waking the other costs next to nothing, and the ends of the sync, which
 work for longer, on two: the ratio is then that of two placements, some ten times as high. `--free` shows it.
+
+A read (`robot.encl`) is measured by itself, between two syncs: values change with syncs only, so each read in between
+works the same. The figure to look at is its ratio to the plain property in the same process; the goal is at most 1 us.
 
 Jitter is how late a host's ticks come when it keeps time by itself, with a reader that syncs at each of them; alone,
 and beside clients that send half packages, rubbish, nothing, or connect thirty times a second.
@@ -26,14 +31,15 @@ import socket
 import statistics
 import threading
 import time
-from collections.abc import Callable
+import timeit
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
 import numpy as np
 
 import rhdlink
-from rhdlink import Host, Plugin
+from rhdlink import Bool, Float64, Host, Int32, Plugin, Read, Scaled, Variables
 
 #: Microseconds of the C client and the C server in lockstep, section 14 of the protocol notes, on another machine.
 _C = {"10 of 10": 20.8, "100 of 100": 72.0, "1000 of 1000": 505.0, "1 of 1000": 77.0}
@@ -191,6 +197,63 @@ def measure(case: Case, seconds: float, turns: int) -> dict[str, object]:
     }
 
 
+class Plain:
+    """What a read is compared with."""
+
+    def __init__(self) -> None:
+        self._value = 5
+
+    @property
+    def value(self) -> int:
+        return self._value
+
+
+#: What is read, and the most microseconds that it may take; None for what has no goal.
+READS = (("encl", 1.0), ("distance", 1.0), ("ratio", 1.0), ("on", 1.0), ("big", 1.0), ("line", None), ("by name", None))
+
+
+def reads(seconds: float) -> Iterator[dict[str, object]]:
+    """Nanoseconds of a read of each type, and of a plain property, in turns."""
+
+    class Robot(Plugin):
+        encl = Read(Int32)
+        distance = Read(Float64)
+        ratio = Read(Scaled(1e-5))
+        on = Read(Bool)
+        big = Read(Float64, order="big")
+        line = Read(Int32, 8)
+
+    class Side(Variables):
+        encl = Read(Int32)
+        distance = Read(Float64)
+        ratio = Read(Scaled(1e-5))
+        on = Read(Bool)
+        big = Read(Float64, order="big")
+        line = Read(Int32, 8)
+
+    plain = Plain()
+    with Host([Robot()], port=0, pacing="lockstep") as host, rhdlink.connect(host.address, Side) as robot:
+        robot.sync()
+        for name, most in READS:
+            statement = 'robot["encl"]' if name == "by name" else f"robot.{name}"
+            timers = [
+                timeit.Timer(each, globals={"robot": robot, "plain": plain}) for each in (statement, "plain.value")
+            ]
+            number = 20_000
+            rounds: list[tuple[float, float]] = []
+            until = time.perf_counter() + seconds
+            while time.perf_counter() < until or len(rounds) < 3:
+                ours, theirs = (timer.timeit(number) / number * 1e9 for timer in timers)
+                rounds.append((ours, theirs))
+            yield {
+                "read": name,
+                "ns": round(statistics.median(ours for ours, _ in rounds)),
+                "property_ns": round(statistics.median(theirs for _, theirs in rounds)),
+                "ratio": round(statistics.median(ours / theirs for ours, theirs in rounds), 1),
+                "at_most_us": most,
+            }
+
+
 def keep_time(ports: Connection, period: float, seconds: float) -> None:
     use_processor(1)
     logging.getLogger("rhdlink").setLevel(logging.ERROR)  # what is wrong with hostile clients is known here
@@ -277,6 +340,13 @@ def main() -> None:
                 f"{found['cpu_us']:6} us   echo {found['echo_us']:6} us   x {found['ratio']:5} (at most "
                 f"{found['at_most']}{original})"
             )
+    for found in reads(seconds):
+        print(
+            json.dumps(found)
+            if args.json
+            else f"read of {found['read']:10} {found['ns']:6} ns   plain property {found['property_ns']:4} ns   "
+            f"x {found['ratio']:5}" + ("" if found["at_most_us"] is None else f" (at most {found['at_most_us']:g} us)")
+        )
     for period, hostile in ((0.01, False), (0.002, False), (0.01, True)):
         late = jitter(period, long, hostile)
         beside = " beside hostile clients" if hostile else ""

@@ -210,8 +210,9 @@ class Variables(Declarations):
             AccessDenied: the access is "r".
         """
         replica = self._known()
-        replica.find_to_set(name)
-        self._require_write_access(name)
+        if self._access != "w":
+            replica.find_to_set(name)  # of two mistakes the name is said
+            self._require_write_access(name)
         replica.set(name, value)
 
     def __contains__(self, name: object) -> bool:
@@ -318,8 +319,10 @@ class Variables(Declarations):
             LocalError: in a process that was forked from the one which connected.
         """
         replica = self._known()
-        seconds = self._timeout if timeout is None else timeout
-        check_seconds("timeout", seconds)
+        seconds = self._timeout
+        if timeout is not None:
+            check_seconds("timeout", timeout)
+            seconds = timeout
         if os.getpid() != self._process:
             raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
         until = time.monotonic() + seconds

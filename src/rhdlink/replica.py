@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue, LocalError
+from linkcore.errors import BadValue
 
 from .errors import NotThere
 from .variables.database import Database, Table
@@ -41,6 +41,7 @@ class Replica:
         unsent: "discard" forgets what was set and not sent when the connection is lost; "send" keeps it.
 
     Attributes:
+        database: the tables of the newest connection; empty before the first.
         lock: held around every access to the database.
         discarded: values that were set and lost with a connection: not sent, or sent and not answered.
         period: seconds between ticks of the robot, once two batches of a connection have shown it.
@@ -54,19 +55,8 @@ class Replica:
         self._unsent = unsent
         self._has_warned = False
         self._unanswered: Ids = _NONE  # variables in a request that has not been answered
-        self._database: Database | None = None
+        self.database = Database()
         self._first_tick: tuple[int, float] | None = None
-
-    @property
-    def database(self) -> Database:
-        """The tables of the newest connection.
-
-        Raises:
-            LocalError: there was none yet.
-        """
-        if self._database is None:
-            raise LocalError(f"{self._robot} has not been connected to")
-        return self._database
 
     # -- one variable --------------------------------------------------------------------------
 
@@ -92,13 +82,13 @@ class Replica:
         Raises:
             NotThere: the robot has no such write variable.
         """
-        database = self.database
-        identity = database.write.find(name)
+        write = self.database.write
+        identity = write.find(name)
         if identity is None:
-            names = [row.name for row in database.write]
-            more = "; it is a read variable" if name in database.read else similar(name, names)
+            is_read = name in self.database.read
+            more = "; it is a read variable" if is_read else similar(name, [row.name for row in write])
             raise NotThere(f"{self._robot} has no write variable {name!r}{more}")
-        return database.write, identity
+        return write, identity
 
     def set(self, name: str, value: ArrayLike) -> None:
         """Set a write variable: a whole number, or as many as it is long.
@@ -167,11 +157,9 @@ class Replica:
 
         The caller holds the lock.
         """
-        before, self._database = self._database, database
+        before, self.database = self.database, database
         self.period = None
         self._first_tick = self._tick()
-        if before is None:
-            return
         lacking = []
         for identity in before.write.dirty.take().tolist():
             row = before.write.rows[identity]

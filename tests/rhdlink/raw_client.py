@@ -13,7 +13,7 @@ from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import Batch, Handshake
 
 #: Seconds after which a host that says nothing has failed the test.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 
 class RawClient:
@@ -25,7 +25,7 @@ class RawClient:
     """
 
     def __init__(self, port: int, access: bytes = b"ar", *, width: int = 2) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT)
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.stream = ServerDecoder(width=width)
         self.width = width

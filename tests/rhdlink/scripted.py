@@ -12,7 +12,7 @@ from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.messages import Row
 
 #: Seconds after which a client that says nothing has failed the test.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 
 class Peer:
@@ -72,7 +72,7 @@ class ScriptedServer:
     def __init__(self, *scripts: Script) -> None:
         self._scripts = scripts
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(PATIENCE)
+        self._listener.settimeout(TIMEOUT)
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -84,7 +84,7 @@ class ScriptedServer:
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         if kind is not None:
             self._listener.close()  # whatever went wrong, no more clients will come
-        self._thread.join(2 * PATIENCE)
+        self._thread.join(2 * TIMEOUT)
         self._listener.close()
         if kind is None and self._failure is not None:
             raise self._failure
@@ -94,7 +94,7 @@ class ScriptedServer:
             for script in self._scripts:
                 connection, _ = self._listener.accept()
                 with connection:
-                    connection.settimeout(PATIENCE)
+                    connection.settimeout(TIMEOUT)
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     script(Peer(connection))
         except BaseException as failure:

@@ -98,8 +98,8 @@ class DatabaseModel(RuleBasedStateMachine):
     def tell(self) -> None:
         ids = self.table.dirty.take()
         assert ids.tolist() == sorted(self.set_here)
-        for pending, untold in zip(self.told, self.untold, strict=True):
-            pending.add_many(ids, ordered=True)
+        for dirty, untold in zip(self.told, self.untold, strict=True):
+            dirty.add_many(ids, ordered=True)
             untold |= self.set_here
         self.set_here = set()
 
@@ -111,11 +111,11 @@ class DatabaseModel(RuleBasedStateMachine):
 
     @rule(who=st.integers(0, 1))
     def take(self, who: int) -> None:
-        pending = self.told[who]
-        assert bool(pending) == bool(self.untold[who])
-        assert pending.take().tolist() == sorted(self.untold[who])
+        dirty = self.told[who]
+        assert bool(dirty) == bool(self.untold[who])
+        assert dirty.take().tolist() == sorted(self.untold[who])
         self.untold[who] = set()
-        assert not pending
+        assert not dirty
 
     @invariant()
     def it_is_as_the_model(self) -> None:
@@ -211,8 +211,8 @@ def test_what_two_are_told_alike_is_prepared_once() -> None:
     table.set_many(table.select(range(300)), 5)
     ids = table.dirty.take()
     one, other = DirtySet(300), DirtySet(300)
-    for pending in (one, other):
-        pending.add_many(ids, ordered=True)
+    for dirty in (one, other):
+        dirty.add_many(ids, ordered=True)
     assert one.take() is other.take()
     assert table.select(ids) is table.select(ids)
 

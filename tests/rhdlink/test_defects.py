@@ -1,7 +1,7 @@
 """The defects of the original server that section 13 of the protocol notes lists: ours has none of them.
 
 Each test is numbered as there. Hostile clients do their worst against a host that ticks by itself, while a witness has
-one sync answered after the other: a host that one client can stop fails by the patience of the witness, on any machine.
+one sync answered after the other: a host that one client can stop fails by the deadline of the witness, on any machine.
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ def test_8_the_original_s_way_can_be_had(robot: Robot) -> None:
 
 
 def test_9_a_silent_master_costs_a_synchronized_host_one_period(robot: Robot) -> None:
-    # One period is the longest that a tick waits: were it a thousand, the witness would run out of patience.
+    # One period is the longest that a tick waits: were it a thousand, the witness would run out of time.
     with Host([robot], period=0.005, port=0, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         witness(host, 20)
@@ -260,7 +260,7 @@ def test_10_every_reader_is_sent_the_write_table_whoever_left_before(robot: Robo
         assert host.writers == 2
         last.close()
         until(lambda: host.writers == 1)
-        # It gets the seat of the writer that was granted last.
+        # It gets the slot of the writer that was granted last.
         reader = stack.enter_context(RawClient(host.port))
         reader.greeting()
         first.sync({"speed": 6})
@@ -372,7 +372,7 @@ def test_3_a_client_that_leaves_a_package_half_sent_is_closed_in_the_end(robot: 
             master.greeting()
             master.send(b"rwdw")
             assert master.is_closed()
-        # A client that owes nothing may be silent for as long as it likes.
+        # A client that has begun nothing may be silent for as long as it likes.
         with RawClient(host.port) as reader, RawClient(host.port, b"aw") as other:
             reader.greeting()
             other.greeting()

@@ -71,7 +71,7 @@ class Original:
         self.service = Service(self.database, resend="original", width=recording.width, allwriters=allwriters)
         self.width = recording.width
 
-    def admit(self, access: bytes) -> tuple[Client, bytes]:
+    def connect(self, access: bytes) -> tuple[Client, bytes]:
         client = self.service.connect("test")
         assert client is not None
         return client, self.service.receive(client, access)
@@ -110,7 +110,7 @@ WRITERS = ("writer64", "writer64naive", "writer32", "writer_orig2014")
 def test_handshake_and_every_reply_are_the_original_s(recorded: Path, name: str) -> None:
     recording = connection(recorded, name)
     ours = Original(recording)
-    client, greeting = ours.admit(recording.greeting[:2])
+    client, greeting = ours.connect(recording.greeting[:2])
     assert greeting == recording.greeting
     ours.mark_what_was_set(recording.batches[0][0])
     assert len(recording.requests) == len(recording.batches) == 50
@@ -125,8 +125,8 @@ def test_handshake_and_every_reply_are_the_original_s(recorded: Path, name: str)
 def test_a_reader_beside_a_master_is_sent_what_the_master_wrote(recorded: Path) -> None:
     recording = connection(recorded, "reader64_with_master")
     ours = Original(recording)
-    master, _ = ours.admit(b"aw")
-    client, greeting = ours.admit(b"ar")
+    master, _ = ours.connect(b"aw")
+    client, greeting = ours.connect(b"ar")
     assert greeting == recording.greeting
     ours.mark_what_was_set(recording.batches[0][0])
     for request, (batch, raw) in zip(recording.requests, recording.batches, strict=True):
@@ -144,7 +144,7 @@ def test_with_allwriters_each_writer_is_sent_its_own_values_too(recorded: Path) 
     ours = Original(recordings[0], allwriters=True)
     clients = []
     for recording in recordings:
-        client, greeting = ours.admit(b"aw")
+        client, greeting = ours.connect(b"aw")
         assert greeting[:2] == recording.greeting[:2] == b"aw"
         clients.append(client)
         # The batch that the original sends without being asked, and ours does not.
@@ -172,8 +172,8 @@ def test_a_second_writer_is_told_that_it_may_only_read(recorded: Path, name: str
     recording = connection(recorded, name)
     assert recording.handshake.granted is None
     ours = Original(recording)
-    master, _ = ours.admit(b"aw")
-    client, greeting = ours.admit(b"aw")
+    master, _ = ours.connect(b"aw")
+    client, greeting = ours.connect(b"aw")
     # The one difference: the original leaves the answer out, and librhd takes the server for broken (defect 7).
     assert greeting == b"ar" + recording.greeting
     for request, (batch, raw) in zip(recording.requests, recording.batches[1:], strict=False):

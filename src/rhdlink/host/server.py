@@ -135,6 +135,7 @@ class _ClientHandler(Handler):
         self.asked = self._time()
         self._requests = 0
         self._lacking = ""
+        self._is_read_from = True
         server._handlers[client] = self
         self.update()
 
@@ -168,10 +169,9 @@ class _ClientHandler(Handler):
         if client.failure is not None:
             self.close(client.failure)
             return
-        if client.may_send:
-            connection.resume_reading()
-        else:
-            connection.pause_reading()
+        if client.may_send != self._is_read_from:
+            self._is_read_from = client.may_send
+            (connection.resume_reading if self._is_read_from else connection.pause_reading)()
         if client.requests != self._requests:
             self._requests, self.asked = client.requests, self._time()
         lacking = (
