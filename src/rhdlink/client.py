@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar, overload
 
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_choice, check_seconds
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, RemoteError
 from linkcore.net.transport import TcpTransport
 from linkcore.stamp import Stamp
@@ -21,7 +22,6 @@ from linkcore.streaming.policy import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
 
 from .address import parse_address
-from .arguments import check_choice, check_seconds
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording.recorder import RecordedTransport
@@ -116,14 +116,14 @@ def connect(
     if variables is None:
         variables = Variables
     elif not (isinstance(variables, type) and issubclass(variables, Variables)):
-        raise BadValue(f"variables is {variables!r}; expected a class that derives from rhdlink.Variables")
-    check_choice("access", access, ("r", "w"))
-    check_choice("fallback", fallback, (None, "r"))
-    check_choice("unsent", unsent, ("discard", "send"))
-    check_choice("width", width, (None, *WIDTHS))
-    check_seconds("timeout", timeout)
+        raise BadValue(f"variables={variables!r}; expected a class that derives from rhdlink.Variables")
+    check_choice(access, "access", ("r", "w"))
+    check_choice(fallback, "fallback", (None, "r"))
+    check_choice(unsent, "unsent", ("discard", "send"))
+    check_choice(width, "width", (None, *WIDTHS))
+    timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
     if limits is not None and not isinstance(limits, Limits):
-        raise BadValue(f"limits is {limits!r}; expected rhdlink.Limits(...)")
+        raise BadValue(f"limits={limits!r}; expected rhdlink.Limits(...)")
     robot = variables()
     transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(
@@ -321,8 +321,7 @@ class Variables(Declarations):
         replica = self._known()
         seconds = self._timeout
         if timeout is not None:
-            check_seconds("timeout", timeout)
-            seconds = timeout
+            seconds = check_seconds(timeout, "timeout", positive=True, finite=True)
         if os.getpid() != self._process:
             raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
         until = time.monotonic() + seconds
@@ -332,11 +331,12 @@ class Variables(Declarations):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
+            # Before another thread syncs: what is fresh now is not afterwards, and updates go out in order.
+            if self._subscribers.has(Update):
+                names = self._subscribers.wanted()
+                self._subscribers.update(replica.changes(names, self.declared(), self._word_order), self._received)
         finally:
             self._exchange.release()
-        if self._subscribers.has(Update):
-            names = self._subscribers.wanted()
-            self._subscribers.update(replica.changes(names, self.declared(), self._word_order), self._received)
 
     def background(self, period: float | None = None, *, backoff: Backoff | None = None) -> SyncThread:
         """Keep in sync from a thread, until it or the robot is closed; reconnects by itself.
@@ -384,7 +384,13 @@ class Variables(Declarations):
         for name in names:
             replica.find(name)
         return self._subscribers.subscribe(
-            Update, callback, frozenset(names) or None, policy or drop_oldest(256), deadline, on_deadline
+            Update,
+            callback,
+            frozenset(names) or None,
+            drop_oldest(256) if policy is None else policy,
+            deadline,
+            on_deadline,
+            owner=self,
         )
 
     def subscribe_connection(
@@ -392,12 +398,14 @@ class Variables(Declarations):
     ) -> Subscription:
         """Call `callback` with each change of the connection, in a thread of its own, until closed."""
         self._known()
-        return self._subscribers.subscribe(ConnectionEvent, callback, None, policy or drop_oldest(1024))
+        policy = drop_oldest(1024) if policy is None else policy
+        return self._subscribers.subscribe(ConnectionEvent, callback, None, policy, owner=self)
 
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
-        A robot is not told: its values stay as they were sent last, until it notices that its master
+        What the last sync sent is waited for until the robot's side has acknowledged it, for 0.25 s at most. A robot is
+        not told: its values stay as they were sent last, until it notices that its master
         is gone. Idempotent, from any thread.
 
         Raises:
@@ -405,6 +413,7 @@ class Variables(Declarations):
         """
         if self._transport is None:
             return
+        timeout = check_seconds(timeout, "timeout")
         until = time.monotonic() + timeout
         self._closing.set()
         self._transport.close()
@@ -503,11 +512,11 @@ class Variables(Declarations):
                 bind(self, database, replica.lock)
                 replica.adopt(database)
         except RemoteError as error:
-            connection.close()
+            connection.abort()
             self._tell(ConnectionState.LOST, error)
             raise
         if self._closing.is_set():  # while connecting: it could not see this connection
-            connection.close()
+            connection.abort()
             raise Closed(f"{self._address} was closed")
         self._connection = connection
         self._access, self._width, self._received = connection.access, connection.width, connection.received
@@ -517,7 +526,7 @@ class Variables(Declarations):
 
     def _lose(self, connection: Connection, error: RemoteError) -> None:
         self._connection = None
-        connection.close()
+        connection.abort()
         _log.info("%s: connection lost: %s", self._address, error)
         self._tell(ConnectionState.LOST, error)
 

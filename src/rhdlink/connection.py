@@ -37,8 +37,11 @@ class Transport(Protocol):
     def send(self, data: bytes, timeout: float) -> None:
         """Send all of it."""
 
+    def abort(self) -> None:
+        """Disconnect at once: what the peer has not acknowledged is discarded. Wakes who waits."""
+
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; waits a moment for the peer to acknowledge what was sent. Wakes who waits."""
 
 
 class Connection:
@@ -100,7 +103,7 @@ class Connection:
                     if self.handshake.granted != "r":
                         raise AccessDenied(f"{transport.name} refuses even reader access")
         except BaseException:
-            transport.close()
+            transport.abort()
             raise
 
     def _greet(self, access: str, until: float) -> None:
@@ -205,14 +208,14 @@ class Connection:
             # Half a request may have gone out: whatever followed would be taken for its other half.
             raise ConnectionLost(str(error)) from error
         except BaseException:  # interrupted: likewise
-            self._transport.close()
+            self._transport.abort()
             raise
         self._outstanding += 1
         self.collect(until)
 
-    def close(self) -> None:
-        """Disconnect; wakes who waits. Idempotent, from any thread."""
-        self._transport.close()
+    def abort(self) -> None:
+        """Give the connection up: a request that is still in the kernel is never sent. Idempotent, from any thread."""
+        self._transport.abort()
 
     def _deliver_decoded(self) -> None:
         while (batch := self._decoder.take_batch()) is not None:

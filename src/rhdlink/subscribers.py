@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from linkcore.arguments import check_callable, check_seconds
 from linkcore.errors import BadValue, Closed
 from linkcore.stamp import Stamp
 from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import Policy
+from linkcore.streaming.policy import Policy, check_policy
 from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery
 
-from .arguments import check_seconds
 from .variables.snapshot import Change, Update
 
 __all__ = ["Subscribers"]
@@ -23,7 +23,13 @@ class _Subscriber(NamedTuple):
     event_type: type  # of what it is told
     queue: PacketQueue
     names: frozenset[str] | None
-    subscription: Subscription
+    delivery: ThreadedDelivery
+    turn: threading.Lock
+
+    def offer(self, event: object) -> None:
+        # A queue takes from one thread at a time, and any thread may sync or close.
+        with self.turn:
+            self.queue.offer((event,))
 
 
 class Subscribers:
@@ -47,8 +53,12 @@ class Subscribers:
         policy: Policy,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
+        *,
+        owner: object,
     ) -> Subscription:
         """Call `callback` with each event of a type; where that is `Update`, with these variables of it.
+
+        Whoever holds the subscription holds `owner`.
 
         Raises:
             Closed: after `close`.
@@ -66,9 +76,8 @@ class Subscribers:
                 raise Closed(f"{self._name} was closed")
             name = f"{self._name} {event_type.__name__}"
             delivery = ThreadedDelivery(queue, callback, name=name, deadline=deadline, on_deadline=on_deadline)
-            subscription = Subscription(delivery, detach)
-            self._subscribers = (*self._subscribers, _Subscriber(event_type, queue, names, subscription))
-        return subscription
+            self._subscribers = (*self._subscribers, _Subscriber(event_type, queue, names, delivery, threading.Lock()))
+        return Subscription(delivery, detach, owner)
 
     def has(self, event_type: type) -> bool:
         """Whether anybody is told of events of this type."""
@@ -88,7 +97,7 @@ class Subscribers:
         """Hand out an event to those who subscribed to its type."""
         for each in self._subscribers:
             if each.event_type is type(event):
-                each.queue.offer((event,))
+                each.offer(event)
 
     def update(self, changes: Mapping[str, Change], received: Stamp) -> None:
         """Hand out what changed, to each the variables that it wants; nothing to those who want none of them."""
@@ -97,7 +106,7 @@ class Subscribers:
                 names = each.names
                 own = changes if names is None else {name: changes[name] for name in changes if name in names}
                 if own:
-                    each.queue.offer((Update(own, received),))
+                    each.offer(Update(own, received))
 
     def close(self, until: float) -> None:
         """Deliver what waits, until then by `time.monotonic`, and nothing more."""
@@ -105,16 +114,15 @@ class Subscribers:
             self._is_closed = True
             subscribers = self._subscribers
         for each in subscribers:
-            each.subscription.finish(max(until - time.monotonic(), 0.0))
+            each.delivery.finish(max(until - time.monotonic(), 0.0))
 
 
-def _check(callback: object, policy: object, deadline: float | None, on_deadline: object) -> None:
-    for name, called in (("callback", callback), ("on_deadline", on_deadline)):
-        if not callable(called) and not (name == "on_deadline" and called is None):
-            raise BadValue(f"{name} is {called!r}; expected something that can be called")
-    if not isinstance(policy, Policy):
-        raise BadValue(f"policy is {policy!r}; expected rhdlink.latest, rhdlink.block or rhdlink.drop_oldest(n)")
+def _check(callback: object, policy: Policy, deadline: float | None, on_deadline: object) -> None:
+    check_callable(callback, "callback")
+    check_policy(policy)
     if deadline is not None:
-        check_seconds("deadline", deadline)
-    if on_deadline is not None and deadline is None:
-        raise BadValue("on_deadline was given without a deadline")
+        check_seconds(deadline, "deadline", positive=True)
+    if on_deadline is not None:
+        check_callable(on_deadline, "on_deadline")
+        if deadline is None:
+            raise BadValue("on_deadline was given without a deadline")

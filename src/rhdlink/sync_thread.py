@@ -8,10 +8,10 @@ import time
 import weakref
 from collections.abc import Callable
 
-from linkcore.errors import Closed, LocalError, RemoteError
+from linkcore.arguments import check_seconds
+from linkcore.errors import BadValue, Closed, RemoteError
 from linkcore.streaming.backoff import Backoff
-
-from .arguments import check_seconds
+from linkcore.threads import started
 
 __all__ = ["SyncThread"]
 
@@ -39,7 +39,9 @@ class SyncThread:
         self, sync: Callable[[], object], period: float | None, backoff: Backoff | None = None, *, name: str
     ) -> None:
         if period is not None:
-            check_seconds("period", period, ", or None for every tick")
+            period = check_seconds(period, "period", positive=True, finite=True)
+        if backoff is not None and not isinstance(backoff, Backoff):
+            raise BadValue(f"backoff={backoff!r}; expected rhdlink.Backoff(...)")
         self.syncs = 0
         self.failures = 0
         self.failure: BaseException | None = None
@@ -47,11 +49,9 @@ class SyncThread:
         self._period = period
         self._backoff = backoff or Backoff()
         self._closing = threading.Event()
+        # Known before it runs: it may fail, and say who it is, before `started` returns.
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        try:
-            self._thread.start()
-        except RuntimeError as error:
-            raise LocalError(f"{name}: cannot start a thread: {error}") from error
+        started(self._thread)
 
     @property
     def is_running(self) -> bool:

@@ -39,6 +39,7 @@ from rhdlink import (
 )
 from rhdlink.address import Address, parse_address
 from rhdlink.connection import Connection
+from rhdlink.plugins.turtle import Turtle
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import Row
@@ -532,14 +533,14 @@ def test_addresses() -> None:
 @pytest.mark.parametrize(
     ("arguments", "options", "text"),
     [
-        (("localhost",), {"access": "x"}, "access is 'x'; expected 'r' or 'w'"),
-        (("localhost",), {"fallback": "w"}, "fallback is 'w'; expected None or 'r'"),
-        (("localhost",), {"unsent": "maybe"}, "unsent is 'maybe'; expected 'discard' or 'send'"),
-        (("localhost",), {"timeout": 0}, "timeout is 0; expected a positive number of seconds"),
-        (("localhost",), {"timeout": "5"}, "timeout is '5'; expected a positive number of seconds"),
-        (("localhost",), {"timeout": float("inf")}, "timeout is inf; expected a positive number of seconds"),
-        (("localhost",), {"width": 3}, "width is 3; expected None or 2 or 4"),
-        (("localhost",), {"limits": 3}, r"limits is 3; expected rhdlink.Limits\(...\)"),
+        (("localhost",), {"access": "x"}, "access='x'; expected 'r' or 'w'"),
+        (("localhost",), {"fallback": "w"}, "fallback='w'; expected None or 'r'"),
+        (("localhost",), {"unsent": "maybe"}, "unsent='maybe'; expected 'discard' or 'send'"),
+        (("localhost",), {"timeout": 0}, "timeout=0; expected a positive number of seconds"),
+        (("localhost",), {"timeout": "5"}, "timeout='5'; expected a positive number of seconds"),
+        (("localhost",), {"timeout": float("inf")}, "timeout=inf; expected a positive number of seconds"),
+        (("localhost",), {"width": 3}, "width=3; expected None or 2 or 4"),
+        (("localhost",), {"limits": 3}, r"limits=3; expected rhdlink.Limits\(...\)"),
         (("localhost", Smr()), {}, "expected a class that derives from rhdlink.Variables"),
         (("localhost", int), {}, "expected a class that derives from rhdlink.Variables"),
         ((None,), {}, "None is no address; expected a host and a port, as in localhost:24902"),
@@ -566,10 +567,10 @@ def test_names_that_are_almost_right() -> None:
 @pytest.mark.parametrize(
     ("arguments", "options", "text"),
     [
-        ((3,), {}, "callback is 3; expected something that can be called"),
-        ((print,), {"policy": "latest"}, "policy is 'latest'; expected rhdlink.latest"),
-        ((print,), {"deadline": -1}, "deadline is -1; expected a positive number of seconds"),
-        ((print,), {"deadline": 1, "on_deadline": 3}, "on_deadline is 3; expected something that can be called"),
+        ((3,), {}, "callback=3; expected a function"),
+        ((print,), {"policy": "latest"}, "policy"),
+        ((print,), {"deadline": -1}, "deadline=-1; expected a positive number of seconds"),
+        ((print,), {"deadline": 1, "on_deadline": 3}, "on_deadline=3; expected a function"),
         ((print,), {"on_deadline": print}, "on_deadline was given without a deadline"),
         ((print, "wings"), {}, "has no variable 'wings'"),
     ],
@@ -861,6 +862,24 @@ def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:
         robot.close()
         assert not background.is_running
         assert ticks == list(range(1, background.syncs + 1))
+
+
+def test_several_threads_may_sync_and_each_update_is_told_once_and_in_order() -> None:
+    with rhdlink.Host([Turtle()], port=0, pacing="lockstep") as host, rhdlink.connect(host.address) as robot:
+        ticks: list[int] = []
+        robot.subscribe(lambda update: ticks.append(update["tick"]), "tick", policy=rhdlink.block)
+
+        def sync() -> None:
+            for _ in range(100):
+                robot.sync()
+
+        threads = [threading.Thread(target=sync) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+        until(lambda: len(ticks) >= 300)
+    assert ticks == list(range(1, 301))
 
 
 def test_a_missed_deadline_is_told() -> None:

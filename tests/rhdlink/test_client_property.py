@@ -50,8 +50,10 @@ class Says:
             raise ConnectionLost("closed here")
         self.sent += data
 
-    def close(self) -> None:
+    def abort(self) -> None:
         self.is_open = False
+
+    close = abort
 
 
 @contextmanager

@@ -208,7 +208,7 @@ def test_without_a_thread_left_it_says_so_and_has_ended(monkeypatch: pytest.Monk
     host = Host([Noted("a", notes)], port=0)
     with monkeypatch.context() as patched:
         patched.setattr(threading.Thread, "start", no_thread)
-        with pytest.raises(LocalError, match="cannot start a thread"):
+        with pytest.raises(LocalError, match="no thread could be started"):
             host.start()
     assert notes == ["init a", "terminate a"]
     host.close()

@@ -17,9 +17,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from linkcore.arguments import check_choice, check_seconds, check_whole
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.threads import started
 
-from ..arguments import check_choice, check_seconds, check_whole
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..wire.decoder import Limits
@@ -152,11 +153,11 @@ class Host:
         client_timeout: float = 5.0,
         inactivity_timeout: float = 10.0,
     ) -> None:
-        check_seconds("period", period)
-        check_seconds("client_timeout", client_timeout)
-        check_seconds("inactivity_timeout", inactivity_timeout)
-        check_choice("pacing", pacing, ("period", "free", "lockstep"))
-        check_whole("port", port, 0, 65535)
+        period = check_seconds(period, "period", positive=True, finite=True)
+        client_timeout = check_seconds(client_timeout, "client_timeout", positive=True)
+        inactivity_timeout = check_seconds(inactivity_timeout, "inactivity_timeout")
+        check_choice(pacing, "pacing", ("period", "free", "lockstep"))
+        check_whole(port, "port", 0, 65535)
         self.period = period
         self.database = Database()
         self.tick = 0
@@ -313,13 +314,14 @@ class Host:
             as `run`, for what goes wrong until then; later, `failure` says what did.
         """
         self._begin()
-        self._thread = threading.Thread(target=self._run_in_thread, name="rhdlink host", daemon=True)
+        thread = threading.Thread(target=self._run_in_thread, name="rhdlink host", daemon=True)
+        self._thread = thread
         try:
-            self._thread.start()
-        except RuntimeError as error:
+            started(thread)
+        except LocalError:
             self._thread = None
             self._end()
-            raise LocalError(f"the host cannot start a thread: {error}") from error
+            raise
         return self
 
     def stop(self) -> None:
@@ -515,7 +517,7 @@ class Host:
 def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
     """The plugins as a list, each of them one, and none twice."""
     if isinstance(plugins, Plugin):
-        raise BadValue(f"plugins is {plugins!r}; expected a list of them: [{type(plugins).__name__}(...)]")
+        raise BadValue(f"plugins={plugins!r}; expected a list of them: [{type(plugins).__name__}(...)]")
     checked = list(plugins)
     for plugin in checked:
         if not isinstance(plugin, Plugin):

@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from linkcore.errors import BadValue, PacketError
+from linkcore.arguments import check_choice, check_whole
+from linkcore.errors import PacketError
 
-from ..arguments import check_choice
 from ..variables.database import Database, Table
 from ..variables.dirty_set import DirtySet
 from ..wire.data import DataPackage, Ids
@@ -122,9 +122,8 @@ class Service:
         width: int = 2,
         limits: Limits | None = None,
     ) -> None:
-        if clients < 1:
-            raise BadValue(f"a host for {clients} clients serves nobody")
-        check_choice("resend", resend, ("changed", "original"))
+        check_whole(clients, "clients", 1, 10_000)
+        check_choice(resend, "resend", ("changed", "original"))
         database.freeze()
         self._database = database
         self._allwriters = allwriters

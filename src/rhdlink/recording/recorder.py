@@ -70,6 +70,10 @@ class RecordedTransport:
         """Send all of it."""
         self._transport.send(data, timeout)
 
+    def abort(self) -> None:
+        """Disconnect at once; the file stays open for the next connection."""
+        self._transport.abort()
+
     def close(self) -> None:
         """Disconnect; the file stays open for the next connection."""
         self._transport.close()
