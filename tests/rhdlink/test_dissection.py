@@ -44,6 +44,28 @@ def packages(draw: st.DrawFn, width: int, sender: str) -> bytes:
     return {"e": b"ee", "r": draw(st.sampled_from([b"rr", b"rw", b"rx"])), "x": draw(st.binary(max_size=3))}[kind]
 
 
+@pytest.mark.parametrize(
+    ("words", "stamp"),
+    [
+        ((0, 0, 0, 0), [0, 0]),
+        ((5, 1, 999_999, 0), [(1 << 32) + 5, 999_999]),
+        ((-1, 0, 7, 0), [(1 << 32) - 1, 7]),
+        ((-5, -1, -1, -1), [-5, -1]),
+        ((0, -(2**31), 0, 2**31 - 1), [-(2**63), (2**31 - 1) << 32]),
+    ],
+)
+def test_time_stamps_of_four_words_are_numbers_of_64_bits_with_a_sign(words: tuple[int, ...], stamp: list[int]) -> None:
+    (piece,) = dissect(b"dw" + int32(1, 0, *words, 8), "client", TABLES, 4)
+    assert piece.parts[1].content["stamp"] == stamp
+
+
+def test_a_variable_without_words_can_be_shown() -> None:
+    """No server has one, and the decoders refuse it; the dissection shows what there is."""
+    table = b"tw" + int32(1, 0) + b"none".ljust(33, b"\0")
+    (_, piece) = dissect(table + b"dw" + int32(1, 0, 1, 2), "server")
+    assert (piece.error, piece.parts[1].content["words"]) == (None, [])
+
+
 def told(package: DataPackage) -> list[tuple[int, tuple[int, ...], list[int]]]:
     return [(identity, stamp, values.tolist()) for identity, stamp, values in package.items()]
 

@@ -305,7 +305,49 @@ def test_limits() -> None:
         (Limits(batch=100), "no end within 100 bytes"),
     ):
         assert reason in str(read_server([HANDSHAKE], limits=limits)[-1])
-    assert len(read_server([HANDSHAKE], limits=Limits(variables=2, length=8, words=9, batch=len(HANDSHAKE)))) == 1
+    (found,) = read_server([HANDSHAKE], limits=Limits(variables=2, length=8, words=9, batch=len(HANDSHAKE)))
+    assert not isinstance(found, str)
+
+
+def test_the_largest_batch_that_is_taken() -> None:
+    batch = b"dr\0\0\0\0" * 100 + b"ee"
+    for pieces in ([HANDSHAKE, batch], [HANDSHAKE, *(batch[at : at + 1] for at in range(len(batch)))]):
+        assert read_server(pieces, limits=Limits(batch=len(batch)))[-1] == [("r", [], [], [])] * 100
+        # Also where only its end is beyond the limit.
+        for size in (len(batch) - 1, len(batch) - 2):
+            assert f"no end within {size} bytes" in str(read_server(pieces, limits=Limits(batch=size))[-1])
+
+
+def test_a_package_that_is_going_to_be_too_large_is_refused_before_it_has_come() -> None:
+    limits = Limits(batch=1000)
+    layout = TableLayout([1, 300])
+    announced = b"dw" + struct.pack(">ii", 2, 1)
+    assert "no end within 1000 bytes" in str(read_client([b"aw", announced], layout, 2, limits)[-1])
+    table = b"tr" + struct.pack(">i", 100)
+    for rows in (table, table + bytes(1000)):
+        found = read_server([HANDSHAKE, rows], limits=limits)
+        assert ("no end within" in str(found[-1])) == (len(rows) > 1000)
+
+
+def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_before() -> None:
+    """Nine kinds of packages: the first is forgotten when the ninth comes."""
+    layout = TableLayout([1] * 9)
+    decoder = ClientDecoder(layout)
+    decoder.feed(b"aw")
+    decoder.take_access()
+    values, times = np.zeros(9, np.int32), np.zeros((9, 2), np.int64)
+
+    def send(count: int) -> Selection:
+        decoder.feed(encode_data("w", Selection(layout, np.arange(count), 2), values, times) + b"ee")
+        request = decoder.take_request()
+        assert request is not None
+        return request.data[0].selection
+
+    kinds = [send(count) for count in range(1, 9)]
+    assert [send(count) for count in range(1, 9)] == kinds
+    send(9)
+    assert send(1) is not kinds[0]
+    assert send(8) is kinds[7]
 
 
 @pytest.mark.parametrize("name", ["variables", "length", "words", "batch"])

@@ -445,5 +445,4 @@ class ClientDecoder(_Decoder):
             else:
                 self._refuse_package("'rr', 'rw', 'dw' or 'ee'")
             self._bound(self._at - self._start)
-        self._bound(self.waiting)
         return None
