@@ -62,10 +62,13 @@ class World:
     """
 
     def __init__(self, size: float = 11.0, start: tuple[float, float, float] | None = None) -> None:
-        if not 0.0 < size < math.inf:
-            raise BadValue(f"a world of {size} m cannot be")
+        if not isinstance(size, (int, float)) or not 0.0 < size < math.inf:
+            raise BadValue(f"size={size!r}; expected a positive number of metres")
         self.size = size
-        self.start = Pose(size / 2, size / 2, 0.0) if start is None else Pose(*map(float, start))
+        try:
+            self.start = Pose(size / 2, size / 2, 0.0) if start is None else Pose(*map(float, start))
+        except (TypeError, ValueError):
+            raise BadValue(f"start={start!r}; expected x (m), y (m) and theta (rad)") from None
         if not all(0.0 <= place <= size for place in self.start[:2]) or not math.isfinite(self.start.theta):
             raise BadValue(f"a start at {tuple(self.start)} is not within {size:g} x {size:g} m")
         self.odometry = Pose(0.0, 0.0, 0.0)

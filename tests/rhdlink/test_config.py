@@ -119,6 +119,17 @@ def test_the_message_names_file_and_line(tmp_path: Path) -> None:
         read_config(tmp_path / "missing.xml")
     with pytest.raises(BadConfiguration, match="cannot read"):
         read_config(tmp_path)
+    with pytest.raises(BadConfiguration, match="cannot read 0: expected the path"):
+        read_config(0)  # type: ignore[arg-type]
+
+
+def test_the_width_of_time_stamps() -> None:
+    text = "<rhd><server><width value='{}'/></server></rhd>"
+    assert parse_config(text.format(4)).width == 4
+    assert parse_config("<rhd/>").width == 2
+    for wrong in (3, 0, -2, "wide"):
+        with pytest.raises(BadConfiguration, match="<width>: "):
+            parse_config(text.format(wrong))
 
 
 def entry(lib: str) -> object:

@@ -616,6 +616,10 @@ def test_a_class_that_is_no_plugin_is_refused() -> None:
         {"resend": "never"},
         {"width": 3},
         {"client_timeout": 0.0},
+        {"client_timeout": "5"},
+        {"inactivity_timeout": -1.0},
+        {"limits": 3},
+        {"address": None},
     ],
 )
 def test_arguments_that_cannot_be(wrong: dict[str, Any]) -> None:
@@ -665,6 +669,7 @@ def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
         (Echo(), r"expected a list of them: \[Echo\(...\)\]"),
         ([Echo], "is no plugin; expected instances"),
         ([3], "3 is no plugin"),
+        (3, "plugins=3; expected a list of plugins"),
     ],
 )
 def test_what_is_no_plugin_is_said(plugins: Any, text: str) -> None:

@@ -226,3 +226,8 @@ def test_scales_that_cannot_be(wrong: dict[str, float]) -> None:
 def test_wheels_that_cannot_be(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue):
         SmrTurtle(**wrong)
+
+
+def test_what_is_no_world_is_said() -> None:
+    with pytest.raises(BadValue, match=r"world=3; expected rhdlink.world.World\(...\)"):
+        Turtle(3)  # type: ignore[arg-type]

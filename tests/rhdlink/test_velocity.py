@@ -92,6 +92,11 @@ def test_settings_that_cannot_be(wrong: dict[str, Any]) -> None:
         VelocityBridge(lambda twist: None, **wrong)
 
 
+def test_what_is_no_function_is_said() -> None:
+    with pytest.raises(BadValue, match="on_twist=3; expected a function"):
+        VelocityBridge(3)  # type: ignore[arg-type]
+
+
 def test_a_slow_function_holds_up_no_tick_and_is_given_the_newest() -> None:
     twists: list[Twist] = []
     entered, go_on = threading.Event(), threading.Event()

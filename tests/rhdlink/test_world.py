@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -97,8 +98,10 @@ def test_the_path_is_bounded_and_keeps_both_ends() -> None:
     assert path[-1].tolist() == list(world.pose[:2])
 
 
-@pytest.mark.parametrize(("size", "start"), [(0.0, None), (math.inf, None), (math.nan, None), (1.0, (2, 0, 0))])
-def test_a_world_that_cannot_be(size: float, start: tuple[float, float, float] | None) -> None:
+@pytest.mark.parametrize(
+    ("size", "start"), [(0.0, None), (math.inf, None), (math.nan, None), (1.0, (2, 0, 0)), ("11", None), (1.0, 3)]
+)
+def test_a_world_that_cannot_be(size: Any, start: Any) -> None:
     with pytest.raises(BadValue):
         World(size, start)
 

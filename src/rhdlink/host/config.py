@@ -231,6 +231,8 @@ def read_config(path: str | os.PathLike[str]) -> Configuration:
     Raises:
         BadConfiguration: it cannot be read, or is none.
     """
+    if not isinstance(path, (str, os.PathLike)):  # open() would take a number for a descriptor
+        raise BadConfiguration(f"cannot read {path!r}: expected the path of an rhdconfig.xml")
     try:
         with open(path, "rb") as file:
             data = file.read(LARGEST + 1)

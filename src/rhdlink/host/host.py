@@ -113,7 +113,8 @@ class Host:
         plugins: are initialised in this order, and run in the reverse order, as in the original.
         period: of the tick, s.
         port: TCP port, 0 for a free one.
-        address: to listen on. Whoever can connect can drive the robot, so by default only this machine can.
+        address: to listen on; "" for every IPv4 address of this computer. Whoever can connect can drive the robot, so
+            by default only this machine can.
         clients: how many may be connected.
         allwriters: whether every client may write, rather than the first that asks.
         synchronized: whether each tick waits for the request of the one writer, at most one period more.
@@ -158,6 +159,8 @@ class Host:
         inactivity_timeout = check_seconds(inactivity_timeout, "inactivity_timeout")
         check_choice(pacing, "pacing", ("period", "free", "lockstep"))
         check_whole(port, "port", 0, 65535)
+        if not isinstance(address, str):
+            raise BadValue(f"address={address!r}; expected an address of this computer, or '' for all of them")
         self.period = period
         self.database = Database()
         self.tick = 0
@@ -518,7 +521,10 @@ def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
     """The plugins as a list, each of them one, and none twice."""
     if isinstance(plugins, Plugin):
         raise BadValue(f"plugins={plugins!r}; expected a list of them: [{type(plugins).__name__}(...)]")
-    checked = list(plugins)
+    try:
+        checked = list(plugins)
+    except TypeError:
+        raise BadValue(f"plugins={plugins!r}; expected a list of plugins") from None
     for plugin in checked:
         if not isinstance(plugin, Plugin):
             raise BadValue(f"{plugin!r} is no plugin; expected instances of classes that derive from rhdlink.Plugin")

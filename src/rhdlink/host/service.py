@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from linkcore.arguments import check_choice, check_whole
-from linkcore.errors import PacketError
+from linkcore.errors import BadValue, PacketError
 
 from ..variables.database import Database, Table
 from ..variables.dirty_set import DirtySet
@@ -124,6 +124,8 @@ class Service:
     ) -> None:
         check_whole(clients, "clients", 1, 10_000)
         check_choice(resend, "resend", ("changed", "original"))
+        if limits is not None and not isinstance(limits, Limits):
+            raise BadValue(f"limits={limits!r}; expected rhdlink.Limits(...)")
         database.freeze()
         self._database = database
         self._allwriters = allwriters

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, TextIO
 
 import numpy as np
 
+from linkcore.arguments import check_whole
 from linkcore.errors import BadRecording, BadValue, LinkTimeout
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
@@ -93,9 +94,8 @@ class Logger(Plugin):
     safety = 127
 
     def __init__(self, path: str | os.PathLike[str] | None = None, *, every: int = 1) -> None:
-        self._path = None if path is None else _checked(Path(path))
-        if every < 1:
-            raise BadValue(f"every is {every}; expected at least 1 tick")
+        self._path = None if path is None else _checked(path)
+        check_whole(every, "every", 1, 2**31 - 1)
         self._every = every
         self._queue = PacketQueue(drop_oldest(_WAITING))
         self._delivery: ThreadedDelivery | None = None
@@ -119,7 +119,7 @@ class Logger(Plugin):
         """
         path = config.get("path")
         if path is not None:
-            self._path = _checked(Path(path))
+            self._path = _checked(path)
         if self._path is None:
             raise BadValue('a logger needs a path="..."')
         self._every = config.integer("every", self._every, least=1)
@@ -157,7 +157,10 @@ class Logger(Plugin):
         return declared
 
 
-def _checked(path: Path) -> Path:
+def _checked(path: str | os.PathLike[str]) -> Path:
+    if not isinstance(path, (str, os.PathLike)):
+        raise BadValue(f"path={path!r}; expected that of a .csv or a .urlog")
+    path = Path(path)
     if path.suffix not in (".csv", ".urlog"):
         raise BadValue(f"{path}: a log is a .csv or a .urlog")
     return path

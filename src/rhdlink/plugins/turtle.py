@@ -33,6 +33,8 @@ class _InWorld(Plugin):
     """
 
     def __init__(self, world: World | None = None, *, needs_master: bool = True) -> None:
+        if world is not None and not isinstance(world, World):
+            raise BadValue(f"world={world!r}; expected rhdlink.world.World(...)")
         self.world = World() if world is None else world
         self._has_world = world is not None
         self._needs_master = needs_master

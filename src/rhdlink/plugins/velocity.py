@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from linkcore.arguments import check_callable
 from linkcore.errors import BadValue
 from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import latest
@@ -77,6 +78,7 @@ class VelocityBridge(Plugin):
         needs_master: bool = True,
         own_thread: bool = True,
     ) -> None:
+        check_callable(on_twist, "on_twist")
         for scale in (command_linear_scale, command_angular_scale):
             if not math.isfinite(scale) or scale == 0.0:
                 raise BadValue(f"{scale} is no scale of a command")

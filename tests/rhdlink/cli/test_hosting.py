@@ -146,3 +146,27 @@ def test_turtle_for_a_while(run: Run) -> None:
     assert out.startswith("127.0.0.1:")
     assert err.startswith("rhdlink: turtle, driven by velocity; Ctrl-C ends it; connect to\n")
     assert "ended at x 5.500 m, y 5.500 m, heading 0.0 deg" in err
+
+
+@pytest.mark.parametrize("width", [2, 4])
+def test_the_width_of_time_stamps_can_be_chosen(spawn: Spawn, config: str, width: int) -> None:
+    for command in (("turtle", "--port", "0"), ("serve", config)):
+        process = spawn(*command, "--width", str(width))
+        assert process.stdout is not None
+        with rhdlink.connect(process.stdout.readline().strip(), access="w") as robot:
+            assert robot.width == width
+            robot.sync()
+            # With the wrong width the stamp of the tick would be nonsense.
+            assert abs(robot.stamp("tick").time - robot.received.wall) < 60.0
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 143
+
+
+def test_the_width_of_the_file_and_the_last_word_over_it(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "rhdconfig.xml"
+    path.write_text("<rhd><server><port value='0'/><width value='4'/></server></rhd>")
+    assert rhdlink.Host.from_config(path)._service_options["width"] == 4
+    assert rhdlink.Host.from_config(path, width=2)._service_options["width"] == 2
+    status, _, err = run("serve", str(path), "--width", "3")
+    assert status == 2
+    assert "--width" in err
