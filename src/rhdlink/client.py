@@ -211,7 +211,7 @@ class Variables(Declarations):
         """
         replica = self._known()
         if self._access != "w":
-            replica.find_to_set(name)  # of two mistakes the name is said
+            replica.find_to_set(name)  # of two mistakes the one of the name is told
             self._require_write_access(name)
         replica.set(name, value)
 
@@ -324,6 +324,7 @@ class Variables(Declarations):
             seconds = check_seconds(timeout, "timeout", positive=True, finite=True)
         if os.getpid() != self._process:
             raise LocalError(f"{self._address} was connected to by the parent process; connect again in this one")
+        # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
         until = time.monotonic() + seconds
         if not self._exchange.acquire(timeout=min(seconds, threading.TIMEOUT_MAX)):
             raise LinkTimeout(f"{self.address}: another thread has been in sync() for {seconds:g} s")
@@ -381,6 +382,7 @@ class Variables(Declarations):
             Closed: after `close`.
         """
         replica = self._known()
+        # A name that the robot lacks would never be told of, and nobody would know why.
         for name in names:
             replica.find(name)
         return self._subscribers.subscribe(
@@ -415,6 +417,7 @@ class Variables(Declarations):
             return
         timeout = check_seconds(timeout, "timeout")
         until = time.monotonic() + timeout
+        # In this order: who is in `sync` finds the flag when closing the transport wakes it, and raises Closed.
         self._closing.set()
         self._transport.close()
         if self._sync_thread is not None:
@@ -478,6 +481,8 @@ class Variables(Declarations):
         try:
             connection = self._connection or self._open(until)
             replica.begin_round()
+            # First what has come already. An unsolicited batch that stayed in the buffer would be taken for the reply
+            # to this request, and each reply after it for that to the next.
             connection.take_waiting(until)
             connection.collect(until)
             replica.answered()
@@ -506,6 +511,7 @@ class Variables(Declarations):
         except RemoteError as error:
             self._tell(ConnectionState.LOST, error)
             raise
+        # Found anew by name: a robot that was started again may have other variables, in another order.
         database = database_of(connection.handshake)
         try:
             with replica.lock:
@@ -515,7 +521,7 @@ class Variables(Declarations):
             connection.abort()
             self._tell(ConnectionState.LOST, error)
             raise
-        if self._closing.is_set():  # while connecting: it could not see this connection
+        if self._closing.is_set():  # closed while connecting: `close` could not see this connection
             connection.abort()
             raise Closed(f"{self._address} was closed")
         self._connection = connection

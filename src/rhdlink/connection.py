@@ -120,10 +120,12 @@ class Connection:
         except ConnectionLost as error:
             if decoder.waiting:
                 raise
+            # A server without a free slot accepts and closes without a byte (docs/protocols/rhd.md, Handshake).
             raise ConnectFailed(f"{error} without a word; are all its client slots in use?") from error
         except LinkTimeout as error:
             raise LinkTimeout(f"{transport.name}: no handshake in time; {decoder.waiting} bytes of it came") from error
         except PacketError as error:
+            # Wrong from the first byte on: an SSH or HTTP server, say, and not an RHD server that has gone astray.
             if error.offset == 0:
                 raise WrongPeer(f"{transport.name} is no RHD server: {error.reason}") from error
             raise
@@ -184,6 +186,7 @@ class Connection:
             ConnectionLost: the connection is gone.
             PacketError: the reply cannot be understood.
         """
+        # Set only when nothing is outstanding any more: until then it is not known which batch was whose.
         while self._outstanding:
             arrived, self.received = self._transport.receive(_left(until))
             self._decoder.feed(arrived)
@@ -210,7 +213,7 @@ class Connection:
         except BaseException:  # interrupted: likewise
             self._transport.abort()
             raise
-        self._outstanding += 1
+        self._outstanding += 1  # from now on, whatever comes: a timeout leaves the reply to the next sync
         self.collect(until)
 
     def abort(self) -> None:

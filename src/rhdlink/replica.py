@@ -219,6 +219,7 @@ class Replica:
     def apply(self, batch: Batch) -> None:
         """Take what the robot says."""
         with self.lock:
+            # `updated` of a write variable says that this program has set it, which nothing that comes changes.
             for data in batch.data:
                 self.database.table(data.direction).receive(data, updates=data.direction == "r")
             if self.period is None:
@@ -234,6 +235,8 @@ class Replica:
 
     def _measure_period(self) -> None:
         """Work the time between ticks out from the first batch that shows it."""
+        # By the robot's own stamps, so that the network has no part in it. A robot whose tick stands still, or that has
+        # none, never shows it.
         before, after = self._first_tick, self._tick()
         if before is not None and after is not None and after[0] > before[0] and after[1] > before[1]:
             self.period = (after[1] - before[1]) / (after[0] - before[0])

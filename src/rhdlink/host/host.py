@@ -329,6 +329,7 @@ class Host:
 
     def stop(self) -> None:
         """Have it end after this round; from any thread, from a plugin, from a signal handler."""
+        # A plain flag and a byte into a pipe: a lock could be held by the very code that a signal handler interrupts.
         self._is_stopping = True
         server = self._server
         if server is not None:
@@ -376,6 +377,7 @@ class Host:
     def _begin(self) -> None:
         if self._is_used:
             raise Closed("a host runs once; make another")
+        # Before anything that may fail: what has begun once may have left devices open, and is not begun again.
         self._is_used = True
         try:
             # Id 0, as clients of the original expect (docs/protocols/rhd.md, Handshake).
@@ -410,6 +412,7 @@ class Host:
             bind(plugin, self.database)
             plugin.init(self._configs.get(id(plugin), Element(plugin.name)))
         except Exception as error:
+            # Not begun, so it is not terminated either: what it has opened so far, only itself can know.
             if plugin.is_critical:
                 raise PluginFailed(plugin.name, "init", error) from error
             _log.exception("plugin %s failed in init; the host goes on without it", plugin.name)
@@ -482,6 +485,7 @@ class Host:
 
     def _fail(self, plugin: Plugin, error: BaseException) -> None:
         self._failed.append(plugin.name)
+        # A new list, since the old one is just being gone through.
         self._running = [other for other in self._running if other is not plugin]
         if plugin.is_critical:
             _log.exception("critical plugin %s failed in periodic; the host ends", plugin.name)
@@ -492,6 +496,7 @@ class Host:
 
     def _wait_for_tick(self, service: Service, server: Server) -> None:
         if self._pacing == "lockstep":
+            # No deadline: in lockstep time stands still until somebody asks; `stop` wakes it.
             server.serve(None, lambda: self._is_stopping or service.is_asked)
             return
         if self._pacing == "free":

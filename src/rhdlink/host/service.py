@@ -205,6 +205,7 @@ class Service:
         """A client is gone. What it had written completely still counts: it may be the command to stop."""
         if client.slot is None:
             return
+        # The slot is free at once; in the original it is at the next tick (docs/rhd-differences.md).
         self._slots[client.slot] = None
         client.slot = None
         self._find_sole_writer()
@@ -225,11 +226,13 @@ class Service:
         # A second writer becomes a reader and is told so; the original leaves the answer out (docs/protocols/rhd.md,
         # Defects, 7).
         client.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
+        # The lowest free one, as in the original: replies of a round go out in the order of slots.
         client.slot = self._slots.index(None)
         self._slots[client.slot] = client
         self._find_sole_writer()
         database = self._database
-        # Others may not have been told yet of what was set before now. This client is told by the handshake.
+        # What was set before now goes into the dirty sets of the others before this client has one: it is told of all
+        # that by its handshake.
         self._spread_dirty()
         client.dirty_read, client.dirty_write = DirtySet(len(database.read)), DirtySet(len(database.write))
         self._take_request(client)
@@ -256,6 +259,7 @@ class Service:
     def sync(self) -> list[tuple[Client, bytes]]:
         """Take what clients have written, and answer those who asked: one request of each client."""
         database = self._database
+        # What was written in the round before is news to the plugins no longer (docs/protocols/rhd.md, Server tick).
         database.write.begin_round()
         written: list[tuple[Client | None, DataPackage]] = []
         for data in self._final_writes:
@@ -265,6 +269,7 @@ class Service:
         for client in self._slots:
             if client is None or client.request is None or not client.is_reading or client.failure is not None:
                 continue
+            # One request of each client in a round: what it has sent ahead is taken in the next (Sync cycle).
             request, client.request = client.request, None
             taken.append(client)
             if request.data:

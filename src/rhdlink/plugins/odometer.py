@@ -54,6 +54,7 @@ class Odometer:
         if math.isfinite(x) and math.isfinite(y) and math.isfinite(theta) and self._last is not None:
             last_x, last_y, last_theta = self._last
             travelled += ((x - last_x) * math.cos(theta) + (y - last_y) * math.sin(theta)) * self._linear
+            # The shorter way round, so that a heading which is kept within +-pi does not count a turn at each wrap.
             heading = last_theta + math.remainder(theta - last_theta, 2 * math.pi)
         if not (math.isfinite(x + y + travelled) and math.isfinite(heading * self._angular)):
             raise BadValue(f"{x}, {y}, {theta} is no pose that could be counted")

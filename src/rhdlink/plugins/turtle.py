@@ -44,12 +44,14 @@ class _InWorld(Plugin):
         """Take `size`, `x`, `y` (m) and `theta` (rad) of the world from the file, unless there is one."""
         if self._has_world:
             return
+        # The bounds only refuse nonsense in a file.
         size = config.number("size", self.world.size, least=0.1, most=1e6)
         x, y = (config.number(name, size / 2, least=0.0, most=size) for name in "xy")
         self.world = World(size, (x, y, config.number("theta", 0.0)))
 
     def _obeys(self, was_written: bool) -> bool:
         """Whether the command is in force."""
+        # A new master does not set it moving by the values of the one before: it has to write first.
         if self._needs_master:
             if not self.host.writers:
                 self._is_commanded = False

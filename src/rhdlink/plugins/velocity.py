@@ -119,9 +119,12 @@ class VelocityBridge(Plugin):
         """Hand over a new velocity, and tell the poses that have come."""
         poses, odometer = self._poses, self._odometer
         if poses:
+            # Every one of them, in order: the way between two poses counts, and not only the last place. As many as
+            # there are now, since another thread may go on adding.
             for _ in range(len(poses)):
                 odometer.update(*poses.popleft())
             self.transpos, self.rotpos = odometer.transpos, odometer.rotpos
+        # A master that is killed sends no zeros (docs/protocols/rhd.md, How MRC uses a host).
         if self._needs_master and not self.host.writers:
             self._hand_over(Twist(0.0, 0.0))
         elif self.is_updated(VelocityBridge.cmdtransvel) or self.is_updated(VelocityBridge.cmdrotvel):
@@ -134,6 +137,7 @@ class VelocityBridge(Plugin):
             self._delivery.finish()
 
     def _commanded(self) -> Twist:
+        # Only the forward velocity has a dead band.
         linear = self.cmdtransvel / self._scales[0]
         return Twist(0.0 if abs(linear) < self._dead_band else linear, self.cmdrotvel / self._scales[1])
 

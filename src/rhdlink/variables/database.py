@@ -41,7 +41,8 @@ from .dirty_set import DirtySet
 
 __all__ = ["Database", "Table", "TimeStamp", "now"]
 
-#: Selections that a table remembers, one for each number of variables.
+#: Selections that a table remembers, one for each number of variables. Working one out takes ten times as long as using
+#: it, and a robot whose plugins set things at different rates has a few that come again and again.
 _REMEMBERED = 8
 
 
@@ -64,6 +65,7 @@ class TimeStamp(NamedTuple):
 
 def now() -> TimeStamp:
     """The present, by this machine's clock."""
+    # From whole nanoseconds: a float of seconds has steps of 0.2 us, and rounding could carry into the second.
     nanoseconds = time.time_ns()
     return TimeStamp(nanoseconds // 1_000_000_000, nanoseconds // 1000 % 1_000_000)
 
@@ -75,8 +77,10 @@ def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
             raise BadValue(f"{words} does not fit 32 bits")
         return words
     array = np.asarray(words)
+    # A scalar is for all words, as the original's setVariable in a loop; anything else has to have one for each.
     if array.shape not in ((), (size,)):
         raise BadValue(f"expected {size} words, got the shape {array.shape}")
+    # numpy would cut a float and wrap a number of 64 bits without a word, and set a robot moving at another speed.
     if array.dtype != np.int32 and size:
         if array.dtype.kind not in "iub":
             raise BadValue(f"{words!r} are not whole numbers of 32 bits")
@@ -121,6 +125,8 @@ class Table:
         for row in rows:
             self._ids.setdefault(row.name, len(self.rows))  # of several, the first is found
             self.rows.append(row)
+        # All of it anew, which makes each `add` as costly as there are variables. Plugins add theirs once, before the
+        # first tick.
         self.layout = TableLayout([row.length for row in self.rows])
         self._sizes, self._starts = self.layout.sizes, self.layout.offsets.tolist()
         count, before = self.layout.count, len(self.updated)
@@ -133,6 +139,7 @@ class Table:
         self.fresh: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self._received: list[slice | Ids] = []
         self._selections: dict[tuple[int, int], Selection] = {}
+        # What a plugin set before the next one added variables is still to be told.
         kept = self.dirty.take()
         self.dirty = DirtySet(count)
         self.dirty.add_many(kept, ordered=True)
@@ -166,7 +173,7 @@ class Table:
         if not name:
             raise BadValue(f"a variable has to have a name of 1 to {LONGEST_NAME} characters")
         row = Row(name, length)
-        encode_table(self.direction, [row])
+        encode_table(self.direction, [row])  # raises for a name or a length that the wire cannot carry
         self._extend([row])
         return len(self.rows) - 1
 
@@ -179,6 +186,7 @@ class Table:
             BadValue: no variable has such an id.
         """
         start = self.start(identity)
+        # Read only: writing here would set no stamp and no flag, so nobody would be told.
         view = self.values[start : start + self._sizes[identity]]
         view.flags.writeable = False
         return view
@@ -280,6 +288,7 @@ class Table:
         rows, cells = selection.rows, selection.cells
         values, stamps, before = data.values, data.stamps, self.stamps[rows]
         differs = self.values[cells] != values
+        # One flag for each variable out of one for each word; with one word each they are the same.
         changed = differs if len(differs) == len(data) else np.logical_or.reduceat(differs, selection.starts)
         self.changed[rows] = changed
         self.fresh[rows] = changed | (before[:, 0] != stamps[:, 0]) | (before[:, 1] != stamps[:, 1])
@@ -287,6 +296,8 @@ class Table:
         self.stamps[rows] = stamps
         if updates:
             self.updated[rows] = True
+        # Remembered so that `begin_round` clears these flags and no others: to clear all would cost more the more
+        # variables there are, at each sync.
         self._received.append(rows)
 
     def begin_round(self, *, updates: bool = True) -> None:
@@ -340,6 +351,7 @@ class Database:
             granted: "r" or "w"; None for none, as the original refuses.
             width: words of a time stamp.
         """
+        # A client that has been told of the tables is never told of another variable.
         self.freeze()
         if self._tables is None:
             self._tables = encode_table("w", self.write.rows) + encode_table("r", self.read.rows)

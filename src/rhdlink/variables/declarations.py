@@ -97,6 +97,7 @@ class Declaration(Generic[V, S]):
     def __get__(self, instance: Declarations | None, owner: type | None = None) -> Any:
         if instance is None:
             return self
+        # The common case first and without a branch: control loops read variables at each tick.
         try:
             read = instance._bound_readers[self.attribute]
         except KeyError:
@@ -234,6 +235,7 @@ class Declarations:
                 raise BadValue(f"order is {order!r}; expected 'little' or 'big'")
             cls._word_order = order
         declared: dict[str, Declaration[Any, Any]] = {}
+        # From the oldest base on, so that a class replaces what its bases declare, and removes it with `name = None`.
         for base in reversed(cls.__mro__):
             for attribute, value in vars(base).items():
                 declared.pop(attribute, None)
@@ -284,6 +286,7 @@ def create_variables(declared: type[Declarations], database: Database) -> None:
     """
     for declaration in declared.declared().values():
         table = database.table(declaration.direction)
+        # Plugins share variables by declaring the same one; whether it is the same, `bind` finds out.
         if declaration.name not in table:
             table.add(declaration.name, declaration.length)
 
@@ -301,7 +304,9 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
     """
     places: dict[str, tuple[Table, int]] = {}
     readers: dict[str, Callable[[], Any]] = {}
+    # All of them are collected: who connects to a robot of another kind sees at once how it differs.
     differences = []
+    # Re-entrant: a signal handler may read a variable while the main thread is reading one.
     lock = lock or threading.RLock()
     for attribute, declaration in instance.declared().items():
         table = database.table(declaration.direction)
@@ -313,6 +318,7 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
             differences.append(difference)
     if differences:
         raise WrongVariables(differences)
+    # Last, so that an instance which cannot be bound keeps working on the tables that it had.
     instance._bound_lock, instance._bound_places, instance._bound_readers = lock, places, readers
 
 
@@ -324,7 +330,8 @@ def _reader(
     offset = WORD * table.start(identity)
 
     def read_now() -> Any:
-        # Without the lock, half of a value of two words could be that of the batch which is just coming in.
+        # Without the lock, half of a value of two words could be that of the batch which is just coming in. The table's
+        # memory is looked up each time, since it is another one after a plugin has added a variable.
         with lock:
             return read(table.memory, offset)
 

@@ -141,6 +141,8 @@ class _Decoder:
             if count == 0:
                 self._at = start
                 return DataPackage.empty(direction, layout, width)
+            # The common case: the same variables as in the last package with as many. One comparison of all ids, and
+            # no look at the single entries.
             guess = self._known.get((direction, count))
             if guess is not None and len(buffer) - start >= WORD * guess.size:
                 package = DataPackage.read(direction, guess, buffer, start)
@@ -163,7 +165,7 @@ class _Decoder:
 
     def _remember(self, direction: str, selection: Selection) -> None:
         key = (direction, len(selection.ids))
-        self._known.pop(key, None)
+        self._known.pop(key, None)  # so that it becomes the newest: a dict keeps the order of insertion
         if len(self._known) >= _REMEMBERED:
             del self._known[next(iter(self._known))]
         self._known[key] = selection
@@ -219,6 +221,7 @@ class ServerDecoder(_Decoder):
                 self._refuse(f"access {bytes(buffer[:2])!r} is granted; expected 'ar' or 'aw'", 1)
             self._granted = buffer[1:2].decode()
             self._at = 2
+        # Write before read, always (docs/protocols/rhd.md, Handshake).
         for direction in "wr":
             if direction not in self._rows:
                 table = self._take_table(direction) if self._is_at(f"{TABLE.letter}{direction}") else None
@@ -234,6 +237,7 @@ class ServerDecoder(_Decoder):
         data = []
         for direction in "wr":
             layout = self._layouts[direction]
+            # The handshake has every variable once and in order, so its packages need not be looked through.
             if layout.count:
                 self._remember(direction, Selection(layout, np.arange(layout.count), width))
             package = self._take_data(direction, layout, width)
@@ -260,7 +264,7 @@ class ServerDecoder(_Decoder):
             return None
         while len(self._buffer) - self._at >= 2:
             letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
-            if letter == _END:
+            if letter == _END:  # whatever the second letter
                 return Batch(*self._end_batch(self._at + 2))
             if letter not in (_DATA, _TABLE) or direction not in "rw":
                 self._refuse_package("'dr', 'dw' or 'ee'")
@@ -435,6 +439,7 @@ class ClientDecoder(_Decoder):
                 ready, self._ready = self._ready, None
                 return Request(ready, data, size)
             if letter == _READY and direction in "rw":
+                # Before or after the values: the order within a request is free (docs/protocols/rhd.md, Sync cycle).
                 self._ready = direction
                 self._at += 2
             elif letter == _DATA and direction == "w":
