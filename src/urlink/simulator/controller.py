@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
@@ -108,6 +109,7 @@ class Controller:
         self._numbers = _port_numbers(ports)
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
+        self._clock = time.monotonic
         # Messages that were there at the end of the last step.
         self._said = 0
 
@@ -358,6 +360,7 @@ class Controller:
                 host=self.host,
                 numbers=self._numbers,
                 output_limit=self._output_limit,
+                clock=self._clock,
             )
             self._loader.on_compiled = server.wake
             self._server = server

@@ -24,8 +24,9 @@ from .state import ControllerState
 
 __all__ = ["Server"]
 
-#: Seconds after which a packet is not worth sending any more.
-LATEST = 0.25
+#: Seconds after which a packet is not sent any more. Up to there a client gets every cycle. Beyond it, old packets
+#: would only make the next ones later, on a machine that is too slow for all of its controllers.
+LATEST = 1.0
 #: Seconds beyond which the clock is set anew rather than caught up: the machine slept.
 ASLEEP = 5.0
 #: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
@@ -63,7 +64,7 @@ class _Client(Handler):
         self.connection.finish(LAST_REPLY)
 
     def data_received(self, data: bytes) -> None:
-        # What a client asks for begins in the next cycle, not in one after that at which the clock was last looked at.
+        # What a client asks for takes effect in the next cycle of the present, not of the time of the last look.
         self._server.catch_up()
         self._receiver.feed(data)
 
@@ -83,6 +84,7 @@ class Server:
         host: address to listen on.
         numbers: name of each port -> number, 0 for a free one.
         output_limit: bytes that may wait for one client.
+        clock: seconds, monotonic; a test may have one of its own.
 
     Attributes:
         clients: connected at present.
@@ -102,6 +104,7 @@ class Server:
         host: str,
         numbers: Mapping[str, int],
         output_limit: int,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.clients: set[_Client] = set()
         self._control = loop
@@ -110,7 +113,8 @@ class Server:
         self._ports = ports
         self._loader = loader
         self._link = link
-        self._sockets = SelectorLoop()
+        self._sockets = SelectorLoop(clock)
+        self._clock = clock
         self._is_closing = False
         self._is_changed = False
         self._rate = state.firmware.rate
@@ -198,7 +202,7 @@ class Server:
             self._sockets.close()
 
     def _serve(self) -> None:
-        self._epoch = time.monotonic()
+        self._epoch = self._clock()
         while not self._is_closing:
             self.catch_up()
             self._loader.advance()
@@ -210,18 +214,18 @@ class Server:
     def catch_up(self) -> None:
         """Advance the controller to the present, and send what that brings."""
         rate, state, counters = self._rate, self._state, self._counters
-        behind = int((time.monotonic() - self._epoch) * rate) - (state.cycle - self._first)
+        behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
         if behind > ASLEEP * rate:
             self._epoch += (behind - 1) / rate
             counters.skipped += behind - 1
             behind = 1
-        until = time.monotonic() + LONGEST_CATCH_UP
+        until = self._clock() + LONGEST_CATCH_UP
         has_time = True
         while behind > 0 and has_time and not self._is_closing:
             is_due = self._next(state.cycle) == state.cycle + 1
             self._control.advance()
             behind -= 1
-            has_time = time.monotonic() < until
+            has_time = self._clock() < until
             if behind > LATEST * rate and has_time:
                 counters.skipped += 1
                 continue
@@ -284,7 +288,7 @@ class Server:
     def _accept(self, name: str, connection: Connection) -> _Client | None:
         if self._is_closing:
             return None
-        # The clock may be waiting for its next appointment: who comes now is to see nothing of the past.
+        # The clock may be waiting for a cycle that is due later: a client that comes now gets nothing of the past.
         self.catch_up()
         port = self._ports[interface(name)]
         client = _Client(self, name, port, connection)

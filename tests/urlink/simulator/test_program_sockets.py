@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import resource
 import socket
-import struct
 from collections.abc import Iterator
 
 import pytest
@@ -49,21 +46,6 @@ def opened(sockets: ProgramSockets, listener: socket.socket, name: str = "s") ->
 
 def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
-
-
-def test_there_and_back(sockets: ProgramSockets, listener: socket.socket) -> None:
-    with opened(sockets, listener) as peer:
-        assert sockets.send("s", b"hello")
-        assert peer.recv(100) == b"hello"
-        peer.sendall(b"abc")
-        until(lambda: sockets.received("s") == b"abc")
-        del sockets.received("s")[:2]
-        peer.sendall(b"d")
-        until(lambda: sockets.received("s") == b"cd")
-        sockets.close("s")
-        assert peer.recv(100) == b""
-    assert sockets.state("s") == "closed"
-    assert sockets.received("s") == b""
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.1.2.3"])
@@ -137,40 +119,6 @@ def test_not_more_than_so_many(sockets: ProgramSockets, listener: socket.socket)
         peer.close()
 
 
-def test_what_came_before_the_end_can_be_read(sockets: ProgramSockets, listener: socket.socket) -> None:
-    before = descriptors()
-    with opened(sockets, listener) as peer:
-        peer.sendall(b"last words")
-    until(lambda: sockets.received("s") == b"last words" and sockets.state("s") == "closed")
-    assert descriptors() == before
-    assert not sockets.send("s", b"x")
-    del sockets.received("s")[:5]
-    assert sockets.received("s") == b"words"
-    sockets.close("s")
-    assert sockets.received("s") == b""
-
-
-def test_a_peer_that_resets(sockets: ProgramSockets, listener: socket.socket) -> None:
-    peer = opened(sockets, listener)
-    peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    peer.close()
-    until(lambda: sockets.received("s") == b"" and sockets.state("s") == "closed")
-
-
-def test_a_peer_that_never_reads_is_given_up(sockets: ProgramSockets, listener: socket.socket) -> None:
-    with opened(sockets, listener) as peer:
-        sent = 0
-        while sockets.send("s", b"x" * 10_000):
-            sent += 10_000
-            assert sent < 100_000_000
-        assert sockets.state("s") == "closed"
-        # It gets whole messages, and the beginning of the last one.
-        came = 0
-        while data := peer.recv(1 << 20):
-            came += len(data)
-        assert sent <= came < sent + 10_000
-
-
 def test_a_program_that_never_reads_makes_its_peer_wait(sockets: ProgramSockets, listener: socket.socket) -> None:
     with opened(sockets, listener) as peer:
         peer.setblocking(False)
@@ -196,35 +144,6 @@ def test_nothing_stays_open(listener: socket.socket) -> None:
         sockets.close_all()
         listener.accept()[0].close()
     assert descriptors() == before
-
-
-def test_high_descriptors_do_as_well(sockets: ProgramSockets, listener: socket.socket) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if hard < 2000:
-        pytest.skip("this computer does not give that many")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2000), hard))
-    taken: list[int] = []
-    try:
-        while not taken or taken[-1] < 1100:
-            taken.append(os.dup(listener.fileno()))
-        with opened(sockets, listener) as peer:
-            peer.sendall(b"x")
-            until(lambda: sockets.received("s") == b"x")
-    finally:
-        for number in taken:
-            os.close(number)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-def test_no_descriptor_is_left(
-    sockets: ProgramSockets, listener: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def none_left(*arguments: object) -> socket.socket:
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    monkeypatch.setattr("linkcore.net.polled.socket.socket", none_left)
-    sockets.open("s", "127.0.0.1", port(listener))
-    assert sockets.state("s") == "failed"
 
 
 def test_who_is_connected_to_the_controller_is_allowed() -> None:

@@ -16,14 +16,11 @@ from urlink.models import Model
 
 from . import kinematics
 from .sensors import Sample, Sensors
-from .sources import Setpoint
+from .sources import BRAKING, Setpoint
 
 __all__ = ["Arm", "braking_time"]
 
 _ZERO = [0.0] * 6
-#: Part of the largest joint acceleration with which an arm brakes. How hard a controller brakes is not published; this
-#: is a guess on the gentle side.
-GENTLE = 0.25
 
 
 class Arm:
@@ -168,4 +165,4 @@ def braking_time(model: Model, qd: Sequence[float]) -> float:
     hardest = max(abs(v) / limit for v, limit in zip(qd, limits, strict=True))
     # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less than what one can see
     # at 125 Hz.
-    return max(1.5 * hardest / GENTLE, 0.06)
+    return max(1.5 * hardest / BRAKING, 0.06)

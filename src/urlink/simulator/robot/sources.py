@@ -9,10 +9,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-__all__ = ["HOME", "Demonstration", "Setpoint", "SetpointSource", "Still"]
+__all__ = ["BRAKING", "HOME", "Demonstration", "Setpoint", "SetpointSource", "Still"]
 
 #: rad. Elbow up, tool pointing down: far from the joint limits and from every singular posture of every model.
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
+
+#: Part of the largest joint acceleration with which an arm brakes where no program says how. How hard a controller
+#: brakes is not published; this is a guess on the gentle side.
+BRAKING = 0.25
 
 _REST = [0.0] * 6
 

@@ -217,6 +217,7 @@ class Machine:
         source: the text of the program.
         world: the controller.
         left: instructions that may still be run in this cycle.
+        reads: from sockets, in this cycle.
         random: for the function of that name; it gives the same numbers in every run.
         history: the joint positions of past cycles, newest last.
         has_moved: a motion was begun.
@@ -226,6 +227,7 @@ class Machine:
         self.source = script.source
         self.world = world
         self.left = MAX_INSTRUCTIONS
+        self.reads = 0
         self.random = random.Random(0)
         self.history: deque[tuple[float, ...]] = deque(maxlen=500)
         self.has_moved = False
@@ -253,7 +255,7 @@ class Machine:
             ScriptError: something went wrong.
         """
         self.left = MAX_INSTRUCTIONS
-        self._work = 0
+        self.reads = self._work = 0
         self.history.append(tuple(self.world.q_actual))
         threads = self._threads
         # A thread that is started appends itself.
@@ -266,7 +268,7 @@ class Machine:
             self._threads = [thread for thread in threads if not thread.is_over]
 
     def stop(self) -> None:
-        """End all threads. Who stops the program lets go of the arm."""
+        """End all threads. The arm is left to the caller."""
         self._owner = None
         for thread in self._threads:
             thread.end()
@@ -274,7 +276,7 @@ class Machine:
         self._globals.clear()
 
     def forget(self, thread: ScriptThread) -> None:
-        """A thread has ended: what it held is free."""
+        """A thread has ended: if it commanded the arm, the arm brakes."""
         if self._owner is thread:
             self._owner = None
             self.world.motion.release()

@@ -108,6 +108,28 @@ def test_connecting_gives_up() -> None:
     ]
 
 
+def test_a_peer_that_sends_without_end_does_not_end_the_program() -> None:
+    """Reading from it takes time, so that the loop is not one in which no time passes."""
+    world = StandIn()
+    world.sockets.peers[1] = [b"x" * 100_000]
+    text = """
+thread reader():
+  while True:
+    got = socket_read_byte_list(1)
+    n = n + 1
+  end
+end
+n = 0
+socket_open("h", 1)
+h = run reader()
+sleep(0.2)
+textmsg(n)
+"""
+    notes = run(text, world).notes
+    assert notes[-1] == "101 over"
+    assert 1900 < int(notes[-3].removeprefix("101 textmsg ")) <= 2020
+
+
 def test_a_popup_waits_until_it_is_closed() -> None:
     world = StandIn()
     execution = start("popup('x', blocking=True)\ntextmsg('on')", world)

@@ -1,11 +1,11 @@
-"""The source of the arm's targets while a program commands it.
+"""The motion generator: from the commands of a program to one set-point of the joints in each cycle.
 
 Every command takes over whatever the arm is doing, with a continuous speed. Path moves (movej, movel, movep, movec,
-servoc) begin where the arm can come to rest and add what is left of the speed; speeds and stops go on from the present
-speed; servoj follows from it.
+servoc) begin where the arm can come to rest, and a blend is added that takes over its speed. Speeds and stops change
+the speed that there is; servoj follows its set-point from there.
 
 Guesses, because a controller's own way is not published: how hard it brakes when nobody commands it or a path move
-interrupts another movement (a quarter of the model's acceleration), that the speed slider changes over 0.1 s, and that
+preempts another movement (a quarter of the model's acceleration), that the speed slider changes over 0.1 s, and that
 it does not count for servoj.
 """
 
@@ -18,7 +18,7 @@ from typing import Protocol
 from linkcore.errors import BadValue
 from urlink.models import Model
 
-from ..sources import Setpoint
+from ..sources import BRAKING, Setpoint
 from .joint_limits import JointLimits, LimitViolation, checked, positive
 from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, timed
 from .servo_motion import ServoMotion, lag_of
@@ -28,30 +28,37 @@ from .tool_paths import CircularPath, LinearPath
 __all__ = ["MotionGenerator"]
 
 _REST = [0.0] * 6
-# Of the model's largest acceleration: as in urlink.simulator.robot.arm.braking_time.
-_GENTLE = 0.25
-# 1/s: the pace gets from nothing to full in a tenth of a second.
-_PACE_RATE = 10.0
-# rad or m, for a speed and an acceleration above zero where there is no way to go.
+# 1/s: the speed scaling gets from nothing to full in a tenth of a second.
+_SCALING_RATE = 10.0
+# rad or m: the least length for which a speed and an acceleration are worked out from a time.
 _SHORTEST = 1e-9
 
 
 class Command(Protocol):
-    """What is being done."""
+    """One command that is being carried out.
+
+    Attributes:
+        move: what the program waits for.
+        is_at_rest: the joints stand, and will until the next command.
+    """
 
     move: Move
     is_at_rest: bool
 
-    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
-        """The set-point one cycle after `last`, at a pace that has changed by `change` over the cycle."""
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
+        """The set-point one cycle after `last`, at a speed scaling that has changed by `change` over the cycle."""
 
 
 class MotionGenerator:
-    """Makes the targets of six joints of a model.
+    """Makes the set-points of six joints.
+
+    Args:
+        model: whose limits and kinematics count.
+        setpoint: where the joints are, and how they move; that is braked until a command comes.
 
     Attributes:
-        setpoint: the targets of this cycle.
-        speed_fraction: of the speed slider, in [0, 1]. Scales everything but servoj and stops.
+        setpoint: that of this cycle.
+        speed_fraction: of the speed slider, in [0, 1]. It scales everything but servoj and stops.
     """
 
     def __init__(self, model: Model, setpoint: Setpoint) -> None:
@@ -59,9 +66,9 @@ class MotionGenerator:
         self.speed_fraction = 1.0
         self._model = model
         self._limits = JointLimits(model)
-        self._gentle = [_GENTLE * limit for limit in self._limits.acceleration]
+        self._gentle = [BRAKING * limit for limit in self._limits.acceleration]
         self._tcp = list(_REST)
-        self._pace = 1.0
+        self._scaling = 1.0
         self._command: Command | None = None
         self._refusal: LimitViolation | None = None
         if any(setpoint.qd):
@@ -84,19 +91,19 @@ class MotionGenerator:
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:
-        """The targets one cycle of that many seconds later.
+        """The set-point one cycle of that many seconds later.
 
         Raises:
-            LimitViolation: they break a limit; the set-point stays what it was, until another command or `start`.
+            LimitViolation: it would break a limit. The set-point stays what it was, until another command or `start`.
         """
         if self._refusal is not None:
             raise self._refusal
         last = self.setpoint
-        change = max(-_PACE_RATE * seconds, min(_PACE_RATE * seconds, self.speed_fraction - self._pace))
-        self._pace += change
+        change = max(-_SCALING_RATE * seconds, min(_SCALING_RATE * seconds, self.speed_fraction - self._scaling))
+        self._scaling += change
         if self._command is not None:
             try:
-                setpoint = self._command.advance(last, seconds, self._pace, change)
+                setpoint = self._command.advance(last, seconds, self._scaling, change)
                 self._limits.check(last, setpoint, seconds)
             except LimitViolation as refusal:
                 self._refusal = refusal
@@ -105,19 +112,19 @@ class MotionGenerator:
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
-        """Go on from rest at six joint positions in rad, to which something else has braked the arm.
+        """Go on from rest at six joint positions in rad, to which the arm was braked by a stop.
 
-        A path move goes on to its end and a speed is approached again. What had ended, what broke a limit and a
-        set-point of servoj are forgotten, and the arm stands.
+        A path move goes on to its end, and a speed is approached again. A command that had ended or has broken a limit,
+        and a set-point of servoj, are forgotten, and the arm stands.
         """
         self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
         command = self._command
         if self._refusal is not None or command is None or command.is_at_rest or isinstance(command, ServoMotion):
             self._begin(JointSpeed(_REST, self._gentle, None))
         elif isinstance(command, PathMotion):
-            self._pace = 0.0
+            self._scaling = 0.0
             way = [b - a for a, b in zip(self.setpoint.q, command.place, strict=True)]
-            # Its fastest point, 3/2 of the mean, is half of what the joints may.
+            # Back to the path at half of the speed that the joints may have: the peak of the blend is 3/2 of its mean.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
             command.restart(Blend(way, _REST, max(3.0 * furthest, 0.1), self._gentle))
         elif isinstance(command, ToolSpeed):
@@ -138,9 +145,9 @@ class MotionGenerator:
             BadValue: an argument is no such number.
         """
         end = checked(q, "joint positions")
-        start, remainder = self._take_over()
+        start, blend = self._take_over()
         path = JointPath(self._model, self._limits, self.tcp, start, end)
-        move = self._travel(path, start, remainder, a, v, t, r)
+        move = self._follow_path(path, start, blend, a, v, t, r)
         self._check_target(end)
         return move
 
@@ -156,9 +163,9 @@ class MotionGenerator:
             BadValue: an argument is no such number.
             Unreachable: the arm does not reach the pose.
         """
-        start, remainder = self._take_over()
+        start, blend = self._take_over()
         path = LinearPath(self._model, self.tcp, start, checked(pose, "a pose"))
-        return self._travel(path, start, remainder, a, v, t, r)
+        return self._follow_path(path, start, blend, a, v, t, r)
 
     def movec(
         self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
@@ -176,10 +183,10 @@ class MotionGenerator:
         """
         if mode not in (0, 1):
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
-        start, remainder = self._take_over()
+        start, blend = self._take_over()
         ends = checked(via, "a pose"), checked(to, "a pose")
         path = CircularPath(self._model, self.tcp, start, *ends, fixed=mode == 1)
-        return self._travel(path, start, remainder, a, v, 0.0, r)
+        return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
         """As `movel`: with blends between them, the tool goes on at about the same speed."""
@@ -255,8 +262,8 @@ class MotionGenerator:
         self._refusal = None
         return command.move
 
-    def _travel(
-        self, path: Path, start: list[float], remainder: Blend | None, a: float, v: float, t: float, r: float
+    def _follow_path(
+        self, path: Path, start: list[float], blend: Blend | None, a: float, v: float, t: float, r: float
     ) -> Move:
         radius = _not_negative(r, "a blend radius")
         if _not_negative(t, "a time") > 0.0:
@@ -265,11 +272,11 @@ class MotionGenerator:
             speed = min(positive(v, "a speed"), path.speed)
             acceleration = min(positive(a, "an acceleration"), path.acceleration)
         profile = Profile(path.length, speed, acceleration)
-        if remainder is not None and profile.duration > 0.0:
+        if blend is not None and profile.duration > 0.0:
             # No faster than the old speed dies away: then the sum of both is never above the larger of them.
-            rise = min(acceleration, profile.peak / (remainder.duration * max(self._pace, 0.01)))
+            rise = min(acceleration, profile.peak / (blend.duration * max(self._scaling, 0.01)))
             profile = Profile(path.length, profile.peak, acceleration, rise)
-        return self._begin(PathMotion(path, profile, start, remainder, radius))
+        return self._begin(PathMotion(path, profile, start, blend, radius))
 
     def _take_over(self) -> tuple[list[float], Blend | None]:
         """Where a path begins, and what is left of the present movement on the way there."""

@@ -1,8 +1,8 @@
 """Following a path from rest to rest: movej, and with the paths of `tool_paths` movel, movep, movec and servoc.
 
-A path is a way, such as that of the joint that goes furthest; a trapezoidal profile says how far along it the movement
-is; a blend takes over from the movement before. That UR controllers use trapezoidal profiles with the `a` and `v` of
-the functions is in the script manual; how they blend is not published, and a guess here.
+A `Path` tells the joints at a distance along it. A `Profile` tells how far the movement has come: speeding up, constant
+speed, slowing down, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the speed
+of the movement before. How a controller blends is not published, so that is a guess.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Move:
     """One movement that was begun.
 
     Attributes:
-        is_over: the function that began it returns: the movement has ended, has come within its blend radius of the
-            target, has lasted as long as was asked, or another one took its place.
+        is_over: the function that began it returns. The movement has ended, has come within its blend radius of the
+            target, has lasted as long as was asked, or was preempted.
     """
 
     __slots__ = ("is_over",)
@@ -36,7 +36,7 @@ class Move:
         self.is_over = False
 
 
-# -- how far along the path ----------------------------------------------------------------------------
+# -- speed profiles ------------------------------------------------------------------------------------
 
 
 class Profile:
@@ -50,9 +50,9 @@ class Profile:
     """
 
     def __init__(self, length: float, speed: float, acceleration: float, rise: float | None = None) -> None:
-        """`rise` is the acceleration of speeding up where that is another one than that of slowing down."""
+        """`rise` is the acceleration while speeding up, where it differs from `acceleration` while slowing down."""
         rise = acceleration if rise is None else rise
-        # What speeding up and slowing down take of the length, per square of the speed.
+        # Speeding up to v and slowing down from it take v² times this of the length.
         ramps = 0.5 / rise + 0.5 / acceleration
         peak = min(speed, math.sqrt(length / ramps))
         self.length, self.peak = length, peak
@@ -63,7 +63,7 @@ class Profile:
         self.duration = self._down + peak / acceleration
 
     def at(self, time: float) -> tuple[float, float, float]:
-        """Way, speed and acceleration at a time in s from the start; at rest at the end from the end on."""
+        """Distance, speed and acceleration, s after the start. From `duration` on it is at rest at the end."""
         if time >= self.duration:
             return self.length, 0.0, 0.0
         if time < self._up:
@@ -75,8 +75,8 @@ class Profile:
 
 
 def timed(length: float, duration: float, speed: float, acceleration: float) -> tuple[float, float]:
-    """The speed and the acceleration with which a length takes that many seconds, or as little more as the largest
-    `speed` and `acceleration` allow.
+    """The speed and the acceleration with which a length takes `duration` s, or the shortest time that the largest
+    `speed` and `acceleration` allow, where that is longer.
 
     A third of the time each for speeding up, constant speed and slowing down, where the limits allow that; a
     controller's own choice is not known.
@@ -91,13 +91,16 @@ def timed(length: float, duration: float, speed: float, acceleration: float) -> 
     return min(0.5 * (acceleration * duration - math.sqrt(root)), speed), acceleration
 
 
-# -- from the movement before to this one ---------------------------------------------------------------
+# -- blends --------------------------------------------------------------------------------------------
 
 
 class Blend:
-    """The way that is still to go, as it dies away: six cubics of the time from where the arm is to nothing.
+    """What is added to the set-points of a path while it takes over from another movement.
 
-    A way of half the speed times the duration makes them parabolas: constant decelerations.
+    A path begins at rest, at a place where the arm could come to rest. The blend begins with the difference to where
+    the arm is and with the speed that it has, and ends with neither: six cubics of the time. So the sum of both goes
+    from the old movement to the path with a continuous speed. Where the distance is half the speed times the duration,
+    the cubics are parabolas, which are constant decelerations.
 
     Attributes:
         duration: s.
@@ -106,9 +109,9 @@ class Blend:
     def __init__(
         self, way: Sequence[float], qd: Sequence[float], duration: float, acceleration: Sequence[float]
     ) -> None:
-        """Six joints that have a way in rad to go and a speed in rad/s now, in at least `duration` s.
+        """Six joints that have `way` rad to go and a speed of `qd` rad/s now, in at least `duration` s.
 
-        It takes longer if one of six accelerations, rad/s², were exceeded otherwise.
+        It takes longer where a joint would exceed its acceleration, rad/s², otherwise.
         """
         worst = max(
             max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
@@ -130,7 +133,7 @@ class Blend:
 
     @property
     def is_over(self) -> bool:
-        """Nothing is left."""
+        """It adds nothing any more."""
         return self._time >= self.duration
 
     def advance(self, seconds: float) -> tuple[list[float], list[float], list[float]]:
@@ -151,14 +154,19 @@ class Blend:
 
 
 class Path(Protocol):
-    """Where the joints are along a way."""
+    """Where the joints are, by the distance along a path.
+
+    Attributes:
+        length: of the path: rad of the joint that goes furthest, or m of the tool.
+        speed, acceleration: the largest along the path at which no joint exceeds its limits.
+    """
 
     length: float
     speed: float
     acceleration: float
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints where so much of the way is behind them; `last` is the path's set-point of the cycle before."""
+        """The joints after the distance `way`; `last` is the path's set-point of the cycle before."""
 
     def end(self, near: list[float]) -> list[float]:
         """The joints at the end of a path that has brought them to `near`."""
@@ -168,11 +176,8 @@ class Path(Protocol):
 
 
 class JointPath:
-    """Six joints that start and arrive together. Its length is the way of the joint that goes furthest, in rad.
-
-    Attributes:
-        length: rad.
-        speed, acceleration: of the furthest joint at which none is above its limits, rad/s and rad/s².
+    """A straight line in joint space: six joints that start and arrive together. Lengths are those of the joint that
+    goes furthest, in rad.
     """
 
     def __init__(self, model: Model, limits: JointLimits, tcp: Sequence[float], start: list[float], end: list[float]):
@@ -186,7 +191,7 @@ class JointPath:
         self._corner: list[float] | None = None
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints where so much of the way is behind them."""
+        """The joints after the distance `way`."""
         return Setpoint(
             [a + way * share for a, share in zip(self._start, self._shares, strict=True)],
             [speed * share for share in self._shares],
@@ -217,9 +222,9 @@ class PathMotion:
         move: what the program waits for.
     """
 
-    def __init__(self, path: Path, profile: Profile, start: list[float], remainder: Blend | None, r: float) -> None:
+    def __init__(self, path: Path, profile: Profile, start: list[float], blend: Blend | None, r: float) -> None:
         self.move = Move()
-        self._path, self._profile, self._remainder, self._radius = path, profile, remainder, r
+        self._path, self._profile, self._blend, self._radius = path, profile, blend, r
         self._time = 0.0
         self._way = (0.0, 0.0)
         self._last = Setpoint(start, _REST, _REST)
@@ -227,7 +232,7 @@ class PathMotion:
 
     @property
     def blends(self) -> bool:
-        """The program has gone on, and the arm has not yet arrived."""
+        """The program has gone on, and the arm has not arrived yet: the next movement is to begin from this one."""
         return self.move.is_over and not self.is_at_rest and self._way[1] > 0.0
 
     def corner(self) -> tuple[list[float], float]:
@@ -235,30 +240,30 @@ class PathMotion:
         way, speed = self._way
         return self._path.end(self._last.q), 2.0 * (self._profile.length - way) / speed
 
-    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
-        """The set-point one cycle later, at a pace that has changed by `change` over the cycle."""
-        time = self._time + (pace - 0.5 * change) * seconds
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
+        """The set-point one cycle later, at a speed scaling that has changed by `change` over the cycle."""
+        time = self._time + (scaling - 0.5 * change) * seconds
         arrives = time >= self._profile.duration
         if arrives:
             setpoint = Setpoint(self._path.end(self._last.q), _REST, _REST)
             way, speed = self._profile.length, 0.0
         else:
             way, speed, acceleration = self._profile.at(time)
-            acceleration = acceleration * pace * pace + speed * change / seconds
-            speed *= pace
+            acceleration = acceleration * scaling * scaling + speed * change / seconds
+            speed *= scaling
             setpoint = self._path.setpoint(way, speed, acceleration, self._last, seconds)
         self._time, self._way, self._last = time, (way, speed), setpoint
-        if self._remainder is not None:
-            q, qd, qdd = self._remainder.advance(seconds)
-            if self._remainder.is_over:
-                self._remainder = None
+        if self._blend is not None:
+            q, qd, qdd = self._blend.advance(seconds)
+            if self._blend.is_over:
+                self._blend = None
             else:
                 setpoint = Setpoint(
                     [a + b for a, b in zip(setpoint.q, q, strict=True)],
                     [a + b for a, b in zip(setpoint.qd, qd, strict=True)],
                     [a + b for a, b in zip(setpoint.qdd, qdd, strict=True)],
                 )
-        if arrives and self._remainder is None:
+        if arrives and self._blend is None:
             self.is_at_rest = self.move.is_over = True
         elif self._blend_begins(way, setpoint.q):
             # Found now, so that a corner which cannot be reached is a violation in this cycle.
@@ -271,9 +276,9 @@ class PathMotion:
             return False
         return self._path.left(q) <= self._radius
 
-    def restart(self, remainder: Blend) -> None:
-        """Go on from rest elsewhere: the remainder leads back to the path."""
-        self._remainder = remainder
+    def restart(self, blend: Blend) -> None:
+        """Go on from rest elsewhere: the blend leads back to the path."""
+        self._blend = blend
         self._last = Setpoint(self._last.q, _REST, _REST)
         self._way = (self._way[0], 0.0)
 

@@ -49,7 +49,7 @@ class ServoMotion:
         self._is_new = True
         self.is_at_rest = False
 
-    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later.
 
         Raises:

@@ -34,16 +34,16 @@ class JointSpeed:
         self._stops = not any(qd)
         self.is_at_rest = False
 
-    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later."""
-        wanted = [pace * v - old for v, old in zip(self._target, last.qd, strict=True)]
+        wanted = [scaling * v - old for v, old in zip(self._target, last.qd, strict=True)]
         part = 1.0
         for way, most in zip(wanted, self._acceleration, strict=True):
             if abs(way) > most * seconds * (1.0 + 1e-9):
                 part = min(part, most * seconds / abs(way))
         is_reached = part == 1.0
         if is_reached:
-            qd = [pace * v for v in self._target] if not self._stops else _REST
+            qd = [scaling * v for v in self._target] if not self._stops else _REST
         else:
             qd = [old + part * way for old, way in zip(last.qd, wanted, strict=True)]
         q = [a + 0.5 * seconds * (old + new) for a, old, new in zip(last.q, last.qd, qd, strict=True)]
@@ -96,7 +96,7 @@ class ToolSpeed:
         self._brake: JointSpeed | None = None
         self.is_at_rest = False
 
-    def advance(self, last: Setpoint, seconds: float, pace: float, change: float) -> Setpoint:
+    def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle later.
 
         Raises:
@@ -107,7 +107,7 @@ class ToolSpeed:
         if self._stops and not any(self._speed):
             self.is_at_rest = self.move.is_over = True
             return Setpoint(last.q, _REST, _REST)
-        target = [pace * v for v in self._target]
+        target = [scaling * v for v in self._target]
         line, line_reached = _towards(self._speed[:3], target[:3], self._a * seconds)
         turn, turn_reached = _towards(self._speed[3:], target[3:], self._a_rot * seconds)
         speed = line + turn

@@ -114,7 +114,7 @@ class ToolPath:
 
 
 class LinearPath(ToolPath):
-    """The TCP goes straight to a pose while the tool turns about one axis, both at the same pace."""
+    """The TCP goes straight to a pose while the tool turns about one axis, both in proportion."""
 
     def __init__(self, model: Model, tcp: Sequence[float], start: list[float], end: list[float]) -> None:
         """From joint positions to a pose.

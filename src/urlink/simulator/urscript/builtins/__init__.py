@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from urlink.firmware import Firmware
 
-from . import lists_and_strings, mathematics, motion, poses, program, signals, sockets, state, unmodelled
+from . import inputs_outputs, lists_and_strings, mathematics, motions, poses, program, queries, sockets, unmodelled
 from .declaration import Builtin, Family
 
 __all__ = ["FAMILIES", "find"]
@@ -12,12 +12,12 @@ __all__ = ["FAMILIES", "find"]
 FAMILIES: tuple[Family, ...] = (
     lists_and_strings.FAMILY,
     mathematics.FAMILY,
-    motion.FAMILY,
+    motions.FAMILY,
     poses.FAMILY,
     program.FAMILY,
-    signals.FAMILY,
+    inputs_outputs.FAMILY,
     sockets.FAMILY,
-    state.FAMILY,
+    queries.FAMILY,
     unmodelled.FAMILY,
 )
 

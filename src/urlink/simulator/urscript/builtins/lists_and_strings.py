@@ -9,8 +9,7 @@ from ..errors import Fault, type_error
 from ..limits import MAX_STRING
 from ..machine import ScriptThread
 from ..values import checked, list_of, to_str, type_name
-from .arguments import boolean, integer, is_list, string
-from .declaration import Family
+from .declaration import Family, boolean, integer, is_list, string
 
 __all__ = ["FAMILY"]
 

@@ -8,8 +8,7 @@ from typing import Any
 from ..errors import Fault
 from ..machine import ScriptThread
 from ..values import checked
-from .arguments import number, numbers
-from .declaration import Family
+from .declaration import Family, number, numbers
 
 __all__ = ["FAMILY"]
 

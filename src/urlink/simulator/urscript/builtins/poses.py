@@ -16,8 +16,7 @@ from ...robot import kinematics
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
 from ..values import Pose, type_name
-from .arguments import is_list, joints, number, pose, vector
-from .declaration import Family
+from .declaration import Family, is_list, joints, number, pose, vector
 
 __all__ = ["FAMILY"]
 

@@ -7,8 +7,7 @@ from typing import Any
 from ..errors import Fault
 from ..machine import ScriptThread, Waiting
 from ..values import to_str
-from .arguments import boolean, number
-from .declaration import Family
+from .declaration import Family, boolean, number
 from .lists_and_strings import made
 
 __all__ = ["FAMILY"]

@@ -4,9 +4,10 @@ As drivers rely on it: integers are big endian, and the first element of a list 
 was. Remembered from the manuals: at most 30 values are read at once; where the time runs out the count is 0 and the
 others are -1, or not a number for floats; a time of zero or less waits for ever; names and defaults of parameters.
 
-Guesses: connecting gives up after 2 s; where the time runs out, what has come is left for the next read; reading from
-a socket that is not open gives nothing after one cycle; numbers in ASCII are of the form `(1.0,2.0,3.0)`, and the
-text up to the closing bracket is used up whether it can be read or not. Text is bytes, one character each.
+Guesses: connecting gives up after 2 s; a program reads 20 times in a cycle at most; where the time runs out, what has
+come is left for the next read; reading from a socket that is not open gives nothing after one cycle; numbers in ASCII
+are of the form `(1.0,2.0,3.0)`, and the text up to the closing bracket is used up whether it can be read or not. Text
+is bytes, one character each.
 """
 
 from __future__ import annotations
@@ -20,8 +21,7 @@ from ..errors import Fault
 from ..limits import MAX_STRING
 from ..machine import ScriptThread, Waiting
 from ..values import to_str
-from .arguments import boolean, integer, number, string
-from .declaration import Family
+from .declaration import Family, boolean, integer, number, string
 from .lists_and_strings import made
 
 __all__ = ["FAMILY"]
@@ -31,6 +31,9 @@ FAMILY = Family()
 _NAME = "socket_0"
 _CONNECTING = 2.0
 _MOST = 30
+# Reads of all threads in a cycle; the next one waits for the next cycle. A loop that reads from a peer that sends
+# without end would otherwise be a loop in which no time passes.
+_READS = 20
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,5})?")
 
 
@@ -104,6 +107,9 @@ def _await(thread: ScriptThread, name: str, timeout: Any, is_there: Callable[[by
     """What has come, once it is enough; None if it does not become so in time."""
     sockets = thread.world.sockets
     seconds = number(timeout, "timeout")
+    thread.machine.reads += 1
+    if thread.machine.reads > _READS:
+        yield
     left = seconds / thread.world.period - 1e-6 if seconds > 0 else math.inf
     while True:
         buffer = sockets.received(name)

@@ -10,8 +10,7 @@ from typing import Any
 
 from ..errors import Fault
 from ..machine import ScriptThread
-from .arguments import boolean, integer, number
-from .declaration import Family
+from .declaration import Family, boolean, integer, number
 
 __all__ = ["FAMILY"]
 

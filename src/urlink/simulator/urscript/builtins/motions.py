@@ -13,8 +13,7 @@ from ...robot import kinematics
 from ..errors import Fault, type_error
 from ..machine import ScriptThread, Waiting
 from ..values import NUMBERS, type_name
-from .arguments import integer, is_list, joints, number, pose, six
-from .declaration import Family
+from .declaration import Family, integer, is_list, joints, number, pose, six
 from .poses import solution
 
 __all__ = ["FAMILY"]

@@ -9,8 +9,7 @@ from ...robot import kinematics
 from ..errors import Fault
 from ..machine import ScriptThread
 from ..values import Pose
-from .arguments import integer, number, pose, vector
-from .declaration import Family
+from .declaration import Family, integer, number, pose, vector
 
 __all__ = ["FAMILY"]
 
