@@ -107,9 +107,9 @@ def _await(thread: ScriptThread, name: str, timeout: Any, is_there: Callable[[by
     """What has come, once it is enough; None if it does not become so in time."""
     sockets = thread.world.sockets
     seconds = number(timeout, "timeout")
-    thread.machine.reads += 1
-    if thread.machine.reads > _READS:
+    if thread.machine.reads >= _READS:
         yield
+    thread.machine.reads += 1
     left = seconds / thread.world.period - 1e-6 if seconds > 0 else math.inf
     while True:
         buffer = sockets.received(name)
