@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import Phase, settings
 
 from tests import real_captures
+from tests.waiting import until
 
 # Few by default, so that the suite stays quick; `nox -s fuzz` tries many.
 settings.register_profile("default", deadline=None, derandomize=False, max_examples=25)
@@ -35,3 +38,11 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def captures() -> Path:
     """The folder of packets of real controllers, for a test marked ``captures("ur")``."""
     return real_captures.folder("ur")
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing_that_keeps_the_interpreter() -> Iterator[None]:
+    """The interpreter joins threads before it exits, so one that a test leaves behind would hang the run at its end."""
+    before = set(threading.enumerate())
+    yield
+    until(lambda: all(thread.daemon for thread in set(threading.enumerate()) - before))
