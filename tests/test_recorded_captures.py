@@ -69,4 +69,5 @@ def test_replayed_as_an_address_it_gives_the_same_packets(path: Path) -> None:
             replayed: list[State] = list(stream.of(State))
             assert list(map(bytes, replayed)) == list(map(bytes, packets(path, channel["name"])))
             assert len(replayed) == stream.stats.received
-            assert stream.stats.failed == stream.stats.dropped == stream.stats.skipped == 0
+            assert stream.stats.decoded == stream.stats.received
+            assert stream.stats.failed == stream.stats.skipped == 0
