@@ -657,10 +657,22 @@ def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
             child = os.fork()
         if not child:  # pragma: no cover
             host.close()
+            assert host._server is not None
+            host._server.close()
+            time.sleep(60)
             os._exit(0)
-        assert os.waitpid(child, 0)[1] == 0
-        for _ in range(3):
-            client.sync()
+        try:
+            for _ in range(3):
+                client.sync()
+            # The child lives on, and has no copy of the connection that would keep it open.
+            client.send(b"nonsense")
+            assert client.is_closed()
+            with RawClient(host.port) as other:
+                other.greeting()
+                other.sync()
+        finally:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
 
 
 @pytest.mark.parametrize(

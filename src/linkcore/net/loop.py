@@ -24,12 +24,14 @@ import contextlib
 import errno
 import logging
 import math
+import os
 import select
 import selectors
 import socket
 import struct
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -443,6 +445,7 @@ class SelectorLoop:
         self._waker.setblocking(False)
         self._woken.setblocking(False)
         self._selector.register(self._woken, selectors.EVENT_READ, None)
+        _loops.add(self)
 
     def listen(
         self,
@@ -570,6 +573,8 @@ class SelectorLoop:
         Args:
             within: seconds for which what waits is still sent, and clients are given time to take it.
         """
+        if self._is_closed:
+            return
         for port in self.ports:
             port.close()
         if within > 0.0:
@@ -676,3 +681,33 @@ class SelectorLoop:
 
     def _connections(self) -> list[Connection]:
         return [connection for port in self.ports for connection in port.connections]
+
+    def _leave_to_parent(self) -> None:
+        # The selector is closed and told of nothing else: that of Linux is shared with the parent, which would lose
+        # what is taken out of it here.
+        self._is_closed = True
+        for connection in self._connections():
+            connection._is_open = False
+            connection._socket.close()
+        for port in self.ports:
+            port._socket.close()
+        self._selector.close()
+        self._waker.close()
+        self._woken.close()
+
+
+#: The loops of this process.
+_loops: weakref.WeakSet[SelectorLoop] = weakref.WeakSet()
+
+
+def _leave_all_to_parent() -> None:
+    """Run in a forked child: close its copies of the sockets, so that nothing it calls disturbs the parent's clients.
+
+    A copy that stayed open would also keep the kernel from ending a connection that the parent closes.
+    """
+    for loop in list(_loops):
+        loop._leave_to_parent()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    os.register_at_fork(after_in_child=_leave_all_to_parent)
