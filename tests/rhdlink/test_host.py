@@ -306,6 +306,29 @@ def test_in_lockstep_each_request_is_one_tick_and_the_bytes_are_the_same_each_ti
     assert first[1] == [number for number in range(50) if number % 3]
 
 
+def test_in_lockstep_requests_sent_ahead_make_a_tick_each() -> None:
+    with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
+        master.greeting()
+        master.send(master.request({"order": 1}) * 3)
+        for tick in (1, 2, 3):
+            master.batch()
+            assert master.value("tick") == tick
+
+
+def test_in_lockstep_readers_go_on_when_the_master_is_gone() -> None:
+    """However it went: here the host finds out when it answers a request to which nobody listens any more."""
+    with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
+        reader.greeting()
+        for _ in range(20):
+            with RawClient(host.port, b"aw") as master:
+                master.greeting()
+                reader.send(b"rree")
+                master.send(master.request({"order": 1}) * 5)
+            # Nothing else happens now that could wake the host.
+            reader.batch()
+            until(lambda: host.writers == 0)
+
+
 def test_in_lockstep_readers_go_along_with_the_master() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, ExitStack() as stack:
         reader = stack.enter_context(RawClient(host.port))

@@ -75,10 +75,10 @@ class Server:
 
         What has come already is looked at once in any case.
         """
-        while True:
+        # First without waiting: it may be enough already, by a request that was sent ahead of the reply before it.
+        self._loop.serve_once(self._loop.time())
+        while not is_enough() and (until is None or self._loop.time() < until):
             self._loop.serve_once(until)
-            if is_enough() or (until is not None and self._loop.time() >= until):
-                return
 
     def send(self, client: Client, data: bytes) -> None:
         """Send a reply, now what the connection takes, and later what it does not."""
@@ -157,7 +157,9 @@ class _ClientHandler(Handler):
 
     def send(self, data: bytes) -> None:
         self.connection.write(data)
-        if self.connection.pending:
+        if not self.connection.is_open:
+            self.leave()  # now, and not when the loop tells it: in lockstep nothing else may happen before that
+        elif self.connection.pending:
             self.client.is_reading = False  # the service asks for no more while this waits
             self.update()
 
