@@ -12,10 +12,13 @@ import struct
 import time
 import timeit
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
+import urlink
+from linkcore.wire.oracle import as_struct
 from urlink.firmware import RELEASES
-from urlink.interfaces.primary.protocol import PackageDecoder
+from urlink.interfaces.primary.decoder import PackageDecoder
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
@@ -88,7 +91,7 @@ def main() -> None:
     session = RealtimeProtocol()
     session.framer.feed(packet)  # as in a connection, whose first packet tells the layout
     decode = session.decode
-    oracle = RealtimeState.LAYOUTS.of("5.0").construct
+    oracle = as_struct(RealtimeState.LAYOUTS.of("5.0"))
 
     def five_vectors() -> None:
         state = decode(packet)
@@ -103,12 +106,20 @@ def main() -> None:
     assert len(walk(data)) == 13
     decoder = PackageDecoder()
 
+    parts: tuple[SubPackage, ...] = decoder.decode(data).packages  # type: ignore[attr-defined]
+    read = {type(part): attrgetter(*part.to_dict()) for part in parts}
+
     def every_field() -> None:
         for part in decoder.decode(data):  # type: ignore[attr-defined]
-            for name in part._layout.places:
-                getattr(part, name)
+            read[type(part)](part)
 
     figures = {
+        "urlink.decode of a real-time packet / struct.unpack": ratios(
+            lambda: urlink.decode(packet, "realtime"), lambda: struct.unpack(">i138d", packet), rounds
+        ),
+        "urlink.decode of a robot state / struct walk": ratios(
+            lambda: urlink.decode(data, "primary"), lambda: walk(data), rounds
+        ),
         "real-time packet and five vectors / struct.unpack('>i138d')": ratios(
             five_vectors, lambda: struct.unpack(">i138d", packet), rounds
         ),

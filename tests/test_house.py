@@ -89,7 +89,7 @@ def test_the_imports_are_read() -> None:
     assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= simulator
     framing = imports("urlink.interfaces.realtime.framing")
     assert {"urlink.interfaces.headers", "urlink.interfaces.enums"} <= framing
-    assert "urlink.decode" in imports("urlink")
+    assert "urlink.decoding" in imports("urlink")
 
 
 def offenders(is_wrong: Callable[[str, str], bool]) -> list[str]:

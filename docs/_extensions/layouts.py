@@ -25,7 +25,7 @@ import urlink
 from linkcore.errors import PacketError
 from linkcore.wire.layout import Layout, Place
 from linkcore.wire.packet import State
-from linkcore.wire.shapes import Coded, Mask64, Raw, Text
+from linkcore.wire.shapes import Array, Coded, Mask64, Raw, Text
 from urlink.firmware import RELEASES
 from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
@@ -108,56 +108,50 @@ def rows(layout: Layout) -> list[tuple[str, ...]]:
     """The header's rows, then one for each field."""
     found: list[tuple[str, ...]] = []
     offset = 0
-    for part in layout.header.subcons:
-        size = part.sizeof()
+    for name, number in layout.header.parts.items():
+        size = number.width
         end = offset + size
-        unit, doc = ("B", "bytes of the packet, these included") if part.name == "size" else ("", "type byte")
-        found.append((str(offset), part.name, kind(part.fmtstr[-1], size), "1", str(size), str(end), "", unit, doc))
+        unit, doc = ("B", "bytes of the packet, these included") if name == "size" else ("", "type byte")
+        found.append((str(offset), name, np.dtype(number.kind).name, "1", str(size), str(end), "", unit, doc))
         offset = end
     is_fixed = True
     for place in layout.places.values():
         found.append(row(place, is_fixed))
-        is_fixed = is_fixed and place.code is not None
+        is_fixed = is_fixed and place.number is not None
     return found
 
 
 def row(place: Place, is_fixed: bool) -> tuple[str, ...]:
     """One field. What follows a text has no fixed offset."""
-    wire = place.wire
+    field = place.field
     count = place.count or 1
     offset, end = str(place.offset), str(place.offset + place.stride * (count - 1) + place.width)
     if place.stride != place.width:
         offset = f"{place.offset} + {place.stride} i"
-    since = "" if wire.since.text == "0.0" else wire.since.text.replace("/", " / ")
-    if wire.until is not None:
-        since += f"{' ' if since else ''}until {'.'.join(map(str, wire.until))}"
+    since = "" if field.since.text == "0.0" else field.since.text.replace("/", " / ")
+    if field.until is not None:
+        since += f"{' ' if since else ''}until {'.'.join(map(str, field.until))}"
     size = str(place.width * count)
-    if place.code is None:
+    if place.number is None:
         size, end = "", ""
     if not is_fixed:
         offset, end = "", ""
-    return (offset, wire.name, shape(place), str(count), size, end, since, wire.unit, wire.doc)
+    return (offset, field.name, shape(place), str(count), size, end, since, field.unit, field.doc)
 
 
 def shape(place: Place) -> str:
     """The type on the wire, and what its number stands for."""
-    element = place.element
+    element = place.shape.element if isinstance(place.shape, Array) else place.shape
     if isinstance(element, Raw):
         what = "text" if isinstance(element, Text) else "bytes"
         return f"{what} to the end" if element.prefix is None else f"uint{8 * place.size} length, {what}"
     if element is Mask64:
         return "64-bit mask"
-    assert place.code is not None
-    number = kind(place.code, place.width)
+    assert place.number is not None
+    number = np.dtype(place.number.kind).name  # `d` of 8 bytes is float64
     if isinstance(element, Coded):
         return f"{number} as {getattr(element.meaning, '__name__', '')}"
     return number
-
-
-def kind(code: str, width: int) -> str:
-    """numpy's name of a number: `d` of 8 bytes is float64."""
-    letter = "f" if code in "fd" else "u" if code.isupper() else "i"
-    return np.dtype(f"{letter}{width}").name
 
 
 def check(app: Sphinx, env: BuildEnvironment) -> None:

@@ -40,7 +40,7 @@ from .commanding.handle import Program, ProgramPhase
 from .commanding.io import IO, Analog
 from .commanding.programs import Scripts
 from .commanding.safety import Safety
-from .decode import decode
+from .decoding import decode
 from .errors import (
     CompileError,
     MotionCancelled,

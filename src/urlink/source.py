@@ -18,7 +18,7 @@ from linkcore.wire.packet import State
 from linkcore.wire.protocol import PacketProtocol
 
 from .address import RecordingAddress, RobotAddress
-from .decode import INTERFACES
+from .decoding import INTERFACES
 from .firmware import Firmware
 from .identity import Identity, identify
 from .interfaces.primary.protocol import PrimaryProtocol

@@ -7,8 +7,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
-from construct import Int8ub, Int32ub, Struct
-
 from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
 from linkcore.net.transport import Transport
 from linkcore.stamp import Stamp
@@ -16,10 +14,12 @@ from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.wire.fields import Header
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State, packet, wire
+from linkcore.wire.shapes import Int8ub, Int32ub
 
-HEADER = Struct("size" / Int8ub)
+HEADER = Header(size=Int8ub)
 
 
 @packet(header=HEADER)

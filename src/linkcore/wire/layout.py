@@ -1,156 +1,82 @@
-"""A construct schema turned into what runs: size table, fast decoder, encoder, numpy dtype.
+"""One order of fields on the wire, lowered to what runs: offsets, sizes, a decoder, an encoder, a numpy dtype.
 
-A `Layout` is one order of fields on the wire. Everything in it is derived from the declared shapes,
-never written twice. Construct stays the slow oracle: `Layout.parse_slowly` gives the same values
-through construct alone, and a property test holds the two equal for every layout.
+Everything in a `Layout` is derived from the declared fields, never written twice. It knows raw numbers and where they
+lie; what becomes of them is told by the shapes. A packet class makes its layouts by itself (`linkcore.wire.packet`).
+Where the fields are known only at run time, a layout can be made of them alone::
+
+    layout = Layout("DataPackage", [(field, field.shape) for field in fields], header)
+    values = layout.unpack(data)
+    values[layout.places["timestamp"].at]
+
+`linkcore.wire.oracle` has construct parse the same fields.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
-import construct
 import numpy as np
 
 from ..errors import BadValue, PacketError
-from .shapes import Raw, Shape
-from .version import Since, Version, version_text
+from .fields import Field, Header
+from .shapes import Mask64, Number, Raw, Shape
+from .version import Version, version_text
 
-if TYPE_CHECKING:
-    from ..stamp import Stamp
-    from .packet import State
-
-__all__ = ["Layout", "Place", "Row", "Wire", "header_rows"]
+__all__ = ["Layout", "Place", "indices", "is_of_cells"]
 
 _WIRE_DOUBLE = np.dtype(">f8")
 _NATIVE_DOUBLE = np.dtype("=f8")
+
+# Doubles from which on numpy swaps a packet quicker than struct unpacks it.
 _MANY_CELLS = 32
 
 
-@dataclass(frozen=True)
-class Wire:
-    """What is declared of one field; see `linkcore.wire.packet.wire`."""
-
-    name: str
-    shape: Any
-    unit: str
-    doc: str
-    since: Since
-    until: Version | None
-    before: tuple[Version, Any] | None
-    interleave: str | None
-    block: str | None
-
-    def shape_in(self, version: Version) -> Any | None:
-        """The shape that `version` sends, or None where it does not send the field."""
-        if version not in self.since or (self.until is not None and version >= self.until):
-            return None
-        if self.before is not None and version < self.before[0]:
-            return self.before[1]
-        return self.shape
-
-
-class Row(NamedTuple):
-    """One line of a dissection: a stretch of bytes and what it means."""
-
-    offset: int
-    data: bytes
-    name: str
-    value: Any
-    unit: str
-    doc: str
-
-
-def header_rows(header: Any, data: bytes) -> Iterator[Row]:
-    """The parts of the header that `data` begins with."""
-    offset = 0
-    for part in header.subcons:
-        raw = data[offset : offset + part.sizeof()]
-        yield Row(offset, raw, part.name, part.parse(raw), "B" if part.name == "size" else "", "header")
-        offset += len(raw)
-
-
 class Place:
-    """Where one field lies in one layout, and how its bytes become a value."""
+    """Where one field lies in one layout.
 
-    def __init__(self, wire: Wire, shape: Any) -> None:
-        self.wire = wire
+    Attributes:
+        field: its declaration.
+        shape: what this layout has of it.
+        number: the number on the wire, or each of several; None for bytes, of which there may be any number.
+        count: how many, or None for one that is no array.
+        offset: of its first byte in the packet; behind text, where it would be if that were empty.
+        stride: bytes from one element to the next.
+        at: index, or slice, among the unpacked values of the packet.
+    """
+
+    def __init__(self, field: Field, shape: Shape) -> None:
+        self.field = field
         self.shape = shape
-        self.count: int | None = None
-        if isinstance(shape, construct.Array):
-            self.count, shape = shape.count, shape.subcon
-        self.element: Shape | None = shape if isinstance(shape, Shape) else None
-        inner = shape.subcon if self.element is not None else shape
-        #: struct's letter, or None for bytes of no fixed number.
-        self.code: str | None = inner.fmtstr[-1] if isinstance(inner, construct.FormatField) else None
-        self.width = inner.sizeof() if self.code is not None else 0
-        #: numpy's name of one element, such as "f8". struct's letters will not do: numpy's "L" has 8 bytes on Linux.
-        self.kind = "" if self.code is None else f"{_numpy_kind(self.code)}{self.width}"
+        self.number = shape.number
+        self.count = shape.count
         # Filled in by the layout, which alone knows the neighbours.
         self.offset = 0
         self.stride = self.width
         self.at: int | slice = 0
 
     @property
+    def width(self) -> int:
+        """Bytes of one element; 0 if there may be any number."""
+        return 0 if self.number is None else self.number.width
+
+    @property
     def size(self) -> int:
         """Bytes of the field; of text, the bytes it has at least."""
-        if isinstance(self.element, Raw):
-            return 0 if self.element.prefix is None else int(self.element.prefix.sizeof())
+        if isinstance(self.shape, Raw):
+            return 0 if self.shape.prefix is None else self.shape.prefix.width
         return self.width * (self.count or 1)
 
-    @cached_property
-    def default(self) -> Any:
-        """What the encoder sends of a field that it is not told of."""
-        zero: Any = b"" if self.code is None else 0
-        zero = zero if self.element is None else self.element.read(zero)
-        return zero if self.count is None else [zero] * self.count
-
-    def reader(self, of_cells: bool) -> Callable[[Any], Any]:
-        """A function from the unpacked values of a packet to the value of this field."""
-        at, element = self.at, self.element
-        if of_cells and self.code == "Q":
-            read_mask = element.read if element is not None else int
-            return lambda cells: read_mask(cells.view(np.uint64).item(at))
-        if of_cells:
-            if self.count is None:
-                if element is None:
-                    return lambda cells: cells.item(at)
-                read = element.read
-                return lambda cells: read(cells.item(at))
-            if element is None:
-                return lambda cells: cells[at]
-            read = element.read
-            return lambda cells: tuple(map(read, cells[at].tolist()))
-        if self.count is None:
-            if element is None:
-                return lambda values: values[at]
-            read = element.read
-            return lambda values: read(values[at])
-        if element is None:
-            # Floats of four bytes too are handed out as float64; that is exact.
-            native = _NATIVE_DOUBLE if self.kind[0] == "f" else np.dtype(self.kind)
-
-            def read_vector(values: tuple[Any, ...]) -> Any:
-                vector = np.array(values[at], native)
-                vector.setflags(write=False)
-                return vector
-
-            return read_vector
-        read = element.read
-        return lambda values: tuple(map(read, values[at]))
-
     def raw(self, value: Any) -> list[Any]:
-        """The struct values of `value`, one per element.
+        """What lies on the wire for `value`, one entry for each element.
 
         Raises:
             BadValue: wrong number of elements, or not a number.
         """
-        name = self.wire.name
+        name = self.field.name
         if isinstance(value, np.ndarray):
             value = value.tolist()
         if self.count is None:
@@ -160,9 +86,7 @@ class Place:
         else:
             raise BadValue(f"{name}: expected {self.count} elements, got {value!r}")
         try:
-            if self.element is not None:
-                return [self.element.write(element) for element in elements]
-            return [element + 0 for element in elements]
+            return [self.shape.write(element) for element in elements]
         except (TypeError, ValueError, OverflowError) as error:
             raise BadValue(f"{name}: {value!r} cannot be sent ({error})") from None
 
@@ -170,203 +94,196 @@ class Place:
 class Layout:
     """One order of fields on the wire.
 
+    Args:
+        name: of the packet, for errors.
+        fields: in wire order, each with the shape that it has here.
+        header: what precedes them.
+        constants: values of the header's parts, and of fields that the encoder is not told of.
+        names: of all fields that the packet has in any layout; by default those that this one has.
+        first: the first version that has this layout.
+        has_block: whether the optional fields are in it.
+        of_cells: see `is_of_cells`, which by default decides.
+
     Attributes:
-        packet: the typed class whose layout this is.
-        first: the first version that has it.
         places: name -> `Place`, in wire order.
+        fields: name and shape, in wire order: what makes two layouts the same.
         size: bytes of the packet, header included; with text in it, the least number of bytes.
         has_text: True if the number of bytes varies.
-        decode: ``decode(data, stamp=None) -> State``, the fast decoder. `data` is one whole packet,
-            header included, as `bytes`. Raises `PacketError`.
+        of_cells: the packet is swapped as a whole.
+        at: for each of `names` where its values are, None for what is not sent.
+        unpack: ``unpack(data) -> values``: of cells a read-only float64 array, otherwise a tuple of numbers and bytes.
+            `data` is one whole packet, header included, as `bytes`. Raises `PacketError`.
     """
 
-    decode: Callable[..., Any]
+    unpack: Callable[[bytes], Any]
 
     def __init__(
         self,
-        packet: type[State],
-        first: Version,
-        fields: Sequence[tuple[Wire, Any]],
-        header: Any,
-        constants: Mapping[str, int],
-        has_block: bool,
+        name: str,
+        fields: Sequence[tuple[Field, Shape]],
+        header: Header,
+        *,
+        constants: Mapping[str, int] | None = None,
+        names: Sequence[str] | None = None,
+        first: Version = (0, 0),
+        has_block: bool = False,
+        of_cells: bool | None = None,
     ) -> None:
-        self.packet = packet
-        self.first = first
+        self.name = name
         self.header = header
-        self.constants = constants
+        self.constants = dict(constants or {})
+        self.first = first
         self.has_block = has_block
-        self.places = {wire.name: Place(wire, shape) for wire, shape in fields}
-        self.fields = tuple((name, place.shape) for name, place in self.places.items())
+        self.places = {field.name: Place(field, shape) for field, shape in fields}
+        self.names = tuple(self.places) if names is None else names
+        self.fields = tuple((field.name, shape) for field, shape in fields)
         self._arrange()
-        cells = sum(place.count or 1 for place in self.places.values())
-        uniform = all(place.width == 8 and place.code in ("d", "Q") for place in self.places.values())
-        #: 8-byte cells throughout, and enough of them that numpy unpacks them quicker than struct
-        self.of_cells = uniform and cells >= _MANY_CELLS
-        self.readers = [
-            self.places[name].reader(self.of_cells) if name in self.places else _not_sent for name in packet.FIELDS
-        ]
-        #: where the cells of each field of the class are; what is not sent has none
-        self.cells_at = [self.places[name].at if name in self.places else None for name in packet.FIELDS]
-        if self.has_text:
-            self.decode = self._text_decoder()
-        elif self.of_cells:
-            self.decode = self._cell_decoder()
-        else:
-            self.decode = self._struct_decoder()
+        self.at = [self.places[name].at if name in self.places else None for name in self.names]
+        self.of_cells = is_of_cells([shape for _, shape in fields]) if of_cells is None else of_cells
+        #: what unpacks the whole packet, header left out; None of cells, and where there is text
+        self.struct = None if self.has_text or self.of_cells else struct.Struct(self._codes)
+        self.unpack = (
+            self._text_unpacker() if self.has_text else self._cell_unpacker() if self.of_cells else self._unpacker()
+        )
 
     def _arrange(self) -> None:
         """Give every place its offset and its index among the unpacked values."""
-        offset = int(self.header.sizeof())
-        self._runs: list[list[Place]] = []
-        index = 0
+        offset = self.header.width
+        #: neighbours that are sent element by element in turn, or one place by itself
+        self.runs = [
+            run
+            for key, members in groupby(self.places.values(), key=lambda place: place.field.interleave)
+            for run in ([[place] for place in members] if key is None else [list(members)])
+        ]
         codes = [f">{offset}x"]
-        for key, members in groupby(self.places.values(), key=lambda place: place.wire.interleave):
-            group = list(members)
-            if key is None:
-                for place in group:
-                    place.offset = offset
-                    place.at = index if place.count is None else slice(index, index + place.count)
-                    index += place.count or 1
-                    offset += place.size
-                    codes.append(f"{place.count or 1}{place.code}" if place.code is not None else "|")
-                    self._runs.append([place])
-                continue
-            (count,) = {place.count or 1 for place in group}
-            stride = sum(place.width for place in group)
-            step = len(group)
-            for number, place in enumerate(group):
+        for run in self.runs:
+            count = run[0].count or 1
+            stride = sum(place.width for place in run)
+            for place in run:
                 place.offset, place.stride = offset, stride
-                place.at = slice(index + number, index + number + step * (count - 1) + 1, step)
-                offset += place.width
-            offset += stride * (count - 1)
-            index += step * count
-            codes.append("".join(f"{place.code}" for place in group) * count)
-            self._runs.append(group)
+                offset += place.size if len(run) == 1 else place.width
+            if len(run) > 1:
+                offset += stride * (count - 1)
+            code = "".join(place.number.code for place in run if place.number is not None)
+            codes.append(f"{count}{code}" if len(run) == 1 else code * count)
+        for name, at in indices([(place.field, place.shape) for place in self.places.values()]).items():
+            self.places[name].at = at
         self.size = offset
-        self.has_text = any(place.code is None for place in self.places.values())
-        self._struct = None if self.has_text else struct.Struct("".join(codes))
+        self.has_text = any(place.number is None for place in self.places.values())
+        self._codes = "".join(codes)
 
     def __repr__(self) -> str:
         version = version_text(self.first)
-        return f"<Layout {self.packet.__name__} since {version}, {self.size}{'+' if self.has_text else ''} bytes>"
+        return f"<Layout {self.name} since {version}, {self.size}{'+' if self.has_text else ''} bytes>"
 
     # -- from the wire -------------------------------------------------------------------------
 
-    def _too_short(self, data: bytes) -> PacketError:
+    def too_short(self, data: bytes) -> PacketError:
+        """The error that says that `data` cannot hold the fields."""
         return PacketError(
             "packet too short",
-            packet=self.packet.__name__,
+            packet=self.name,
             version=version_text(self.first),
             expected=self.size,
             actual=len(data),
             offset=len(data),
         )
 
-    def _cell_decoder(self) -> Callable[..., Any]:
-        """All 8-byte cells: swap the whole packet once and hand out views of it."""
-        packet = self.packet
-        start = int(self.header.sizeof())
+    def _cell_unpacker(self) -> Callable[[bytes], Any]:
+        """All 8-byte cells: swap the whole packet once; the fields are views of it."""
+        start = self.header.width
         count = (self.size - start) // 8
-        new, frombuffer = object.__new__, np.frombuffer
+        frombuffer = np.frombuffer
 
-        def decode(data: bytes, stamp: Stamp | None = None) -> Any:
-            state = new(packet)
-            state._data = data
-            state._layout = self
-            state._stamp = stamp
+        def unpack(data: bytes) -> Any:
             try:
                 cells = frombuffer(data, _WIRE_DOUBLE, count, start).astype(_NATIVE_DOUBLE)
             except ValueError:
-                raise self._too_short(data) from None
+                raise self.too_short(data) from None
             cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
-            state._values = cells
-            return state
+            return cells
 
-        return decode
+        return unpack
 
-    def decode_all(self, packets: Sequence[bytes], stamp: Stamp | None = None) -> list[Any]:
-        """The states of many packets of the same length, swapped at once: for a reader that fell behind.
+    def _unpacker(self) -> Callable[[bytes], Any]:
+        """Mixed widths: one precompiled struct for the whole packet."""
+        assert self.struct is not None
+        unpack_from = self.struct.unpack_from
 
-        Only for layouts `of_cells`. The states share one array, which lives as long as one of them.
+        def unpack(data: bytes) -> Any:
+            try:
+                return unpack_from(data)
+            except struct.error:
+                raise self.too_short(data) from None
+
+        return unpack
+
+    def _text_unpacker(self) -> Callable[[bytes], Any]:
+        """Text in it: go from field to field."""
+
+        def unpack(data: bytes) -> Any:
+            return tuple(value for _, _, _, values in self.stretches(data) for value in values)
+
+        return unpack
+
+    @cached_property
+    def as_doubles(self) -> Callable[[Sequence[float]], Any]:
+        """A function from the unpacked values to a read-only float64 array of them; only for numbers, not `of_cells`.
+
+        Through bytes it takes a third of the time that `np.array` takes.
         """
-        start, size = int(self.header.sizeof()), len(packets[0])
+        pack = struct.Struct(f"={sum(place.count or 1 for place in self.places.values())}d").pack
+        frombuffer = np.frombuffer
+
+        def as_doubles(values: Sequence[float]) -> Any:
+            return frombuffer(pack(*values))
+
+        return as_doubles
+
+    def unpack_all(self, packets: Sequence[bytes]) -> Any:
+        """The values of many packets of the same length, one row each: for a reader that fell behind.
+
+        Only for layouts `of_cells`. The rows share one array, which lives as long as one of them.
+        """
+        start, size = self.header.width, len(packets[0])
         count = (self.size - start) // 8
         record = np.dtype({"names": ["cells"], "formats": [(">f8", count)], "offsets": [start], "itemsize": size})
         table = np.frombuffer(b"".join(packets), record)["cells"].astype(_NATIVE_DOUBLE)
         table.setflags(write=False)
-        packet, new = self.packet, object.__new__
-        states = []
-        for data, cells in zip(packets, table, strict=True):
-            state = new(packet)
-            state._data = data
-            state._layout = self
-            state._stamp = stamp
-            state._values = cells
-            states.append(state)
-        return states
+        return table
 
-    def _struct_decoder(self) -> Callable[..., Any]:
-        """Mixed widths: one precompiled struct for the whole packet."""
-        packet = self.packet
-        assert self._struct is not None
-        unpack = self._struct.unpack_from
-        new = object.__new__
+    def stretches(self, data: bytes) -> Iterator[tuple[Place, int, int, Sequence[Any]]]:
+        """Each place with the start and end of its bytes in `data` and the values in them, also where text varies.
 
-        def decode(data: bytes, stamp: Stamp | None = None) -> Any:
-            state = new(packet)
-            state._data = data
-            state._layout = self
-            state._stamp = stamp
-            try:
-                state._values = unpack(data)
-            except struct.error:
-                raise self._too_short(data) from None
-            return state
+        Only for layouts without interleaved fields.
 
-        return decode
-
-    def _text_decoder(self) -> Callable[..., Any]:
-        """Text in it: walk the fields."""
-        packet = self.packet
-
-        def decode(data: bytes, stamp: Stamp | None = None) -> Any:
-            values = tuple(value for _, _, _, raws in self._walk(data) for value in raws)
-            state = object.__new__(packet)
-            state._data = data
-            state._layout = self
-            state._stamp = stamp
-            state._values = values
-            return state
-
-        return decode
-
-    def _walk(self, data: bytes) -> Iterator[tuple[Place, int, int, list[Any]]]:
-        """Each place with the start and end of its bytes and the raw values in them."""
-        offset = int(self.header.sizeof())
+        Raises:
+            PacketError: a field runs past the end, or has too few bytes.
+        """
+        offset = self.header.width
         if len(data) < self.size:
-            raise self._too_short(data)
+            raise self.too_short(data)
         for place in self.places.values():
             start = offset
-            if place.code is not None:
+            if place.number is not None:
                 count = place.count or 1
-                offset += place.width * count
+                offset += place.number.width * count
                 self._fits(place, start, offset, data)
-                yield place, start, offset, list(struct.unpack_from(f">{count}{place.code}", data, start))
+                yield place, start, offset, struct.unpack_from(f">{count}{place.number.code}", data, start)
                 continue
-            shape = place.element
+            shape = place.shape
             assert isinstance(shape, Raw)
             if shape.prefix is None:
                 text, offset = start, len(data)
             else:
-                text = start + int(shape.prefix.sizeof())
+                text = start + shape.prefix.width
                 self._fits(place, start, text, data)
-                offset = text + int(shape.prefix.parse(data[start:text]))
+                offset = text + int(struct.unpack_from(f">{shape.prefix.code}", data, start)[0])
                 self._fits(place, start, offset, data)
             if offset - text < shape.least:
                 raise PacketError(
-                    f"{place.wire.name} is too short",
-                    packet=self.packet.__name__,
+                    f"{place.field.name} is too short",
+                    packet=self.name,
                     expected=shape.least,
                     actual=offset - text,
                     offset=text,
@@ -376,8 +293,8 @@ class Layout:
     def _fits(self, place: Place, start: int, end: int, data: bytes) -> None:
         if end > len(data):
             raise PacketError(
-                f"{place.wire.name} runs past the end of the packet",
-                packet=self.packet.__name__,
+                f"{place.field.name} runs past the end of the packet",
+                packet=self.name,
                 expected=end,
                 actual=len(data),
                 offset=start,
@@ -387,7 +304,7 @@ class Layout:
         """Where the known fields of `data` end; what follows is the unknown tail."""
         if not self.has_text:
             return self.size
-        ends = [end for _, _, end, _ in self._walk(data)]
+        ends = [end for _, _, end, _ in self.stretches(data)]
         return ends[-1]
 
     # -- to the wire ---------------------------------------------------------------------------
@@ -395,33 +312,27 @@ class Layout:
     def encode(self, values: Mapping[str, Any], tail: bytes = b"") -> bytes:
         """The packet that holds `values`, header included; what is not given is zero.
 
-        Fields of the class that this layout does not send are passed over, so one mapping serves
-        every version.
+        Fields of the packet that this layout does not send are passed over, so one mapping serves every version.
 
         Raises:
-            BadValue: a name that the class does not have, a wrong number of elements, or a number
-                that does not fit its shape.
+            BadValue: a name that the packet does not have, a wrong number of elements, or a number that does not fit
+                its shape.
         """
-        if not values.keys() <= self.packet.FIELDS.keys():
-            unknown = ", ".join(sorted(values.keys() - self.packet.FIELDS.keys()))
-            raise BadValue(f"{self.packet.__name__} has no field {unknown}")
+        if not values.keys() <= set(self.names):
+            unknown = ", ".join(sorted(values.keys() - set(self.names)))
+            raise BadValue(f"{self.name} has no field {unknown}")
         body = self._encode_cells(values) if self.of_cells else self._encode_runs(values)
-        size = int(self.header.sizeof()) + len(body) + len(tail)
-        head = {"size": size, **self.constants}
-        return bytes(self.header.build(head)) + body + tail
+        return self.header.pack(**{**self.constants, "size": self.header.width + len(body) + len(tail)}) + body + tail
 
     def _encode_cells(self, values: Mapping[str, Any]) -> bytes:
-        cells = np.zeros((self.size - int(self.header.sizeof())) // 8)
+        cells = np.zeros((self.size - self.header.width) // 8)
         for name, value in values.items():
             place = self.places.get(name)
             if place is None:
                 continue
             try:
-                if place.code == "Q":
-                    mask = place.raw(value)[0]
-                    if not 0 <= mask < 1 << 64:
-                        raise OverflowError("a mask has 64 bits")
-                    cells.view(np.uint64)[place.at] = mask
+                if place.shape is Mask64:
+                    cells.view(np.uint64)[place.at] = place.raw(value)[0]
                 elif place.count is None:
                     cells[place.at] = place.raw(value)[0]
                 else:
@@ -437,11 +348,12 @@ class Layout:
 
     def _encode_runs(self, values: Mapping[str, Any]) -> bytes:
         body = bytearray()
-        for run in self._runs:
+        for run in self.runs:
             columns = []
             for place in run:
-                name = place.wire.name
-                columns.append(place.raw(values.get(name, self.constants.get(name, place.default))))
+                name = place.field.name
+                given = values.get(name, self.constants.get(name))
+                columns.append(_zeros(place) if given is None and name not in values else place.raw(given))
             for row in zip(*columns, strict=True):
                 for place, raw in zip(run, row, strict=True):
                     body += self._packed(place, raw)
@@ -449,101 +361,85 @@ class Layout:
 
     def _packed(self, place: Place, raw: Any) -> bytes:
         try:
-            if place.code is not None:
-                return struct.pack(f">{place.code}", raw)
-            prefix = place.element.prefix  # type: ignore[union-attr]
-            return bytes(raw if prefix is None else prefix.build(len(raw)) + raw)
-        except (struct.error, construct.ConstructError, OverflowError) as error:
-            raise BadValue(f"{self.packet.__name__}.{place.wire.name}: {raw!r} cannot be sent ({error})") from None
+            if place.number is not None:
+                return struct.pack(f">{place.number.code}", raw)
+            prefix = place.shape.prefix  # type: ignore[attr-defined]  # only `Raw` has no number
+            return bytes(raw if prefix is None else struct.pack(f">{prefix.code}", len(raw)) + raw)
+        except (struct.error, OverflowError) as error:
+            raise BadValue(f"{self.name}.{place.field.name}: {raw!r} cannot be sent ({error})") from None
 
-    # -- other views of the same declaration ---------------------------------------------------
-
-    @cached_property
-    def construct(self) -> Any:
-        """The layout as one construct `Struct`: the slow oracle. Attribute `tail` is the rest."""
-        parts = ["header" / self.header]
-        for run in self._runs:
-            if run[0].wire.interleave is None:
-                parts.append(run[0].wire.name / run[0].shape)
-            else:
-                element = construct.Struct(*(place.wire.name / place.shape.subcon for place in run))
-                parts.append(run[0].wire.interleave / construct.Array(run[0].count, element))
-        return construct.Struct(*parts, "tail" / construct.GreedyBytes)
-
-    def parse_slowly(self, data: bytes) -> dict[str, Any]:
-        """name -> value of `data`, through construct alone."""
-        parsed = self.construct.parse(data)
-        values: dict[str, Any] = {}
-        for run in self._runs:
-            key = run[0].wire.interleave
-            for place in run:
-                name = place.wire.name
-                values[name] = parsed[name] if key is None else [row[name] for row in parsed[key]]
-        return values
+    # -- many packets at once ------------------------------------------------------------------
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
         """The numpy dtype of the packet as it lies on the wire, header included.
 
-        Fields that the wire interleaves are strided by numpy's nested dtype under their group's
-        name; masks and codes stay numbers.
+        Fields that the wire interleaves are strided by numpy's nested dtype under their group's name; masks and codes
+        stay numbers. Of the header there is its size, as `message_size`.
 
         Raises:
             BadValue: the packet has text in it, so its size varies.
         """
         if self.has_text:
-            raise BadValue(f"{self.packet.__name__} has text in it, so it has no numpy dtype")
-        names, offsets = ["message_size"], [0]
-        formats: list[np.dtype[Any]] = [np.dtype(">i4")]
-        for run in self._runs:
-            key = run[0].wire.interleave
+            raise BadValue(f"{self.name} has text in it, so it has no numpy dtype")
+        names, offsets = ["message_size"], [self._offset_of_size()]
+        formats: list[Any] = [_wire_dtype(self.header.parts["size"])]
+        for run in self.runs:
+            key = run[0].field.interleave
             if key is None:
                 place = run[0]
-                shape = () if place.count is None else (place.count,)
-                names.append(place.wire.name)
-                formats.append(np.dtype((f">{place.kind}", shape)))
+                names.append(place.field.name)
+                formats.append(np.dtype((_wire_dtype(place.number), () if place.count is None else (place.count,))))
             else:
-                element = np.dtype([(place.wire.name, f">{place.kind}") for place in run])
+                element = np.dtype([(place.field.name, _wire_dtype(place.number)) for place in run])
                 names.append(key)
                 formats.append(np.dtype((element, (run[0].count,))))
             offsets.append(run[0].offset)
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})
 
-    def dissect(self, data: bytes) -> Iterator[Row]:
-        """Every stretch of `data` with its meaning, in wire order, the unknown tail last."""
-        yield from header_rows(self.header, data)
-        if self.has_text:
-            for place, start, end, raws in self._walk(data):
-                value = raws if place.count is not None else raws[0]
-                if place.element is not None:
-                    value = place.element.read(raws[0])
-                yield Row(start, data[start:end], place.wire.name, value, place.wire.unit, place.wire.doc)
-        else:
-            state = self.decode(data)
-            for run in self._runs:
-                yield from self._dissect_run(run, state)
-        if self.end(data) < len(data):
-            yield Row(self.end(data), data[self.end(data) :], "tail", None, "", "bytes that no known layout explains")
-
-    def _dissect_run(self, run: list[Place], state: Any) -> Iterator[Row]:
-        data = state._data
-        if run[0].wire.interleave is None:
-            (place,) = run
-            value = getattr(state, place.wire.name)
-            raw = data[place.offset : place.offset + place.size]
-            yield Row(place.offset, raw, place.wire.name, value, place.wire.unit, place.wire.doc)
-            return
-        for number in range(run[0].count or 0):
-            for place in run:
-                start = place.offset + number * place.stride
-                value = getattr(state, place.wire.name)[number]
-                name = f"{place.wire.name}[{number}]"
-                yield Row(start, data[start : start + place.width], name, value, place.wire.unit, place.wire.doc)
+    def _offset_of_size(self) -> int:
+        offset = 0
+        for name, number in self.header.parts.items():
+            if name == "size":
+                break
+            offset += number.width
+        return offset
 
 
-def _numpy_kind(code: str) -> str:
-    return "f" if code in "fd" else "u" if code.isupper() else "i"
+def indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
+    """name -> index, or slice of an array, of each field among the values that a packet is unpacked to."""
+    found: dict[str, int | slice] = {}
+    index = 0
+    for key, members in groupby(fields, key=lambda member: member[0].interleave):
+        group = list(members)
+        step = 1 if key is None else len(group)
+        for number, (field, shape) in enumerate(group):
+            count = shape.count or 1
+            begin = index if key is None else index + number
+            found[field.name] = begin if shape.count is None else slice(begin, begin + step * (count - 1) + 1, step)
+            index += count if key is None else 0
+        if key is not None:
+            # All of a group are as long as the first, and are sent element by element in turn.
+            index += step * (group[0][1].count or 1)
+    return found
 
 
-def _not_sent(values: Any) -> None:
-    return None
+def is_of_cells(shapes: Sequence[Shape]) -> bool:
+    """Whether there is nothing but 8-byte cells, and so many of them that a packet is best swapped as a whole."""
+    is_uniform = all(shape.number is not None and shape.number.code in "dQ" for shape in shapes)
+    return is_uniform and sum(shape.count or 1 for shape in shapes) >= _MANY_CELLS
+
+
+def _code(place: Place) -> str:
+    assert place.number is not None, "text cannot be interleaved"
+    return place.number.code
+
+
+def _zeros(place: Place) -> list[Any]:
+    """What lies on the wire of a field that the encoder is not told of."""
+    return [b"" if place.number is None else 0] * (place.count or 1)
+
+
+def _wire_dtype(number: Number | None) -> np.dtype[Any]:
+    assert number is not None, "text has no dtype"
+    return np.dtype(f">{number.kind}")

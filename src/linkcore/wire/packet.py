@@ -1,19 +1,20 @@
 """Typed, frozen packets declared once: `@packet` and `wire()`.
 
-A packet class says, field by field, the Python type that users hold beside the construct shape on
-the wire, the unit, and the version since which it is sent::
+A packet class says, field by field, the Python type that users hold beside the shape on the wire, the unit, and the
+version since which it is sent::
 
     @packet(header=PACKAGE, type=9)
     class CalibrationData(State):
         F: Vector = wire(Float64b[3], "N", "force")
 
-From that the decorator derives one `Layout` per distinct order of fields, the properties, and the
-choice of the layout for a packet of a given length and version. A state *is* its bytes: the
-properties read from them, so nothing is lost and equality is equality of bytes.
+From that the decorator derives the properties, and, when they are first needed, one layout per distinct order of fields
+and the choice of the layout for a packet of a given size and version. A state *is* its bytes: the properties read from
+them, so nothing is lost and equality is equality of bytes.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -21,16 +22,19 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import PacketError
-from .layout import Layout, Row, Wire
-from .shapes import OpenInt
-from .version import Since, Version, parse_version, version_text
+from .choice import Layouts
+from .dissection import Row, dissect
+from .fields import Field, Header
+from .layout import Layout, indices, is_of_cells
+from .shapes import Mask64, OpenInt, Raw, Shape
+from .version import Since, Version, parse_version
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
     from ..stamp import Stamp
 
-__all__ = ["IntVector", "Layouts", "State", "Vector", "packet", "wire"]
+__all__ = ["IntVector", "State", "StateLayout", "StateLayouts", "Vector", "packet", "wire"]
 
 #: Read-only float64 array; the declaration of the field says its length.
 Vector = npt.NDArray[np.float64]
@@ -41,20 +45,20 @@ _Class = TypeVar("_Class", bound="type[State]")
 
 
 def wire(
-    shape: Any,
+    shape: Shape,
     unit: str = "",
     doc: str = "",
     *,
     since: str = "0.0",
     until: str | None = None,
-    before: tuple[str, Any] | None = None,
+    before: tuple[str, Shape] | None = None,
     interleave: str | None = None,
     block: str | None = None,
 ) -> Any:
     """Declare one field of a packet.
 
     Args:
-        shape: construct shape: `Float64b`, `Float64b[6]`, `Coded(Int8ub, bool)`, `Text()`.
+        shape: on the wire: `Float64b`, `Float64b[6]`, `Coded(Int8ub, bool)`, `Text()`.
         unit: SI unit, or what the number is.
         doc: meaning.
         since: first versions that send it, one per generation: ``"3.10/5.4"``.
@@ -63,7 +67,11 @@ def wire(
         interleave: neighbours of the same group are sent element by element in turn.
         block: the field is sent only when the field of this name is true.
     """
-    return Wire(
+    if before is not None:
+        # One property reads both: what differs is the number, or what it stands for.
+        assert before[1].count is shape.count is None
+        assert (before[1].read is None) is (shape.read is None)
+    return Field(
         name="",
         shape=shape,
         unit=unit,
@@ -83,25 +91,30 @@ class State:
     zero. Equal states have equal bytes.
     """
 
-    __slots__ = ("_data", "_layout", "_lost", "_stamp", "_values")
+    # `_vectors` are the values as one array, made when the first vector is asked for; see `_getter`.
+    __slots__ = ("_data", "_layout", "_lost", "_stamp", "_values", "_vectors")
 
     #: name -> declaration of the field, in declared order
-    FIELDS: ClassVar[Mapping[str, Wire]] = {}
+    FIELDS: ClassVar[Mapping[str, Field]] = {}
     #: the layouts of the class, and the choice among them
-    LAYOUTS: ClassVar[Layouts]
+    LAYOUTS: ClassVar[StateLayouts]
     #: False for a sample of something that goes on, True for news that comes once
     IS_EVENT: ClassVar[bool] = False
 
     _data: bytes
-    _layout: Layout
+    _layout: StateLayout
     _lost: bool
     _stamp: Stamp | None
     _values: Any
+    _vectors: Any
 
     def __init__(self, version: str | Version | None = None, /, **fields: Any) -> None:
         layout = self.LAYOUTS.of(version, fields)
-        built = layout.decode(layout.encode(fields))
-        self._data, self._layout, self._stamp, self._values = built._data, layout, None, built._values
+        self._data = layout.encode(fields)
+        self._layout = layout
+        self._stamp = None
+        self._values = layout.unpack(self._data)
+        self._vectors = None
 
     @classmethod
     def dtype(cls, version: str | Version | None = None) -> np.dtype[Any]:
@@ -144,7 +157,7 @@ class State:
 
     def dissect(self) -> Iterator[Row]:
         """Every stretch of the packet's bytes with offset, name, value and unit; the unknown tail last."""
-        return self._layout.dissect(self._data)
+        return dissect(self._layout, self._data, {name: getattr(self, name) for name in self._layout.places})
 
     def to_dict(self) -> dict[str, Any]:
         """name -> plain Python value of every field sent: numbers, lists, text; codes by name."""
@@ -161,16 +174,16 @@ class State:
 
         rows = "".join(
             f"<tr><td>{name}</td><td>{html.escape(_short(getattr(self, name)))}</td>"
-            f"<td>{html.escape(place.wire.unit)}</td><td>{html.escape(place.wire.doc)}</td></tr>"
+            f"<td>{html.escape(place.field.unit)}</td><td>{html.escape(place.field.doc)}</td></tr>"
             for name, place in self._layout.places.items()
         )
         head = "<tr><th>field</th><th>value</th><th>unit</th><th>meaning</th></tr>"
         return f"<table><caption>{type(self).__name__}</caption>{head}{rows}</table>"
 
 
-def _restored(cls: type[State], data: bytes, first: Version, has_block: bool, stamp: Stamp | None) -> Any:
+def _restored(cls: type[State], data: bytes, first: Version, has_block: bool, stamp: Stamp | None) -> State:
     (layout,) = (each for each in cls.LAYOUTS.all if (each.first, each.has_block) == (first, has_block))
-    return layout.decode(data, stamp)
+    return layout.decode(data, stamp)  # type: ignore[no-any-return]
 
 
 def _plain(value: Any) -> Any:
@@ -196,104 +209,89 @@ def _short(value: Any) -> str:
     return repr(value) if isinstance(value, (str, bytes)) else str(value)
 
 
-class Layouts:
-    """The layouts of one packet class, and the choice among them by version and by length."""
+# -- layouts of a class --------------------------------------------------------------------------
+
+
+class StateLayout(Layout):
+    """A layout whose values a packet class gives their types.
+
+    Attributes:
+        packet: that class.
+        decode: ``decode(data, stamp=None)``: the state in one whole packet, header included. Raises `PacketError`.
+    """
+
+    decode: Callable[..., Any]
+
+    def __init__(self, packet: type[State], *args: Any, **kwargs: Any) -> None:
+        super().__init__(packet.__name__, *args, names=tuple(packet.FIELDS), **kwargs)
+        self.packet = packet
+        self.reads = [self.places[name].shape.read if name in self.places else None for name in packet.FIELDS]
+        self.decode = self._decoder()
+
+    def _decoder(self) -> Callable[..., Any]:
+        packet, unpack, new = self.packet, self.unpack, object.__new__
+        unpack_from = None if self.struct is None else self.struct.unpack_from
+
+        def decode(data: bytes, stamp: Stamp | None = None) -> Any:
+            state = new(packet)
+            state._data = data
+            state._layout = self
+            state._stamp = stamp
+            state._vectors = None
+            state._values = unpack(data)
+            return state
+
+        def decode_with_struct(data: bytes, stamp: Stamp | None = None) -> Any:
+            # The same, one call shorter: a robot state has 13 parts.
+            state = new(packet)
+            state._data = data
+            state._layout = self
+            state._stamp = stamp
+            state._vectors = None
+            try:
+                state._values = unpack_from(data)  # type: ignore[misc]
+            except struct.error:
+                raise self.too_short(data) from None
+            return state
+
+        return decode if unpack_from is None else decode_with_struct
+
+    def decode_all(self, packets: Sequence[bytes], stamp: Stamp | None = None) -> list[Any]:
+        """The states of many packets of the same size, unpacked at once; only for layouts `of_cells`."""
+        packet, new = self.packet, object.__new__
+        states = []
+        for data, values in zip(packets, self.unpack_all(packets), strict=True):
+            state = new(packet)
+            state._data = data
+            state._layout = self
+            state._stamp = stamp
+            state._values = values
+            state._vectors = None
+            states.append(state)
+        return states
+
+
+class StateLayouts(Layouts[StateLayout]):
+    """The layouts of a packet class, and decoding by whichever fits."""
 
     def __init__(
         self,
-        cls: type[State],
-        header: Any,
+        packet: type[State],
+        header: Header,
         constants: Mapping[str, int],
         reorder: tuple[Version, Sequence[str]] | None,
+        *,
+        of_cells: bool,
     ) -> None:
-        self.cls = cls
-        self._reorder = reorder
-        self._of: dict[tuple[Version, bool], Layout] = {}
-        # (size, version) -> the layouts that fit, and the decoder where these two alone decide
-        self._known: dict[tuple[int, Version | None], tuple[list[Layout], Callable[..., Any] | None]] = {}
-        self.blocks = {wire.block for wire in cls.FIELDS.values() if wire.block is not None}
-        known: dict[Any, Layout] = {}
-        for version in self._borders():
-            for has_block in (False, True) if self.blocks else (False,):
-                fields = self._fields(version, has_block)
-                if not fields and cls.FIELDS:
-                    continue
-                key = tuple((wire.name, id(shape)) for wire, shape in fields)
-                if key not in known:
-                    known[key] = Layout(cls, version, fields, header, constants, has_block)
-                self._of[version, has_block] = known[key]
-        #: every distinct layout, oldest first
-        self.all: tuple[Layout, ...] = tuple(known.values())
-
-    def _borders(self) -> list[Version]:
-        borders: set[Version] = set()
-        for wire in self.cls.FIELDS.values():
-            borders |= wire.since.borders
-            borders |= {wire.until} if wire.until is not None else set()
-            borders |= {wire.before[0]} if wire.before is not None else set()
-        if self._reorder is not None:
-            borders.add(self._reorder[0])
-        return sorted(borders) or [(0, 0)]
-
-    def _fields(self, version: Version, has_block: bool) -> list[tuple[Wire, Any]]:
-        order: Sequence[str] = list(self.cls.FIELDS)
-        if self._reorder is not None and version < self._reorder[0]:
-            order = self._reorder[1]
-        sent = ((wire, wire.shape_in(version)) for wire in map(self.cls.FIELDS.__getitem__, order))
-        return [(wire, shape) for wire, shape in sent if shape is not None and (has_block or wire.block is None)]
-
-    def of(self, version: str | Version | None = None, fields: Mapping[str, Any] | None = None) -> Layout:
-        """The layout that `version` sends, or the newest; with its block if `fields` asks for it.
-
-        Raises:
-            PacketError: that version does not send this packet.
-        """
-        has_block = any((fields or {}).get(block) for block in self.blocks)
-        if version is None:
-            return next(layout for layout in reversed(self.all) if layout.has_block == has_block)
-        version = parse_version(version)
-        known = [border for border, block in self._of if block == has_block and border <= version]
-        layout = self._of[max(known), has_block] if known else None
-        if layout is None or not self._fields(version, has_block):
-            text = version_text(version)
-            raise PacketError("not sent by this firmware", packet=self.cls.__name__, version=text)
-        return layout
-
-    def fitting(self, size: int, version: Version | None = None) -> list[Layout]:
-        """The layouts that a packet of `size` bytes can have, best first.
-
-        An exact size wins, then the longest that fits: what is left over is the tail. With a
-        version, its own layout is the least that will do, and only layouts that extend it come
-        into question, since a newer release appends. Where a release took fields away, its first
-        builds may still send them: an exact size of the same generation will do, if it is larger.
-
-        Raises:
-            PacketError: the packet is shorter than its version's layout, or than any.
-        """
-        candidates = list(self.all)
-        least = min(layout.size for layout in candidates)
-        if version is not None:
-            own = [self.of(version)]
-            if self.blocks:
-                own.append(self.of(version, dict.fromkeys(self.blocks, True)))
-            least = own[0].size
-            candidates = [
-                layout
-                for layout in candidates
-                if any(layout.fields[: len(mine.fields)] == mine.fields for mine in own)
-                or (layout.first[0] == version[0] and layout.size == size > least and not layout.has_text)
-            ]
-        fits = [layout for layout in candidates if layout.size <= size]
-        if not fits:
-            raise PacketError(
-                "packet too short",
-                packet=self.cls.__name__,
-                version=None if version is None else version_text(version),
-                expected=least,
-                actual=size,
-                offset=size,
+        def lower(first: Version, fields: list[tuple[Field, Shape]], has_block: bool) -> StateLayout:
+            return StateLayout(
+                packet, fields, header, constants=constants, first=first, has_block=has_block, of_cells=of_cells
             )
-        return sorted(fits, key=lambda layout: (layout.size == size, layout.size), reverse=True)
+
+        super().__init__(packet.__name__, packet.FIELDS, lower, reorder)
+        self.packet = packet
+        # (size, version) -> the layouts that fit, and the decoder where these two alone decide
+        self._known: dict[tuple[int, Version | None], tuple[list[StateLayout], Callable[..., Any] | None]] = {}
 
     def decode(self, data: bytes, version: Version | None = None, stamp: Stamp | None = None) -> Any:
         """The typed state of one whole packet, header included.
@@ -335,62 +333,172 @@ class Layouts:
         return None if by_text or by_block else fits[0].decode
 
 
-def _property(cls: type[State], name: str, number: int) -> property:
-    """The property of field `number`, the shortest way to its value that is right in all layouts."""
-    places = [layout.places.get(name) for layout in cls.LAYOUTS.all]
-    first = places[0]
-    same_place = first is not None and all(place is not None and place.at == first.at for place in places)
-    plain = first is not None and first.element is None and first.count is not None
-    wire = cls.FIELDS[name]
-    get: Callable[[Any], Any]
-    if first is not None and same_place and plain and all(layout.of_cells for layout in cls.LAYOUTS.all):
-        at = first.at
+# -- fields as properties ------------------------------------------------------------------------
 
-        # The same cells in every layout: one view, nothing to look up.
+
+def _getter(
+    field: Field, number: int, at: int | slice | None, *, of_cells: bool, has_text: bool
+) -> Callable[[Any], Any]:
+    """What reads a field of a state. One Python function does it all, since a robot state has 120 fields to be read.
+
+    Args:
+        field: its declaration.
+        number: its number among the fields of the class.
+        at: where its values are in every layout; None where that differs, or where it is not always sent. A field that
+            the layout of the state does not send has no place there, and is None.
+        of_cells: the values are one array of doubles, otherwise a tuple.
+        has_text: some of the values are bytes.
+    """
+    if field.shape.count is not None:
+        return _array_getter(field.shape, number, at, of_cells=of_cells, has_text=has_text)
+    get: Callable[[Any], Any]
+    if field.before is not None:
+
+        def get(self: Any) -> Any:
+            layout = self._layout
+            at = layout.at[number]
+            if at is None:
+                return None
+            value = self._values.item(at) if of_cells else self._values[at]
+            read = layout.reads[number]  # the number may stand for something else in another layout
+            return value if read is None else read(value)
+
+        return get
+    read = field.shape.read
+    if field.shape is Mask64 and of_cells:
+        assert read is not None
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            return None if at is None else read(self._values.view(np.uint64).item(at))
+    elif of_cells:
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            if at is None:
+                return None
+            return self._values.item(at) if read is None else read(self._values.item(at))
+    elif at is None:
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            if at is None:
+                return None
+            return self._values[at] if read is None else read(self._values[at])
+    elif read is None:
+
         def get(self: Any) -> Any:
             return self._values[at]
-    elif all(place is not None for place in places) and plain and all(layout.of_cells for layout in cls.LAYOUTS.all):
-        # In every layout, but not at the same place.
-        def get(self: Any) -> Any:
-            return self._values[self._layout.cells_at[number]]
     else:
 
         def get(self: Any) -> Any:
-            return self._layout.readers[number](self._values)
+            return read(self._values[at])
 
-    unit = f" [{wire.unit}]" if wire.unit else ""
-    return property(get, doc=f"{wire.doc}{unit}")
+    return get
+
+
+def _array_getter(
+    shape: Shape, number: int, at: int | slice | None, *, of_cells: bool, has_text: bool
+) -> Callable[[Any], Any]:
+    """As `_getter`, of an array."""
+    assert shape.number is not None, "there are no arrays of text"
+    read = shape.read
+    is_float = shape.number.kind[0] == "f"
+    get: Callable[[Any], Any]
+    if read is not None:
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            if at is None:
+                return None
+            values = self._values[at]
+            return tuple(map(read, values.tolist() if of_cells else values))
+    elif of_cells and at is not None:
+
+        def get(self: Any) -> Any:
+            return self._values[at]
+    elif of_cells:
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            return None if at is None else self._values[at]
+    elif is_float and not has_text:
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            if at is None:
+                return None
+            vectors = self._vectors
+            if vectors is None:
+                # One array of all values, of which each vector is a view: to make one takes as long as to make all.
+                self._vectors = vectors = self._layout.as_doubles(self._values)
+            return vectors[at]
+    else:
+        # Floats of four bytes too are handed out as float64; that is exact.
+        dtype = np.dtype("f8" if is_float else shape.number.kind)
+        pack = struct.Struct(f"={shape.count}{'d' if is_float else shape.number.code}").pack
+
+        def get(self: Any) -> Any:
+            at = self._layout.at[number]
+            return None if at is None else np.frombuffer(pack(*self._values[at]), dtype)
+
+    return get
+
+
+def _fixed_places(fields: Mapping[str, Field], order: Sequence[str] | None) -> dict[str, int | slice]:
+    """Where the values of a field are, as far as that is the same in every layout, which all have it.
+
+    Args:
+        fields: of the packet, in declared order.
+        order: the other order in which the oldest versions send them, if there is one.
+    """
+    fixed: list[tuple[Field, Shape]] = []
+    first = min((field.since.firsts for field in fields.values()), default=())
+    for number, (name, field) in enumerate(fields.items()):
+        # With entries for several generations, a version may send other fields without these.
+        is_first = len(first) == 1 and field.since.firsts == first
+        is_always_sent = is_first and field.until is None and field.block is None
+        if not is_always_sent or (order is not None and order[number] != name):
+            # From here on, what stands before a field differs. A group is interleaved with all its members.
+            while fixed and field.interleave is not None and fixed[-1][0].interleave == field.interleave:
+                fixed.pop()
+            break
+        fixed.append((field, field.shape))
+    return indices(fixed)
 
 
 def packet(
     *,
-    header: Any,
+    header: Header,
     reorder: tuple[str, Sequence[str]] | None = None,
     **constants: int,
 ) -> Callable[[_Class], _Class]:
     """Make a packet class of a `State` subclass whose body declares fields with `wire()`.
 
     Args:
-        header: construct of what precedes the fields; its `size` is filled in.
+        header: what precedes the fields; its `size` is filled in.
         reorder: ``("3.0", names)``: versions before 3.0 send the fields in this other order.
-        constants: values of the header's other fields, and defaults of the packet's own.
+        constants: values of the header's other parts, and defaults of the packet's own fields.
     """
 
     def decorate(cls: _Class) -> _Class:
-        inherited = {name: wire for base in cls.__mro__[1:] for name, wire in getattr(base, "FIELDS", {}).items()}
-        declared = {name: item for name, item in vars(cls).items() if isinstance(item, Wire)}
-        body = {name: item for name, item in vars(cls).items() if name not in {*declared, "__dict__", "__weakref__"}}
+        inherited = {name: field for base in cls.__mro__[1:] for name, field in getattr(base, "FIELDS", {}).items()}
+        declared = {name: item._replace(name=name) for name, item in vars(cls).items() if isinstance(item, Field)}
+        fields = {**inherited, **declared}
+        shapes = [field.shape for field in fields.values()]
+        of_cells = is_of_cells(shapes + [field.before[1] for field in fields.values() if field.before is not None])
+        has_text = any(isinstance(shape, Raw) for shape in shapes)
+        fixed = _fixed_places(fields, None if reorder is None else reorder[1])
+        body = {name: item for name, item in vars(cls).items() if name not in {"__dict__", "__weakref__"}}
+        for number, (name, field) in enumerate(fields.items()):
+            unit = f" [{field.unit}]" if field.unit else ""
+            get = _getter(field, number, fixed.get(name), of_cells=of_cells, has_text=has_text)
+            body[name] = property(get, doc=f"{field.doc}{unit}")
         # As attrs does: a class with slots has to be made anew.
         remake: Any = type(cls)
-        made = remake(cls.__name__, cls.__bases__, {**body, "__slots__": ()})
-        fields = {**inherited}
-        for name, wire in declared.items():
-            fields[name] = Wire(**{**vars(wire), "name": name})
-        made.FIELDS = fields
+        made = remake(cls.__name__, cls.__bases__, {**body, "__slots__": (), "FIELDS": fields})
         before = None if reorder is None else (parse_version(reorder[0]), reorder[1])
-        made.LAYOUTS = Layouts(made, header, constants, before)
-        for number, name in enumerate(fields):
-            setattr(made, name, _property(made, name, number))
+        made.LAYOUTS = StateLayouts(made, header, constants, before, of_cells=of_cells)
         return made  # type: ignore[no-any-return]
 
     return decorate

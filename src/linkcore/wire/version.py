@@ -59,6 +59,6 @@ class Since:
         return f"Since({self.text!r})"
 
     @property
-    def borders(self) -> set[Version]:
+    def steps(self) -> set[Version]:
         """The versions at which the answer can change."""
         return {*self.firsts, *((first[0], 0) for first in self.firsts[1:])}

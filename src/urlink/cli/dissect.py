@@ -14,14 +14,14 @@ import numpy as np
 from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording, PacketError
 from linkcore.recording.file import Kind, Recording
-from linkcore.wire.layout import Row, header_rows
+from linkcore.wire.dissection import Row, header_rows
 from linkcore.wire.packet import State
 from linkcore.wire.version import version_text
 
-from ..decode import INTERFACES, Interface, decode
+from ..decoding import INTERFACES, Interface, decode
 from ..firmware import Firmware, release_of
 from ..interfaces.headers import PACKAGE
-from ..interfaces.primary.protocol import PackageDecoder
+from ..interfaces.primary.decoder import PackageDecoder
 from ..interfaces.primary.robot_message import VersionMessage
 from ..interfaces.primary.robot_state import RobotState
 from .options import Subparsers, add_command, positive_int
@@ -254,7 +254,7 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
         part = data[at : at + size]
         try:
             # As the only one of a robot state.
-            state = decoder.decode(PACKAGE.build({"size": 5 + size, "type": 16}) + part)
+            state = decoder.decode(PACKAGE.pack(size=5 + size, type=16) + part)
         except PacketError as error:
             piece.parts.append(Piece(offset + at, part, f"sub-package of type {part[4]}", error=str(error)))
         else:

@@ -11,7 +11,7 @@ from typing import Any
 from linkcore.cli.terminal import strict_json
 from linkcore.wire.packet import State
 
-from ..decode import INTERFACES
+from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect

@@ -10,7 +10,7 @@ from collections import deque
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.statistics import StreamStatistics
 
-from ..decode import INTERFACES
+from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import connect

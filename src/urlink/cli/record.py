@@ -9,7 +9,7 @@ from linkcore.cli.interruption import Interruption
 from linkcore.recording.file import Recording
 from linkcore.streaming.events import ConnectionState
 
-from ..decode import INTERFACES
+from ..decoding import INTERFACES
 from ..robot import connect
 from .options import Subparsers, add_address, add_command, positive_int, seconds
 from .summary import summarise

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from linkcore.errors import WrongPeer
 from linkcore.wire.framing import Framer
 
-from ..decode import Interface
+from ..decoding import Interface
 from ..interfaces.primary.framing import PackageBoundary
 from ..interfaces.realtime.framing import RealtimeBoundary
 

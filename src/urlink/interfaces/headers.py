@@ -1,12 +1,13 @@
 """How the bytes of each interface begin: headers, the sizes that can be true, and who is talking.
 
 Shared by the interfaces, since each of them tells a user who took the wrong port.
-Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/protocols/dashboard.md, section Greeting.
+Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/protocols/dashboard.md, section Lines.
 """
 
 from __future__ import annotations
 
-from construct import Int8ub, Int32sb, Struct
+from linkcore.wire.fields import Header
+from linkcore.wire.shapes import Int8ub, Int32sb
 
 __all__ = [
     "DASHBOARD_GREETING",
@@ -20,10 +21,10 @@ __all__ = [
 ]
 
 #: Real-time interface: the size and nothing else. No byte tells the type of packet.
-REALTIME = Struct("size" / Int32sb)
+REALTIME = Header(size=Int32sb)
 
 #: Primary and secondary interface, packages and sub-packages alike. The size counts the header.
-PACKAGE = Struct("size" / Int32sb, "type" / Int8ub)
+PACKAGE = Header(size=Int32sb, type=Int8ub)
 
 #: Real-time sizes are 4 + 8k. Outside this range, or with another remainder, the frame boundary is lost.
 REALTIME_SIZES = range(500, 4097)

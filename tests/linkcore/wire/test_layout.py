@@ -7,14 +7,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from construct import Float32b, Float64b, Int8sb, Int8ub, Int16ub, Int32sb, Int32ub, Struct
 
 from linkcore.errors import BadValue, LocalError, PacketError
+from linkcore.wire.fields import Header
+from linkcore.wire.oracle import parse
 from linkcore.wire.packet import IntVector, State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Mask64, OpenInt, Text
+from linkcore.wire.shapes import (
+    Coded,
+    Float32b,
+    Float64b,
+    Int8sb,
+    Int8ub,
+    Int16ub,
+    Int32sb,
+    Int32ub,
+    Mask64,
+    OpenInt,
+    Text,
+)
 
-SIZE = Struct("size" / Int32sb)
-SIZE_AND_TYPE = Struct("size" / Int32sb, "type" / Int8ub)
+SIZE = Header(size=Int32sb)
+SIZE_AND_TYPE = Header(size=Int32sb, type=Int8ub)
 
 
 class Mode(OpenInt):
@@ -101,7 +114,7 @@ def test_bytes_written_by_hand(cls: type[State], data: bytes, values: dict[str, 
     state = layout.decode(data)
     assert {name: plain(getattr(state, name)) for name in values} == values
     assert layout.encode(values) == data
-    slowly = layout.parse_slowly(data)
+    slowly = parse(layout, data)
     assert {name: list(value) if isinstance(value, list) else value for name, value in slowly.items()} == {
         name: list(value) if isinstance(value, (list, tuple)) else value for name, value in values.items()
     }
@@ -246,10 +259,10 @@ def test_dtype_reads_many_packets_at_once() -> None:
 
 def test_dissection_covers_every_byte_once() -> None:
     for cls, data in ((Cells, CELLS), (Mixed, MIXED), (Note, NOTE), (Mixed, MIXED + b"tail")):
-        rows = sorted(cls.LAYOUTS.of().dissect(data), key=lambda row: row.offset)
+        rows = sorted(cls.LAYOUTS.of().decode(data).dissect(), key=lambda row: row.offset)
         assert b"".join(row.data for row in rows) == data
         assert [row.offset for row in rows] == [sum(len(row.data) for row in rows[:n]) for n in range(len(rows))]
-    rows = list(Mixed.LAYOUTS.of().dissect(MIXED + b"tail"))
+    rows = list(Mixed.LAYOUTS.of().decode(MIXED + b"tail").dissect())
     assert [(row.name, row.offset) for row in rows] == [
         ("size", 0),
         ("type", 4),
@@ -265,5 +278,5 @@ def test_dissection_covers_every_byte_once() -> None:
     ]
     assert {row.name: row.value for row in rows}["q[1]"] == -1.25
     assert {row.name: row.unit for row in rows}["q[1]"] == "rad"
-    text = {row.name: row.value for row in Note.LAYOUTS.of().dissect(NOTE)}
+    text = {row.name: row.value for row in Note.LAYOUTS.of().decode(NOTE).dissect()}
     assert text == {"size": 16, "type": 8, "number": 300, "title": "top", "level": -2, "text": "body"}

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from construct import Float64b, Int8ub, Int16ub, Int32sb, Int32ub, Struct
 
 from linkcore.errors import PacketError
 from linkcore.stamp import Stamp
-from linkcore.wire.packet import State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, OpenInt, Raw, Text
+from linkcore.wire.fields import Header
+from linkcore.wire.packet import IntVector, State, Vector, packet, wire
+from linkcore.wire.shapes import Coded, Float64b, Int8ub, Int16ub, Int32sb, Int32ub, OpenInt, Raw, Text
 
-SIZE = Struct("size" / Int32sb)
-SIZE_AND_TYPE = Struct("size" / Int32sb, "type" / Int8ub)
+SIZE = Header(size=Int32sb)
+SIZE_AND_TYPE = Header(size=Int32sb, type=Int8ub)
 
 
 class Colour(OpenInt):
@@ -62,6 +62,16 @@ class Lost(State):
     later: int | None = wire(Int16ub, "", "later", since="3.0")
 
 
+@packet(header=SIZE_AND_TYPE, type=12)
+class Twined(State):
+    """A group that is sent element by element in turn, and later grew."""
+
+    before: int = wire(Int8ub, "", "before")
+    position: Vector = wire(Float64b[2], "rad", "position", interleave="joint")
+    mode: tuple[Colour, ...] | None = wire(Coded(Int8ub, Colour)[2], "", "mode", interleave="joint", since="2.0")
+    count: IntVector = wire(Int16ub[2], "", "count")
+
+
 @packet(header=SIZE_AND_TYPE, type=11)
 class Whole(State):
     payload: bytes = wire(Raw(), "", "payload")
@@ -103,6 +113,21 @@ def test_the_old_order_is_another_layout_of_the_same_class() -> None:
     assert old.pose.tolist() == new.pose.tolist() == [1, 2]
     assert old.status is None
     assert old.extra is None
+
+
+def test_a_group_that_grew_has_its_values_elsewhere() -> None:
+    old, new = (
+        Twined("1.0", before=1, position=[2, 3], count=[4, 5]),
+        Twined("2.0", before=1, position=[2, 3], mode=[1, 9]),
+    )
+    assert struct.unpack(">iBB2d2H", bytes(old)) == (26, 12, 1, 2, 3, 4, 5)
+    assert struct.unpack(">iBBdBdB2H", bytes(new)) == (28, 12, 1, 2, 1, 3, 9, 0, 0)
+    for state in (old, new):
+        assert (state.before, state.position.tolist()) == (1, [2.0, 3.0])
+    assert old.mode is None
+    assert new.mode == (Colour.RED, 9)
+    assert (old.count.tolist(), new.count.tolist()) == ([4, 5], [0, 0])
+    assert old.count.dtype == np.uint16
 
 
 def test_a_version_that_does_not_send_the_packet_says_so() -> None:

@@ -33,7 +33,7 @@ from urlink import (
     VersionMessage,
     decode,
 )
-from urlink.decode import Interface
+from urlink.decoding import Interface
 from urlink.firmware import Firmware, infer
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol

@@ -19,14 +19,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkcore.errors import PacketError
-from linkcore.wire.layout import Layout, Place
-from linkcore.wire.packet import State
-from linkcore.wire.shapes import OpenInt, Raw
+from linkcore.wire.layout import Place
+from linkcore.wire.oracle import parse
+from linkcore.wire.packet import State, StateLayout
+from linkcore.wire.shapes import Array, Coded, Mask64, OpenInt, Raw, Shape
 from urlink import RealtimeState, RobotMessage, RobotState, decode
-from urlink.decode import Interface
+from urlink.decoding import Interface
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.interfaces.primary import robot_message, robot_state
-from urlink.interfaces.primary.protocol import PackageDecoder, PrimaryProtocol
+from urlink.interfaces.primary.decoder import PackageDecoder
+from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 from urlink.interfaces.realtime import packets as realtime
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
@@ -45,7 +47,7 @@ CLASSES = sorted(
 LAYOUTS = [layout for cls in CLASSES for layout in cls.LAYOUTS.all]
 
 
-def name_of(layout: Layout) -> str:
+def name_of(layout: StateLayout) -> str:
     block = "-block" if layout.has_block else ""
     return f"{layout.packet.__name__}-{'.'.join(map(str, layout.first))}{block}"
 
@@ -73,7 +75,7 @@ def same(one: Any, other: Any) -> bool:
     return type(one) is type(other) and bool(one == other)
 
 
-def packets(layout: Layout, extra: int = 0) -> st.SearchStrategy[bytes]:
+def packets(layout: StateLayout, extra: int = 0) -> st.SearchStrategy[bytes]:
     """Any bytes that are long enough for the layout."""
     longest = layout.size + (60 if layout.has_text else extra)
     return st.binary(min_size=layout.size, max_size=longest)
@@ -95,7 +97,7 @@ def doubles(size: int) -> st.SearchStrategy[bytes]:
 
 @every_layout
 @given(data=st.data())
-def test_fast_decoder_is_construct(layout: Layout, data: st.DataObject) -> None:
+def test_fast_decoder_is_construct(layout: StateLayout, data: st.DataObject) -> None:
     strategy = packets(layout, extra=9)
     packet = data.draw(st.one_of(strategy, doubles(layout.size)) if layout.of_cells else strategy)
     try:
@@ -105,9 +107,9 @@ def test_fast_decoder_is_construct(layout: Layout, data: st.DataObject) -> None:
         assert layout.has_text
         if "is too short" not in error.reason:
             with pytest.raises(ConstructError):
-                layout.parse_slowly(packet)
+                parse(layout, packet)
         return
-    slowly = layout.parse_slowly(packet)
+    slowly = parse(layout, packet)
     assert list(slowly) == list(layout.places)
     for name, value in slowly.items():
         fast = getattr(state, name)
@@ -133,7 +135,7 @@ def test_every_packet_of_a_release_decodes_as_construct_does(release: Release, d
         data.draw(st.one_of(st.binary(min_size=release.realtime, max_size=release.realtime), doubles(release.realtime)))
     )
     raw[:4] = release.realtime.to_bytes(4, "big")
-    slowly = RealtimeState.LAYOUTS.of(release.since).parse_slowly(bytes(raw))
+    slowly = parse(RealtimeState.LAYOUTS.of(release.since), bytes(raw))
     for version in (release.since, None):
         (state,) = decode(bytes(raw), "realtime", version)
         assert all(same(getattr(state, name), value) for name, value in slowly.items())
@@ -154,7 +156,7 @@ def test_every_packet_of_a_release_decodes_as_construct_does(release: Release, d
         assert isinstance(whole, RobotState)
         assert [bytes(part) for part in whole] == body
         for part in whole:
-            slowly = type(part).LAYOUTS.of(release.since).parse_slowly(bytes(part))
+            slowly = parse(type(part).LAYOUTS.of(release.since), bytes(part))
             assert part.tail == b""
             assert all(same(getattr(part, name), value) for name, value in slowly.items())
 
@@ -162,23 +164,28 @@ def test_every_packet_of_a_release_decodes_as_construct_does(release: Release, d
 # -- encode and decode
 
 
+def element_of(shape: Shape) -> Shape:
+    return shape.element if isinstance(shape, Array) else shape
+
+
 def element(place: Place) -> st.SearchStrategy[Any]:
     """Values of one element that its shape can hold."""
-    code, shape = place.code, place.element
-    if code is None:
-        assert isinstance(shape, Raw)
+    shape = element_of(place.shape)
+    if isinstance(shape, Raw):
         longest = 40 if shape.prefix is None else 20
         if type(shape) is Raw:
             return st.binary(max_size=longest)
         # Printable, as long as asked for: what cannot be encoded is written as its escape, which reads otherwise.
         return st.text(st.characters(codec="utf-8"), min_size=shape.least, max_size=longest)
-    if code == "d" and shape is not None:
+    assert place.number is not None
+    code = place.number.code
+    if code == "d" and isinstance(shape, Coded):
         return st.integers(-(2**31) + 1, 2**31 - 1)
     if code in "fd":
         return st.floats(width=32 if code == "f" else 64)
-    if code == "Q" and shape is not None:
+    if shape is Mask64:
         return st.integers(0, 2**48 - 1)
-    if shape is not None and getattr(shape, "meaning", None) is bool:
+    if isinstance(shape, Coded) and shape.meaning is bool:
         return st.booleans()
     bits = 8 * place.width
     return st.integers(0, 2**bits - 1) if code.isupper() else st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
@@ -190,17 +197,18 @@ def repeated(one: st.SearchStrategy[Any], count: int) -> st.SearchStrategy[list[
 
 def numbers(place: Place) -> st.SearchStrategy[list[Any]]:
     """Any numbers of the field's kind, from one draw of their bytes."""
-    code = f">{place.count}{place.code}"
+    assert place.number is not None
+    code = f">{place.count}{place.number.code}"
     return st.binary(min_size=place.size, max_size=place.size).map(lambda raw: list(struct.unpack(code, raw)))
 
 
-def values(layout: Layout) -> st.SearchStrategy[dict[str, Any]]:
+def values(layout: StateLayout) -> st.SearchStrategy[dict[str, Any]]:
     fields: dict[str, st.SearchStrategy[Any]] = {}
     for name, place in layout.places.items():
         one = element(place)
         if place.count is None:
             fields[name] = one
-        elif place.element is None:
+        elif place.shape.read is None:
             fields[name] = st.one_of(repeated(one, place.count), numbers(place))
         else:
             fields[name] = st.lists(one, min_size=place.count, max_size=place.count)
@@ -211,7 +219,7 @@ def values(layout: Layout) -> st.SearchStrategy[dict[str, Any]]:
 
 @every_layout
 @given(data=st.data())
-def test_what_is_encoded_is_decoded(layout: Layout, data: st.DataObject) -> None:
+def test_what_is_encoded_is_decoded(layout: StateLayout, data: st.DataObject) -> None:
     given_values = data.draw(values(layout))
     packet = layout.encode(given_values)
     assert int.from_bytes(packet[:4], "big") == len(packet)
@@ -240,7 +248,7 @@ def same_number(one: Any, other: Any) -> bool:
 
 @every_layout
 @given(data=st.data())
-def test_dtype_agrees_with_the_decoder(layout: Layout, data: st.DataObject) -> None:
+def test_dtype_agrees_with_the_decoder(layout: StateLayout, data: st.DataObject) -> None:
     if layout.has_text:
         return
     one, two = (data.draw(st.binary(min_size=layout.size, max_size=layout.size)) for _ in range(2))
@@ -251,15 +259,17 @@ def test_dtype_agrees_with_the_decoder(layout: Layout, data: st.DataObject) -> N
         assert row["message_size"] == struct.unpack(">i", packet[:4])[0]
         state = layout.decode(packet)
         for name, place in layout.places.items():
-            column = row[name] if place.wire.interleave is None else row[place.wire.interleave][name]
+            column = row[name] if place.field.interleave is None else row[place.field.interleave][name]
             value = getattr(state, name)
-            if place.element is None:
+            read = place.shape.read
+            if read is None:
+                assert place.number is not None
                 with np.errstate(invalid="ignore"):  # a signalling NaN in four bytes
                     wide = np.asarray(column).astype(np.asarray(value).dtype)
-                assert np.array_equal(wide, np.asarray(value), equal_nan=place.kind[0] == "f")
+                assert np.array_equal(wide, np.asarray(value), equal_nan=place.number.kind[0] == "f")
             else:  # masks and codes stay numbers: what the field's own conversion makes of them is the value
                 numbers = np.asarray(column).ravel().tolist()
-                converted = tuple(map(place.element.read, numbers))
+                converted = tuple(map(read, numbers))
                 assert same(value if place.count else (value,), converted)
 
 
@@ -305,7 +315,7 @@ def plain(value: Any) -> bool:
 
 @every_layout
 @given(data=st.data())
-def test_any_state_can_be_shown_kept_and_compared(layout: Layout, data: st.DataObject) -> None:
+def test_any_state_can_be_shown_kept_and_compared(layout: StateLayout, data: st.DataObject) -> None:
     packet = data.draw(packets(layout, extra=3))
     try:
         state = layout.decode(packet)
@@ -322,7 +332,7 @@ def test_any_state_can_be_shown_kept_and_compared(layout: Layout, data: st.DataO
         if isinstance(value, np.ndarray):
             with pytest.raises(ValueError, match="read-only"):
                 value[0] = 0
-    rows = list(layout.dissect(packet))
+    rows = list(state.dissect())
     ordered = sorted(rows, key=lambda row: row.offset)
     assert b"".join(row.data for row in ordered) == packet
 
@@ -451,8 +461,9 @@ def test_codes_are_open_in_every_class() -> None:
     coded = 0
     for layout in LAYOUTS:
         for place in layout.places.values():
-            meaning = getattr(place.element, "meaning", None)
-            if meaning is not None and meaning is not bool:
+            shape = element_of(place.shape)
+            meaning: Any = shape.meaning if isinstance(shape, Coded) else bool
+            if meaning is not bool:
                 assert issubclass(meaning, OpenInt)
                 assert meaning(12345) == 12345
                 coded += 1

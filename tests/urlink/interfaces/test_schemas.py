@@ -11,7 +11,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue, BadVersion, PacketError
 from linkcore.wire.packet import State
-from linkcore.wire.shapes import OpenInt
+from linkcore.wire.shapes import Mask64, OpenInt
 from urlink import (
     AdditionalInfo,
     CartesianInfo,
@@ -226,7 +226,7 @@ def test_realtime_offsets(version: str, expected: dict[str, int]) -> None:
     # And in the bytes, not in the declaration: each field in turn is where it should be, and reads back.
     for name, offset in expected.items():
         count = layout.places[name].count
-        raw = layout.places[name].code == "Q"
+        raw = layout.places[name].shape is Mask64
         data = bytearray(layout.size)
         wanted = [float(n + 1) for n in range(count or 1)]
         data[offset : offset + 8 * (count or 1)] = struct.pack(
@@ -543,19 +543,16 @@ def test_unknown_codes_decode() -> None:
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 def test_every_field_says_what_it_is(cls: type[State]) -> None:
     assert cls.__doc__
-    for name, wire in cls.FIELDS.items():
-        assert wire.name == name
-        assert wire.doc, name
+    for name, field in cls.FIELDS.items():
+        assert field.name == name
+        assert field.doc, name
         prop = getattr(cls, name)
-        assert prop.__doc__ == (f"{wire.doc} [{wire.unit}]" if wire.unit else wire.doc)
+        assert prop.__doc__ == (f"{field.doc} [{field.unit}]" if field.unit else field.doc)
         # What is a plain float or a vector is a quantity, and has its unit, unless nobody knows what it is.
         unknown = ("unused", "reserved", "test_value", "tolerances", "robot_dexterity", "pointer")
-        if any(
-            layout.places[name].kind[:1] == "f" and layout.places[name].element is None
-            for layout in cls.LAYOUTS.all
-            if name in layout.places
-        ):
-            assert wire.unit or name.startswith(unknown), name
+        number = field.shape.number
+        if number is not None and number.kind[0] == "f" and field.shape.read is None:
+            assert field.unit or name.startswith(unknown), name
 
 
 def test_every_class_is_reachable_and_public() -> None:

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Float64b, Int8sb, Int8ub, Int16ub, Int32sb, Int32ub, Int64ub
-
 from linkcore.wire.packet import State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Raw, Text
+from linkcore.wire.shapes import Coded, Float64b, Int8sb, Int8ub, Int16ub, Int32sb, Int32ub, Int64ub, Raw, Text
 
 from ..enums import MessageSource, MessageType, PackageType, ReportDataType, ReportLevel, RequestedType, SafetyMode
 from ..headers import PACKAGE

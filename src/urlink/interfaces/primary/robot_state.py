@@ -9,13 +9,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Generic, NoReturn, TypeVar, overload
 
-from construct import Float32b, Float64b, Int8sb, Int8ub, Int16sb, Int16ub, Int32sb, Int32ub, Int64ub
-
 from linkcore.errors import BadValue
 from linkcore.stamp import Stamp
-from linkcore.wire.layout import Row, header_rows
+from linkcore.wire.dissection import Row, header_rows
 from linkcore.wire.packet import IntVector, State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Raw
+from linkcore.wire.shapes import (
+    Coded,
+    Float32b,
+    Float64b,
+    Int8sb,
+    Int8ub,
+    Int16sb,
+    Int16ub,
+    Int32sb,
+    Int32ub,
+    Int64ub,
+    Raw,
+)
 
 from ..enums import (
     AnalogDomain,
@@ -389,7 +399,7 @@ class RobotState(State):
 
     def __init__(self, *packages: SubPackage) -> None:
         body = b"".join(map(bytes, packages))
-        self._data = bytes(PACKAGE.build({"size": 5 + len(body), "type": 16})) + body
+        self._data = PACKAGE.pack(size=PACKAGE.width + len(body), type=16) + body
         self._stamp = None
         self._values = packages
 
@@ -431,7 +441,7 @@ class RobotState(State):
     def dissect(self) -> Iterator[Row]:
         """Every stretch of the package's bytes; the fields carry the names of their sub-packages."""
         yield from header_rows(PACKAGE, self._data)
-        at = int(PACKAGE.sizeof())
+        at = PACKAGE.width
         for package in self.packages:
             for row in package.dissect():
                 yield row._replace(offset=at + row.offset, name=f"{snake_case(type(package).__name__)}.{row.name}")

@@ -2,7 +2,7 @@
 
 Nothing but the size announces a packet: 4 + 8k bytes, the same for a whole connection. That is enough to find a lost
 boundary again, and to skip the secondary-interface packages (560 and 9 bytes) that the CB2 simulator leaks into the
-stream (docs/protocols/realtime.md, sections Framing and Quirks).
+stream (docs/protocols/realtime.md, sections Framing and Peculiarities).
 """
 
 from __future__ import annotations

@@ -7,10 +7,8 @@ only the 812-byte packet (CB2 1.8) is confirmed by complete real bytes.
 
 from __future__ import annotations
 
-from construct import Float64b
-
 from linkcore.wire.packet import State, Vector, packet, wire
-from linkcore.wire.shapes import Coded, Mask64
+from linkcore.wire.shapes import Coded, Float64b, Mask64
 
 from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import REALTIME

@@ -31,14 +31,15 @@ class Form:
         self._values: list[Any] = [0] * len(codes)
         self._at: dict[str, int | slice] = {}
         for name, place in layout.places.items():
-            assert place.code is not None, f"{layout.packet.__name__} is of no fixed size"
+            assert place.number is not None, f"{layout.name} is of no fixed size"
+            code = place.number.code
             at = self._at[name] = place.at
             if isinstance(at, slice):
-                codes[at] = [place.code] * len(codes[at])
+                codes[at] = [code] * len(codes[at])
             else:
-                codes[at] = place.code
+                codes[at] = code
         packed = "".join(f"{len(list(run))}{code}" for code, run in groupby(codes))
-        header = layout.header.build({"size": layout.size, **layout.constants})
+        header = layout.header.pack(**{**layout.constants, "size": layout.size})
         self._struct = struct.Struct(f">{len(header)}s{packed}")
         self._header = header
         self.size = layout.size
@@ -55,4 +56,4 @@ class Form:
 
 def package(kind: int, body: bytes) -> bytes:
     """A package or sub-package of the primary and secondary interface."""
-    return bytes(PACKAGE.build({"size": 5 + len(body), "type": kind})) + body
+    return PACKAGE.pack(size=PACKAGE.width + len(body), type=kind) + body

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Literal, overload
 
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.packet import State
 
 from .firmware import Firmware, release_of
+from .interfaces.primary.decoder import PackageDecoder
 from .interfaces.primary.framing import PackageBoundary
-from .interfaces.primary.protocol import PackageDecoder
 from .interfaces.realtime.framing import RealtimeBoundary
 from .interfaces.realtime.packets import RealtimeState
 
@@ -57,16 +58,15 @@ def decode(
     version = None if firmware is None else _known(firmware)
     data = bytes(data)
     end = len(data)
-    name = "RealtimeState" if interface == "realtime" else "package"
-    decoder = PackageDecoder(version)
-    boundary: RealtimeBoundary | PackageBoundary = PackageBoundary()
+    boundary: RealtimeBoundary | PackageBoundary
+    decode_frame: Callable[[bytes], State]
+    if interface == "realtime":
+        boundary, decode_frame, name = RealtimeBoundary(), _realtime_decoder(version), "RealtimeState"
+    else:
+        boundary, decode_frame, name = PackageBoundary(), _package_decoder(version).decode, "package"
     states: list[State] = []
     at = 0
     while at < end:
-        if interface == "realtime":
-            boundary = (
-                RealtimeBoundary()
-            )  # it learns one size, as one connection has. Here each packet may have another
         size, need = boundary.declared(data, at)
         try:
             if need > end - at:
@@ -74,10 +74,7 @@ def decode(
             if not size:
                 begin = data[at : at + 8].hex(" ")
                 raise PacketError(f"no packet of the {interface} interface begins with {begin}", packet=name)
-            frame = data[at : at + size]
-            states.append(
-                RealtimeState.LAYOUTS.decode(frame, version) if interface == "realtime" else decoder.decode(frame)
-            )
+            states.append(decode_frame(data[at : at + size]))
         except PacketError as error:
             raise PacketError(
                 error.reason,
@@ -97,3 +94,14 @@ def _known(firmware: str | Firmware) -> Firmware:
     version = Firmware.parse(firmware)
     release_of(version)
     return version
+
+
+@lru_cache
+def _realtime_decoder(version: Firmware | None) -> Callable[[bytes], RealtimeState]:
+    return partial(RealtimeState.LAYOUTS.decode, version=version)
+
+
+@lru_cache
+def _package_decoder(version: Firmware | None) -> PackageDecoder:
+    """One that is kept, since it learns how the packages of a size are cut; nobody asks for its counters."""
+    return PackageDecoder(version)

@@ -1,0 +1,263 @@
+"""Whole packages of the primary and secondary interface to typed states.
+
+The layouts of sub-packages and messages are told by the firmware, where it is known, and by sizes. Sizes grew from
+release to release, and the first builds of a release may still send the size of the one before
+(docs/protocols/primary.md, sections Robot state and Robot messages).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from linkcore.errors import PacketError
+from linkcore.stamp import Stamp
+from linkcore.wire.packet import State
+from linkcore.wire.version import Version
+
+from ..enums import PackageType
+from .framing import MESSAGE_HEAD
+from .robot_message import MESSAGES, PACKAGES, OtherPackage, UnknownMessage, VersionMessage
+from .robot_state import SUB_PACKAGES, RobotState, SubPackage, UnknownSubPackage
+
+__all__ = ["PackageDecoder"]
+
+_HEAD = struct.Struct(">iB")
+_ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
+_KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
+
+# Of sizes and texts that come off the wire, no more are kept than can be useful.
+_MOST_PLANS = 64
+_MOST_NOTICES = 64
+
+
+class _Plan(NamedTuple):
+    """How to cut a robot state: those of one size have, as a rule, the same sub-packages.
+
+    Attributes:
+        heads: unpacks the headers of the sub-packages.
+        expected: what they have to be.
+        parts: unpacks the sub-packages, each as its bytes.
+        decoders: of the sub-packages.
+        unknown: how many of them no layout is known for.
+        tails: how many of those that have one layout only end in bytes which it does not explain.
+        ambiguous: numbers of those whose content has to choose among layouts.
+    """
+
+    heads: struct.Struct
+    expected: tuple[bytes, ...]
+    parts: struct.Struct
+    decoders: list[Callable[..., SubPackage]]
+    unknown: int
+    tails: int
+    ambiguous: list[int]
+
+
+class PackageDecoder:
+    """Whole packages to typed states.
+
+    Args:
+        version: the firmware whose layouts are the least that will do; None goes by sizes alone.
+        notice: told once of each kind of unknown package or part of one.
+
+    Attributes:
+        unknown: packages, messages and sub-packages of a type that no layout is known for, so far.
+        tails: those that end in bytes which no known layout explains, so far.
+    """
+
+    def __init__(self, version: Version | None = None, notice: Callable[[str], object] = str) -> None:
+        self._version = version
+        self._notice = notice
+        self._noticed: set[str] = set()
+        self._plans: dict[int, _Plan] = {}
+        self.unknown = 0
+        self.tails = 0
+
+    @property
+    def version(self) -> Version | None:
+        """The firmware whose layouts are the least that will do; None goes by sizes alone."""
+        return self._version
+
+    @version.setter
+    def version(self, version: Version | None) -> None:
+        self._version = version
+        self._plans = {}  # they were made for another
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
+        """The typed state of one whole package.
+
+        Raises:
+            PacketError: a layout that the package, or one of its sub-packages, cannot hold.
+        """
+        kind = frame[4]
+        if kind == _ROBOT_STATE:
+            return self._robot_state(frame, stamp)
+        if kind == _ROBOT_MESSAGE:
+            return self._robot_message(frame, stamp)
+        state = self._package(PACKAGES.get(kind, OtherPackage), frame, None, stamp)
+        if kind not in _KNOWN_TYPES:
+            self._count_unknown(f"package type {kind}")
+        return state
+
+    def _package(self, cls: type[State], frame: bytes, version: Version | None, stamp: Stamp | None) -> State:
+        state: State = cls.LAYOUTS.decode(frame, version, stamp)
+        self._count_tail(state)
+        return state
+
+    def _robot_message(self, frame: bytes, stamp: Stamp | None) -> State:
+        if len(frame) < MESSAGE_HEAD:
+            raise PacketError(
+                "packet too short",
+                packet="RobotMessage",
+                expected=MESSAGE_HEAD,
+                actual=len(frame),
+                offset=len(frame),
+            )
+        kind = frame[MESSAGE_HEAD - 1]
+        cls: Any = MESSAGES.get(kind, UnknownMessage)
+        # The version message is what tells the version, so only its own bytes can tell its layout.
+        version = None if cls is VersionMessage else self._version_for(cls)
+        state = self._package(cls, frame, version, stamp)
+        if cls is UnknownMessage:
+            self._count_unknown(f"message type {kind}")
+        return state
+
+    # -- robot states --------------------------------------------------------------------------
+
+    def _robot_state(self, frame: bytes, stamp: Stamp | None) -> RobotState:
+        plan = self._plans.get(len(frame))
+        if plan is None or plan.heads.unpack(frame) != plan.expected:
+            plan = self._make_plan(frame)
+        parts = plan.parts.unpack(frame)
+        try:
+            packages = tuple([decode(part, stamp) for decode, part in zip(plan.decoders, parts, strict=True)])
+        except PacketError:
+            raise self._located(plan.decoders, parts) from None
+        self.unknown += plan.unknown
+        self.tails += plan.tails
+        for number in plan.ambiguous:
+            self._count_tail(packages[number])
+        return RobotState.of(frame, packages, stamp)
+
+    def _make_plan(self, frame: bytes) -> _Plan:
+        """Find the sub-packages of a robot state."""
+        at, end = _HEAD.size, len(frame)
+        sizes: list[int] = []
+        expected: list[bytes] = []
+        decoders: list[Callable[..., SubPackage]] = []
+        ambiguous: list[int] = []
+        unknown = tails = 0
+        while at < end:
+            size, kind = self._sub_package(frame, at)
+            cls = _class_of(kind, size)
+            version = self._version_for(cls)
+            if cls is UnknownSubPackage:
+                unknown += 1
+                self._tell(f"sub-package type {kind} of {size} bytes is unknown, and kept")
+            try:
+                decode = cls.LAYOUTS.decoder(size, version)
+            except PacketError:
+                decode = None  # it will say so with the bytes at hand
+            if decode is None:
+                ambiguous.append(len(decoders))
+                decode = _by_content(cls, version)
+            else:
+                tails += self._tell_tail(decode(frame[at : at + size]))
+            sizes.append(size)
+            expected.append(frame[at : at + _HEAD.size])
+            decoders.append(decode)
+            at += size
+        heads = struct.Struct(f"{_HEAD.size}x" + "".join(f"{_HEAD.size}s{size - _HEAD.size}x" for size in sizes))
+        parts = struct.Struct(f"{_HEAD.size}x" + "".join(f"{size}s" for size in sizes))
+        plan = _Plan(heads, tuple(expected), parts, decoders, unknown, tails, ambiguous)
+        if len(self._plans) < _MOST_PLANS:
+            self._plans[end] = plan
+        return plan
+
+    def _sub_package(self, frame: bytes, at: int) -> tuple[int, int]:
+        """Size and type of the sub-package that begins at `at`."""
+        left = len(frame) - at
+        if left < _HEAD.size:
+            raise PacketError(
+                "sub-package header cut off", packet="RobotState", expected=_HEAD.size, actual=left, offset=at
+            )
+        size, kind = _HEAD.unpack_from(frame, at)
+        if size < _HEAD.size:
+            raise PacketError(
+                f"sub-package {kind} is smaller than its header",
+                packet="RobotState",
+                expected=_HEAD.size,
+                actual=size,
+                offset=at,
+            )
+        if size > left:
+            raise PacketError(
+                f"sub-package {kind} does not fit", packet="RobotState", expected=size, actual=left, offset=at
+            )
+        return size, kind
+
+    def _located(self, decoders: Sequence[Callable[..., SubPackage]], parts: Sequence[bytes]) -> PacketError:
+        """The error of the first sub-package that cannot be decoded, with its offset in the robot state."""
+        at = _HEAD.size
+        for decode, part in zip(decoders, parts, strict=True):
+            try:
+                decode(part, None)
+            except PacketError as error:
+                return PacketError(
+                    f"in a robot state, {error.reason}",
+                    packet=error.packet,
+                    version=error.version,
+                    expected=error.expected,
+                    actual=error.actual,
+                    offset=at,
+                )
+            at += len(part)
+        raise AssertionError("one of them raised before")
+
+    def _version_for(self, cls: type[State]) -> Version | None:
+        """The version, unless that one is not known to send this class: then the size decides."""
+        if self.version is None:
+            return None
+        try:
+            cls.LAYOUTS.of(self.version)
+        except PacketError:
+            return None
+        return self.version
+
+    # -- what is not known ---------------------------------------------------------------------
+
+    def _count_unknown(self, kind: str) -> None:
+        self.unknown += 1
+        self._tell(f"{kind} is unknown, and kept")
+
+    def _count_tail(self, state: State) -> None:
+        self.tails += self._tell_tail(state)
+
+    def _tell_tail(self, state: State) -> bool:
+        tail = state.tail
+        if tail:
+            self._tell(f"the last {len(tail)} bytes of {type(state).__name__} are unknown, and kept")
+        return bool(tail)
+
+    def _tell(self, text: str) -> None:
+        if text not in self._noticed and len(self._noticed) < _MOST_NOTICES:  # once
+            self._noticed.add(text)
+            self._notice(text)
+
+
+def _class_of(kind: int, size: int) -> type[SubPackage]:
+    """The class of a sub-package; where a number has two meanings, the first that its size allows."""
+    classes = SUB_PACKAGES.get(kind, ())
+    for cls in classes:
+        if size >= min(layout.size for layout in cls.LAYOUTS.all):
+            return cls
+    # A 9-byte kinematics package is reported when nothing has changed; its content is not known.
+    return classes[0] if classes and (kind, size) != (5, 9) else UnknownSubPackage
+
+
+def _by_content(cls: type[SubPackage], version: Version | None) -> Callable[..., SubPackage]:
+    def decode(data: bytes, stamp: Stamp | None) -> SubPackage:
+        return cls.LAYOUTS.decode(data, version, stamp)  # type: ignore[no-any-return]
+
+    return decode
