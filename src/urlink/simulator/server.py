@@ -69,7 +69,7 @@ class _Client(Handler):
         self._receiver.feed(data)
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        self._server.clients.discard(self)
+        self._server.forget(self)
 
 
 class Server:
@@ -85,9 +85,6 @@ class Server:
         numbers: name of each port -> number, 0 for a free one.
         output_limit: bytes that may wait for one client.
         clock: seconds, monotonic; a test may have one of its own.
-
-    Attributes:
-        clients: connected at present.
 
     Raises:
         BadAddress: a port cannot be listened on.
@@ -106,7 +103,9 @@ class Server:
         output_limit: int,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.clients: set[_Client] = set()
+        # Of each port, and the names of the interfaces that have any.
+        self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
+        self._watched: set[str] = set()
         self._control = loop
         self._state = state
         self._counters = state.counters
@@ -122,6 +121,9 @@ class Server:
         self._epoch = 0.0
         self._first = state.cycle
         self._segments_seen = link.segments_changed
+        # Whether the ports were open when they were last looked at, and as many of them paused as there are stalls.
+        self._was_up = True
+        self._was_stalled = False
         self._listening: dict[str, ListeningPort] = {}
         try:
             for name, number in numbers.items():
@@ -152,7 +154,7 @@ class Server:
     @property
     def peers(self) -> set[str]:
         """Numeric addresses of the clients."""
-        return {client.connection.peer[0] for client in self.clients}
+        return {client.connection.peer[0] for clients in self._clients.values() for client in clients}
 
     # -- from other threads ------------------------------------------------------------------------
 
@@ -222,27 +224,29 @@ class Server:
         until = self._clock() + LONGEST_CATCH_UP
         has_time = True
         while behind > 0 and has_time and not self._is_closing:
-            is_due = self._next(state.cycle) == state.cycle + 1
+            # Only of use where packets go out late.
+            is_due = behind > 1 and self._next(state.cycle) == state.cycle + 1
             self._control.advance()
             behind -= 1
             has_time = self._clock() < until
             if behind > LATEST * rate and has_time:
                 counters.skipped += 1
                 continue
-            if behind and is_due:
+            if is_due:
                 counters.late += 1
             self._emit(state.cycle)
 
     def _next(self, cycle: int) -> int:
         """The first cycle after this one in which something is to be done at its time; others are caught up then."""
+        earliest = -(-(cycle * LEAST_RATE // self._rate + 1) * self._rate // LEAST_RATE)
         if self._loader.is_waiting:
             return cycle + 1
-        wanted = [
-            self._control.next_event(cycle),
-            *(self._ports[kind].next_cycle(cycle) for kind in {interface(client.name) for client in self.clients}),
-        ]
-        least = -(-(cycle * LEAST_RATE // self._rate + 1) * self._rate // LEAST_RATE)
-        return min([least, *(wish for wish in wanted if wish is not None)])
+        for kind in self._watched:
+            wanted = self._ports[kind].next_cycle(cycle)
+            if wanted is not None and wanted < earliest:
+                earliest = wanted
+        wanted = self._control.next_event(cycle)
+        return earliest if wanted is None else min(earliest, wanted)
 
     # -- output --------------------------------------------------------------------------------------
 
@@ -251,17 +255,16 @@ class Server:
         self._settle()
         if not self._state.is_up:
             return
-        kinds = {interface(client.name) for client in self.clients}
         for kind, port in self._ports.items():
-            if kind not in kinds:
+            if kind in self._watched:
+                for packet in port.packets(cycle):
+                    self._broadcast(kind, packet)
+            else:
                 port.skip()
-                continue
-            for packet in port.packets(cycle):
-                self._broadcast(kind, packet)
 
     def _broadcast(self, kind: str, packet: bytes) -> None:
         for name in (kind, f"{kind}_readonly"):
-            clients = [client for client in self.clients if client.name == name and client.is_open]
+            clients = self._clients.get(name)
             if clients and not self._link.is_stalled(name):
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
@@ -274,8 +277,11 @@ class Server:
 
     def _put(self, client: _Client, data: bytes) -> None:
         self._counters.sent += 1
-        for segment in [data] if client.segmenter is None else client.segmenter.put(data):
-            self._write(client, segment)
+        if client.segmenter is None:
+            self._write(client, data)
+        else:
+            for segment in client.segmenter.put(data):
+                self._write(client, segment)
 
     def _write(self, client: _Client, data: bytes) -> None:
         port = client.connection.port
@@ -294,10 +300,18 @@ class Server:
         client = _Client(self, name, port, connection)
         client.segmenter = self._link.segmenter(name)
         self._counters.connections += 1
-        self.clients.add(client)
+        self._clients[name].append(client)
+        self._watched.add(interface(name))
         for packet in port.greeting():
             self._put(client, self._link.lasting(name, packet))
         return client
+
+    def forget(self, client: _Client) -> None:
+        """A client is gone."""
+        self._clients[client.name].remove(client)
+        kind = interface(client.name)
+        if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
+            self._watched.discard(kind)
 
     def receiver(self, name: str, port: Port, client: _Client) -> Receiver:
         """What takes the bytes of a new client."""
@@ -318,7 +332,10 @@ class Server:
             self._segment_anew()
 
     def _open_or_refuse(self) -> None:
-        is_up = self._state.is_up
+        is_up, is_stalled = self._state.is_up, self._link.is_any_stalled
+        if is_up and self._was_up and not is_stalled and not self._was_stalled:
+            return  # as in nearly every cycle
+        self._was_up, self._was_stalled = is_up, is_stalled
         if not is_up:
             self._loader.clear()
         for name, port in self._listening.items():
@@ -334,13 +351,13 @@ class Server:
                 self._reset({name})
 
     def _segment_anew(self) -> None:
-        for client in self.clients:
+        for client in [client for clients in self._clients.values() for client in clients]:
             held = b"" if client.segmenter is None else client.segmenter.rest()
             client.segmenter = self._link.segmenter(client.name)
             if held:
                 self._write(client, held)
 
     def _reset(self, ports: set[str]) -> None:
-        for client in list(self.clients):
-            if client.name in ports:
+        for name in ports & self._clients.keys():
+            for client in self._clients[name]:
                 client.connection.close(reset=True)

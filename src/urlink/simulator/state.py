@@ -101,6 +101,7 @@ class ControllerState:
     Attributes:
         model, serial: as given.
         firmware: what runs at present.
+        period: s from one cycle to the next.
         cycle: number of the cycle since the controller was made, reboots included.
         uptime: cycles since the controller came up.
         cycles_down: until a reboot is over; 0 while it is up.
@@ -137,6 +138,7 @@ class ControllerState:
 
     def _begin(self, firmware: Firmware, source: SetpointSource) -> None:
         self.firmware = firmware
+        self.period = 1.0 / firmware.rate
         self.source = source
         self.uptime = 0
         self.modes = Modes(firmware)
@@ -168,11 +170,6 @@ class ControllerState:
         self._begin(self._next_firmware, source)
 
     # -- time ----------------------------------------------------------------------------------------
-
-    @property
-    def period(self) -> float:
-        """Seconds from one cycle to the next."""
-        return 1.0 / self.firmware.rate
 
     @property
     def time(self) -> float:

@@ -24,6 +24,7 @@ class LinkFaults:
     def __init__(self, cycle: Callable[[], int]) -> None:
         self._cycle = cycle
         self._stalled_until = dict.fromkeys(PORTS, 0)
+        self._any_stalled_until = 0
         self._cuts: set[str] = set()
         self._segments: dict[str, tuple[tuple[int, ...], int]] = {}
         self._generation = 0
@@ -41,6 +42,7 @@ class LinkFaults:
     def stall(self, ports: Iterable[str], cycles: int) -> None:
         """Let these ports be silent for so many cycles."""
         self._stalled_until.update(dict.fromkeys(ports, self._cycle() + cycles))
+        self._any_stalled_until = max(self._stalled_until.values())
 
     def segment(self, ports: Iterable[str], sizes: tuple[int, ...], count: int) -> None:
         """Cut or join what these ports send; see `corruption.Segmenter`."""
@@ -63,6 +65,7 @@ class LinkFaults:
     def heal(self) -> None:
         """End all of it."""
         self._stalled_until = dict.fromkeys(PORTS, 0)
+        self._any_stalled_until = 0
         self._cuts.clear()
         self._segments.clear()
         self._generation += 1
@@ -76,6 +79,11 @@ class LinkFaults:
     def is_stalled(self, port: str) -> bool:
         """This port is silent at present."""
         return self._cycle() < self._stalled_until[port]
+
+    @property
+    def is_any_stalled(self) -> bool:
+        """Some port is silent at present."""
+        return self._cycle() < self._any_stalled_until
 
     def take_cuts(self) -> set[str]:
         """The ports whose connections are to be reset now."""
