@@ -16,8 +16,8 @@ __all__ = ["add_parser"]
 _DESCRIPTION = """\
 Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
-It serves the primary, secondary and real-time interface, their read-only twins and the dashboard to any
-number of clients, in the wire format of the firmware. The arm follows a gentle motion until a program is sent
+It serves the primary, secondary and real-time interface, their read-only twins and the dashboard, each to a
+hundred clients, in the wire format of the firmware. The arm follows a gentle motion until a program is sent
 to it, which it then runs. With --ports standard the ports are those of a real controller, so that any other
 program finds them.
 
@@ -38,7 +38,9 @@ def add_parser(subparsers: Subparsers) -> None:
     parser = add_command(subparsers, "sim", "run a simulated controller", _DESCRIPTION + _faults(), _EXAMPLES)
     parser.add_argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (UR5e)")
     parser.add_argument("--firmware", metavar="X.Y", help="controller software (the newest that suits the arm)")
-    parser.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
+    parser.add_argument(
+        "--host", default="127.0.0.1", metavar="H", help="address to listen on, 0.0.0.0 for all (127.0.0.1)"
+    )
     parser.add_argument(
         "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or any that are free (free)"
     )

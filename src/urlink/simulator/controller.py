@@ -41,6 +41,8 @@ __all__ = ["Controller"]
 
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
+# Hosts to listen on that are none to connect to.
+_ALL_ADDRESSES = ("", "0.0.0.0", "::")
 #: Lines from clients that are kept.
 RECEIVED = 1000
 
@@ -60,7 +62,7 @@ class Controller:
     Args:
         model: name of the arm, such as `"UR10"`; None for a UR5e, or a UR5 where the firmware is older than 5.0.
         firmware: None for the newest that suits the model.
-        host: address to listen on.
+        host: address to listen on; `""` for every IPv4 address of this computer, `"::"` for those of both families.
         ports: `"free"` for any that are free, `"standard"` for those of a real controller, or a mapping from names in
             `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
         seed: of the noise on the sensors and of random garbage.
@@ -323,7 +325,7 @@ class Controller:
         """
         if self._server is None:
             raise LocalError("a controller that has not been started has no address")
-        return str(RobotAddress(self.host, self.ports))
+        return str(RobotAddress("127.0.0.1" if self.host in _ALL_ADDRESSES else self.host, self.ports))
 
     @property
     def is_serving(self) -> bool:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+import urlink
 from linkcore.errors import BadAddress, BadValue, LocalError
 from tests.waiting import until
 from urlink.interfaces.primary.robot_message import VersionMessage
@@ -249,6 +250,12 @@ def test_standard_ports_are_those_of_a_real_controller() -> None:
 def test_a_host_that_is_not_ours_is_a_clear_error() -> None:
     with pytest.raises(BadAddress, match=r"cannot listen on 192\.0\.2\.1:0"):
         Controller(host="192.0.2.1").start()
+
+
+@pytest.mark.parametrize("host", ["", "0.0.0.0", "localhost"])
+def test_whatever_it_listens_on_it_has_an_address_to_connect_to(host: str) -> None:
+    with Controller("UR5e", "5.11", host=host) as controller, urlink.connect(controller.address) as robot:
+        assert str(robot.firmware).startswith("5.11")
 
 
 def test_twenty_controllers_live_together(connect: Connect) -> None:
