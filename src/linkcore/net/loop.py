@@ -53,8 +53,8 @@ OUTPUT_LIMIT = 1 << 20
 #: Bytes taken from one client at a time.
 CHUNK = 1 << 16
 
-# Connections that wait in the kernel to be accepted.
-_BACKLOG = 64
+# Connections that wait in the kernel to be accepted, and those that are accepted in one look.
+_BACKLOG, _ACCEPTS = 64, 16
 # Bytes that the kernel may hold for a client. Left to itself it grows to megabytes: seconds of old data.
 _KERNEL_BUFFER = 1 << 18
 # Seconds for which events are served in one go, even if the owner is late already; its clients would starve otherwise.
@@ -358,7 +358,8 @@ class ListeningPort:
             self._loop._register(self._socket, before, after, self)
             self._is_watched = wanted
 
-    def _accept_one(self) -> None:
+    def _accept_one(self) -> bool:
+        """Accept a connection that waits in the kernel; False if none does."""
         try:
             link, address = self._socket.accept()
         except OSError as error:
@@ -368,7 +369,7 @@ class ListeningPort:
                 self._retry_at = self._loop.time() + _OUT_OF_DESCRIPTORS
                 self._loop._is_due_at(self._retry_at)
                 self._watch()
-            return
+            return not isinstance(error, BlockingIOError)
         try:
             link.setblocking(False)
             # Small replies go out at once rather than when the one before is acknowledged.
@@ -378,12 +379,12 @@ class ListeningPort:
             link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         except OSError:  # some systems say here that the client is gone
             link.close()
-            return
+            return True
         connection = Connection(self._loop, self, link, (numeric_host(address[0]), address[1]))
         if not self._has_slot():
             self.refused += 1
             link.close()
-            return
+            return True
         try:
             handler = self._accept(connection)
         except Exception:
@@ -393,12 +394,13 @@ class ListeningPort:
         if handler is None:
             self.refused += 1
             self._loop._drop(connection, "refused")
-            return
+            return True
         connection.handler = handler
         self.accepted += 1
         if connection._is_open:  # the first bytes that were written to it may have failed
             self.connections.add(connection)
             connection._watch()
+        return True
 
     def _has_slot(self) -> bool:
         """Whether there is a slot for one more client; takes that of the one idle for longest, where there is none."""
@@ -552,8 +554,9 @@ class SelectorLoop:
                     self._woken.recv(4096)
                 self._do_calls()
             elif isinstance(what, ListeningPort):
-                if what._is_watched:
-                    what._accept_one()
+                for _ in range(_ACCEPTS):
+                    if not what._is_watched or not what._accept_one():
+                        break
             else:
                 if mask & selectors.EVENT_WRITE and what._is_open:
                     what._flush()

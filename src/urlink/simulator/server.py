@@ -31,7 +31,7 @@ LATEST = 1.0
 ASLEEP = 5.0
 #: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
 #: cycles that cost more than they last.
-LONGEST_CATCH_UP = 0.05
+LONGEST_CATCH_UP = 0.02
 #: Cycles a second that come at their time though nobody needs them, for the modes and those who look at the time.
 LEAST_RATE = 10
 #: Bytes taken from a client at once: each line of them may be a program.
@@ -65,7 +65,7 @@ class _Client(Handler):
 
     def data_received(self, data: bytes) -> None:
         # What a client asks for takes effect in the next cycle of the present, not of the time of the last look.
-        self._server.catch_up()
+        self._server.look_at_the_clock()
         self._receiver.feed(data)
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
@@ -116,6 +116,8 @@ class Server:
         self._clock = clock
         self._is_closing = False
         self._is_changed = False
+        # The last look at the clock could not catch up in its time.
+        self._is_behind = False
         self._rate = state.firmware.rate
         #: time on the monotonic clock of the cycle in which the controller was when it was started, and that cycle
         self._epoch = 0.0
@@ -235,6 +237,15 @@ class Server:
             if is_due:
                 counters.late += 1
             self._emit(state.cycle)
+        self._is_behind = behind > 0
+
+    def look_at_the_clock(self) -> None:
+        """Advance to the present before something is done for a client, unless the thread is behind anyway.
+
+        Where the machine is too slow for the controller, clients would have to wait for each other's catching up.
+        """
+        if not self._is_behind:
+            self.catch_up()
 
     def _next(self, cycle: int) -> int:
         """The first cycle after this one in which something is to be done at its time; others are caught up then."""
@@ -295,7 +306,7 @@ class Server:
         if self._is_closing:
             return None
         # The clock may be waiting for a cycle that is due later: a client that comes now gets nothing of the past.
-        self.catch_up()
+        self.look_at_the_clock()
         port = self._ports[interface(name)]
         client = _Client(self, name, port, connection)
         client.segmenter = self._link.segmenter(name)

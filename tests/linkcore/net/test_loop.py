@@ -479,6 +479,14 @@ def test_slots() -> None:
         assert len(bench.port.connections) == 2
 
 
+def test_several_are_accepted_in_one_look(bench: Bench) -> None:
+    for _ in range(5):
+        bench.connect()
+    # Connected means that the kernel has them in its queue.
+    bench.loop.serve_once(bench.clock.now)
+    assert bench.port.accepted == 5
+
+
 def test_who_may_not_come_is_closed_at_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     before = descriptors()
 

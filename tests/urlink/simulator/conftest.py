@@ -11,7 +11,7 @@ import pytest
 
 from urlink.simulator import Controller
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 class Link:

@@ -44,7 +44,7 @@ def listener() -> Iterator[socket.socket]:
 def messages(link: Any, kind: type, count: int) -> list[Any]:
     """The next so many messages of a kind on a primary interface."""
     found: list[Any] = []
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 30
     while len(found) < count:
         assert time.monotonic() < deadline, found
         found += [m for m in urlink.decode(link.packet(), "primary", "5.11") if isinstance(m, kind)]
