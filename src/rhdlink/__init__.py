@@ -17,109 +17,91 @@ Importing it starts nothing and touches no network.
 
 from __future__ import annotations
 
-from linkcore.errors import (
-    BadAddress,
-    BadRecording,
-    BadValue,
-    Closed,
-    ConnectFailed,
-    ConnectionLost,
-    LinkError,
-    LinkTimeout,
-    LocalError,
-    PacketError,
-    RemoteError,
-    WrongPeer,
-)
-from linkcore.stamp import Stamp
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import ConnectionEvent, ConnectionState
-from linkcore.streaming.policy import Policy, block, drop_oldest, latest
-from linkcore.streaming.subscription import Subscription
+from typing import TYPE_CHECKING
 
-from .client import Variables, connect
-from .errors import AccessDenied, NotThere, WrongVariables
-from .host.config import BadConfiguration, Configuration, Element, read_config
-from .host.host import Host, HostFailed, HostStatistics, PluginFailed
-from .host.plugin import Plugin
-from .robots import Ackerman, Gps, Smr, VelocityOmega
-from .sync_thread import SyncThread
-from .variables.database import Database, TimeStamp
-from .variables.declarations import Read, Write
-from .variables.snapshot import Change, Update, Variable
-from .variables.value_types import (
-    Bool,
-    Float32,
-    Float64,
-    Int32,
-    Int64,
-    Millionths,
-    Scaled,
-    Structure,
-    Text,
-    UInt32,
-    ValueType,
-)
-from .wire.decoder import Limits
+from linkcore.lazy import lazy_names
 
-__all__ = [
-    "AccessDenied",
-    "Ackerman",
-    "Backoff",
-    "BadAddress",
-    "BadConfiguration",
-    "BadRecording",
-    "BadValue",
-    "Bool",
-    "Change",
-    "Closed",
-    "Configuration",
-    "ConnectFailed",
-    "ConnectionEvent",
-    "ConnectionLost",
-    "ConnectionState",
-    "Database",
-    "Element",
-    "Float32",
-    "Float64",
-    "Gps",
-    "Host",
-    "HostFailed",
-    "HostStatistics",
-    "Int32",
-    "Int64",
-    "Limits",
-    "LinkError",
-    "LinkTimeout",
-    "LocalError",
-    "Millionths",
-    "NotThere",
-    "PacketError",
-    "Plugin",
-    "PluginFailed",
-    "Policy",
-    "Read",
-    "RemoteError",
-    "Scaled",
-    "Smr",
-    "Stamp",
-    "Structure",
-    "Subscription",
-    "SyncThread",
-    "Text",
-    "TimeStamp",
-    "UInt32",
-    "Update",
-    "ValueType",
-    "Variable",
-    "Variables",
-    "VelocityOmega",
-    "Write",
-    "WrongPeer",
-    "WrongVariables",
-    "block",
-    "connect",
-    "drop_oldest",
-    "latest",
-    "read_config",
-]
+if TYPE_CHECKING:
+    from linkcore.errors import (
+        BadAddress as BadAddress,
+        BadRecording as BadRecording,
+        BadValue as BadValue,
+        Closed as Closed,
+        ConnectFailed as ConnectFailed,
+        ConnectionLost as ConnectionLost,
+        LinkError as LinkError,
+        LinkTimeout as LinkTimeout,
+        LocalError as LocalError,
+        PacketError as PacketError,
+        RemoteError as RemoteError,
+        WrongPeer as WrongPeer,
+    )
+    from linkcore.stamp import Stamp as Stamp
+    from linkcore.streaming.backoff import Backoff as Backoff
+    from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
+    from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
+    from linkcore.streaming.subscription import Subscription as Subscription
+    from .client import Variables as Variables, connect as connect
+    from .errors import AccessDenied as AccessDenied, NotThere as NotThere, WrongVariables as WrongVariables
+    from .host.config import (
+        BadConfiguration as BadConfiguration,
+        Configuration as Configuration,
+        Element as Element,
+        read_config as read_config,
+    )
+    from .host.host import (
+        Host as Host,
+        HostFailed as HostFailed,
+        HostStatistics as HostStatistics,
+        PluginFailed as PluginFailed,
+    )
+    from .host.plugin import Plugin as Plugin
+    from .robots import Ackerman as Ackerman, Gps as Gps, Smr as Smr, VelocityOmega as VelocityOmega
+    from .sync_thread import SyncThread as SyncThread
+    from .variables.database import Database as Database, TimeStamp as TimeStamp
+    from .variables.declarations import Read as Read, Write as Write
+    from .variables.snapshot import Change as Change, Update as Update, Variable as Variable
+    from .variables.value_types import (
+        Bool as Bool,
+        Float32 as Float32,
+        Float64 as Float64,
+        Int32 as Int32,
+        Int64 as Int64,
+        Millionths as Millionths,
+        Scaled as Scaled,
+        Structure as Structure,
+        Text as Text,
+        UInt32 as UInt32,
+        ValueType as ValueType,
+    )
+    from .wire.decoder import Limits as Limits
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "linkcore.errors": """
+                BadAddress BadRecording BadValue Closed ConnectFailed ConnectionLost LinkError LinkTimeout
+                LocalError PacketError RemoteError WrongPeer
+            """,
+            "linkcore.stamp": "Stamp",
+            "linkcore.streaming.backoff": "Backoff",
+            "linkcore.streaming.events": "ConnectionEvent ConnectionState",
+            "linkcore.streaming.policy": "Policy block drop_oldest latest",
+            "linkcore.streaming.subscription": "Subscription",
+            ".client": "Variables connect",
+            ".errors": "AccessDenied NotThere WrongVariables",
+            ".host.config": "BadConfiguration Configuration Element read_config",
+            ".host.host": "Host HostFailed HostStatistics PluginFailed",
+            ".host.plugin": "Plugin",
+            ".robots": "Ackerman Gps Smr VelocityOmega",
+            ".sync_thread": "SyncThread",
+            ".variables.database": "Database TimeStamp",
+            ".variables.declarations": "Read Write",
+            ".variables.snapshot": "Change Update Variable",
+            ".variables.value_types": """
+                Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32 ValueType
+            """,
+            ".wire.decoder": "Limits",
+        },
+    )

@@ -11,216 +11,172 @@ Importing it starts nothing and touches no network.
 
 from __future__ import annotations
 
-from linkcore.errors import (
-    BadAddress,
-    BadRecording,
-    BadValue,
-    BadVersion,
-    Closed,
-    ConnectFailed,
-    ConnectionLost,
-    LinkError,
-    LinkTimeout,
-    LocalError,
-    PacketError,
-    RemoteError,
-    WrongPeer,
-)
-from linkcore.recording.recorder import Recorder
-from linkcore.stamp import Stamp
-from linkcore.streaming.backoff import Backoff
-from linkcore.streaming.events import Chunk, ConnectionEvent, ConnectionState, Traffic
-from linkcore.streaming.feed import Feed
-from linkcore.streaming.policy import Policy, block, drop_oldest, latest
-from linkcore.streaming.stream import Stream
-from linkcore.streaming.subscription import Subscription
-from linkcore.wire.packet import State
+from typing import TYPE_CHECKING
 
-from .commanding.handle import Program, ProgramPhase
-from .commanding.io import IO, Analog
-from .commanding.programs import Scripts
-from .commanding.safety import Safety
-from .decoding import decode
-from .errors import (
-    CompileError,
-    MotionCancelled,
-    NotEnabled,
-    NotRunning,
-    ProgramStopped,
-    SafetyStop,
-    ScriptError,
-    ScriptFailed,
-    ToleranceExceeded,
-)
-from .firmware import Firmware
-from .interfaces.dashboard.client import Dashboard, DashboardRefused
-from .interfaces.dashboard.protocol import ProgramStatus, SavedProgram
-from .interfaces.enums import (
-    AnalogDomain,
-    ControlMode,
-    DigitalBits,
-    JointMode,
-    MessageSource,
-    MessageType,
-    PackageType,
-    ProgramState,
-    ReportLevel,
-    RobotMode,
-    RobotModeCB2,
-    RobotType,
-    SafetyMode,
-    ToolMode,
-)
-from .interfaces.primary.robot_message import (
-    KeyMessage,
-    OtherPackage,
-    PopupMessage,
-    ProgramLabelMessage,
-    ProgramStateMessage,
-    RequestValueMessage,
-    RobotCommMessage,
-    RobotMessage,
-    RuntimeExceptionMessage,
-    SafetyComplianceTolerances,
-    SafetyModeMessage,
-    TextMessage,
-    UnknownMessage,
-    UnnamedMessage12,
-    VersionMessage,
-)
-from .interfaces.primary.robot_state import (
-    AdditionalInfo,
-    CalibrationData,
-    CartesianInfo,
-    ConfigurationData,
-    ForceModeData,
-    JointData,
-    KinematicsInfo,
-    LaserPointer,
-    MasterboardData,
-    RobotModeData,
-    RobotState,
-    SafetyData,
-    SingularityInfo,
-    SubPackage,
-    ToolCommunicationInfo,
-    ToolData,
-    ToolModeInfo,
-    UnknownSubPackage,
-)
-from .interfaces.realtime.packets import RealtimeState
-from .models import UnknownModel
-from .motion import Motion, MotionPhase, Motions, Servo, ServoStatistics, TrajectoryFeedback
-from .motion.trajectory import Trajectory, TrajectoryPoint
-from .robot import Robot, connect
+from linkcore.lazy import lazy_names
 
-__all__ = [
-    "IO",
-    "AdditionalInfo",
-    "Analog",
-    "AnalogDomain",
-    "Backoff",
-    "BadAddress",
-    "BadRecording",
-    "BadValue",
-    "BadVersion",
-    "CalibrationData",
-    "CartesianInfo",
-    "Chunk",
-    "Closed",
-    "CompileError",
-    "ConfigurationData",
-    "ConnectFailed",
-    "ConnectionEvent",
-    "ConnectionLost",
-    "ConnectionState",
-    "ControlMode",
-    "Dashboard",
-    "DashboardRefused",
-    "DigitalBits",
-    "Feed",
-    "Firmware",
-    "ForceModeData",
-    "JointData",
-    "JointMode",
-    "KeyMessage",
-    "KinematicsInfo",
-    "LaserPointer",
-    "LinkError",
-    "LinkTimeout",
-    "LocalError",
-    "MasterboardData",
-    "MessageSource",
-    "MessageType",
-    "Motion",
-    "MotionCancelled",
-    "MotionPhase",
-    "Motions",
-    "NotEnabled",
-    "NotRunning",
-    "OtherPackage",
-    "PackageType",
-    "PacketError",
-    "Policy",
-    "PopupMessage",
-    "Program",
-    "ProgramLabelMessage",
-    "ProgramPhase",
-    "ProgramState",
-    "ProgramStateMessage",
-    "ProgramStatus",
-    "ProgramStopped",
-    "RealtimeState",
-    "Recorder",
-    "RemoteError",
-    "ReportLevel",
-    "RequestValueMessage",
-    "Robot",
-    "RobotCommMessage",
-    "RobotMessage",
-    "RobotMode",
-    "RobotModeCB2",
-    "RobotModeData",
-    "RobotState",
-    "RobotType",
-    "RuntimeExceptionMessage",
-    "Safety",
-    "SafetyComplianceTolerances",
-    "SafetyData",
-    "SafetyMode",
-    "SafetyModeMessage",
-    "SafetyStop",
-    "SavedProgram",
-    "ScriptError",
-    "ScriptFailed",
-    "Scripts",
-    "Servo",
-    "ServoStatistics",
-    "SingularityInfo",
-    "Stamp",
-    "State",
-    "Stream",
-    "SubPackage",
-    "Subscription",
-    "TextMessage",
-    "ToleranceExceeded",
-    "ToolCommunicationInfo",
-    "ToolData",
-    "ToolMode",
-    "ToolModeInfo",
-    "Traffic",
-    "Trajectory",
-    "TrajectoryFeedback",
-    "TrajectoryPoint",
-    "UnknownMessage",
-    "UnknownModel",
-    "UnknownSubPackage",
-    "UnnamedMessage12",
-    "VersionMessage",
-    "WrongPeer",
-    "block",
-    "connect",
-    "decode",
-    "drop_oldest",
-    "latest",
-]
+if TYPE_CHECKING:
+    from linkcore.errors import (
+        BadAddress as BadAddress,
+        BadRecording as BadRecording,
+        BadValue as BadValue,
+        BadVersion as BadVersion,
+        Closed as Closed,
+        ConnectFailed as ConnectFailed,
+        ConnectionLost as ConnectionLost,
+        LinkError as LinkError,
+        LinkTimeout as LinkTimeout,
+        LocalError as LocalError,
+        PacketError as PacketError,
+        RemoteError as RemoteError,
+        WrongPeer as WrongPeer,
+    )
+    from linkcore.recording.recorder import Recorder as Recorder
+    from linkcore.stamp import Stamp as Stamp
+    from linkcore.streaming.backoff import Backoff as Backoff
+    from linkcore.streaming.events import (
+        Chunk as Chunk,
+        ConnectionEvent as ConnectionEvent,
+        ConnectionState as ConnectionState,
+        Traffic as Traffic,
+    )
+    from linkcore.streaming.feed import Feed as Feed
+    from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
+    from linkcore.streaming.stream import Stream as Stream
+    from linkcore.streaming.subscription import Subscription as Subscription
+    from linkcore.wire.packet import State as State
+    from .commanding.handle import Program as Program, ProgramPhase as ProgramPhase
+    from .commanding.io import IO as IO, Analog as Analog
+    from .commanding.programs import Scripts as Scripts
+    from .commanding.safety import Safety as Safety
+    from .decoding import decode as decode
+    from .errors import (
+        CompileError as CompileError,
+        MotionCancelled as MotionCancelled,
+        NotEnabled as NotEnabled,
+        NotRunning as NotRunning,
+        ProgramStopped as ProgramStopped,
+        SafetyStop as SafetyStop,
+        ScriptError as ScriptError,
+        ScriptFailed as ScriptFailed,
+        ToleranceExceeded as ToleranceExceeded,
+    )
+    from .firmware import Firmware as Firmware
+    from .interfaces.dashboard.client import Dashboard as Dashboard, DashboardRefused as DashboardRefused
+    from .interfaces.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
+    from .interfaces.enums import (
+        AnalogDomain as AnalogDomain,
+        ControlMode as ControlMode,
+        DigitalBits as DigitalBits,
+        JointMode as JointMode,
+        MessageSource as MessageSource,
+        MessageType as MessageType,
+        PackageType as PackageType,
+        ProgramState as ProgramState,
+        ReportLevel as ReportLevel,
+        RobotMode as RobotMode,
+        RobotModeCB2 as RobotModeCB2,
+        RobotType as RobotType,
+        SafetyMode as SafetyMode,
+        ToolMode as ToolMode,
+    )
+    from .interfaces.primary.robot_message import (
+        KeyMessage as KeyMessage,
+        OtherPackage as OtherPackage,
+        PopupMessage as PopupMessage,
+        ProgramLabelMessage as ProgramLabelMessage,
+        ProgramStateMessage as ProgramStateMessage,
+        RequestValueMessage as RequestValueMessage,
+        RobotCommMessage as RobotCommMessage,
+        RobotMessage as RobotMessage,
+        RuntimeExceptionMessage as RuntimeExceptionMessage,
+        SafetyComplianceTolerances as SafetyComplianceTolerances,
+        SafetyModeMessage as SafetyModeMessage,
+        TextMessage as TextMessage,
+        UnknownMessage as UnknownMessage,
+        UnnamedMessage12 as UnnamedMessage12,
+        VersionMessage as VersionMessage,
+    )
+    from .interfaces.primary.robot_state import (
+        AdditionalInfo as AdditionalInfo,
+        CalibrationData as CalibrationData,
+        CartesianInfo as CartesianInfo,
+        ConfigurationData as ConfigurationData,
+        ForceModeData as ForceModeData,
+        JointData as JointData,
+        KinematicsInfo as KinematicsInfo,
+        LaserPointer as LaserPointer,
+        MasterboardData as MasterboardData,
+        RobotModeData as RobotModeData,
+        RobotState as RobotState,
+        SafetyData as SafetyData,
+        SingularityInfo as SingularityInfo,
+        SubPackage as SubPackage,
+        ToolCommunicationInfo as ToolCommunicationInfo,
+        ToolData as ToolData,
+        ToolModeInfo as ToolModeInfo,
+        UnknownSubPackage as UnknownSubPackage,
+    )
+    from .interfaces.realtime.packets import RealtimeState as RealtimeState
+    from .models import UnknownModel as UnknownModel
+    from .motion import (
+        Motion as Motion,
+        MotionPhase as MotionPhase,
+        Motions as Motions,
+        Servo as Servo,
+        ServoStatistics as ServoStatistics,
+        TrajectoryFeedback as TrajectoryFeedback,
+    )
+    from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
+    from .robot import Robot as Robot, connect as connect
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "linkcore.errors": """
+                BadAddress BadRecording BadValue BadVersion Closed ConnectFailed ConnectionLost LinkError
+                LinkTimeout LocalError PacketError RemoteError WrongPeer
+            """,
+            "linkcore.recording.recorder": "Recorder",
+            "linkcore.stamp": "Stamp",
+            "linkcore.streaming.backoff": "Backoff",
+            "linkcore.streaming.events": "Chunk ConnectionEvent ConnectionState Traffic",
+            "linkcore.streaming.feed": "Feed",
+            "linkcore.streaming.policy": "Policy block drop_oldest latest",
+            "linkcore.streaming.stream": "Stream",
+            "linkcore.streaming.subscription": "Subscription",
+            "linkcore.wire.packet": "State",
+            ".commanding.handle": "Program ProgramPhase",
+            ".commanding.io": "IO Analog",
+            ".commanding.programs": "Scripts",
+            ".commanding.safety": "Safety",
+            ".decoding": "decode",
+            ".errors": """
+                CompileError MotionCancelled NotEnabled NotRunning ProgramStopped SafetyStop ScriptError
+                ScriptFailed ToleranceExceeded
+            """,
+            ".firmware": "Firmware",
+            ".interfaces.dashboard.client": "Dashboard DashboardRefused",
+            ".interfaces.dashboard.protocol": "ProgramStatus SavedProgram",
+            ".interfaces.enums": """
+                AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState
+                ReportLevel RobotMode RobotModeCB2 RobotType SafetyMode ToolMode
+            """,
+            ".interfaces.primary.robot_message": """
+                KeyMessage OtherPackage PopupMessage ProgramLabelMessage ProgramStateMessage RequestValueMessage
+                RobotCommMessage RobotMessage RuntimeExceptionMessage SafetyComplianceTolerances SafetyModeMessage
+                TextMessage UnknownMessage UnnamedMessage12 VersionMessage
+            """,
+            ".interfaces.primary.robot_state": """
+                AdditionalInfo CalibrationData CartesianInfo ConfigurationData ForceModeData JointData
+                KinematicsInfo LaserPointer MasterboardData RobotModeData RobotState SafetyData SingularityInfo
+                SubPackage ToolCommunicationInfo ToolData ToolModeInfo UnknownSubPackage
+            """,
+            ".interfaces.realtime.packets": "RealtimeState",
+            ".models": "UnknownModel",
+            ".motion": "Motion MotionPhase Motions Servo ServoStatistics TrajectoryFeedback",
+            ".motion.trajectory": "Trajectory TrajectoryPoint",
+            ".robot": "Robot connect",
+        },
+    )

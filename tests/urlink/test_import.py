@@ -19,6 +19,19 @@ NOT_NEEDED = (
     "hypothesis",
     "asyncio",
     "multiprocessing",
+    "construct",
+)
+
+#: What decoding bytes does without.
+NOT_NEEDED_TO_DECODE = (
+    *NOT_NEEDED,
+    "socket",
+    "linkcore.net",
+    "linkcore.streaming",
+    "linkcore.recording",
+    "urlink.commanding",
+    "urlink.motion",
+    "urlink.interfaces.dashboard",
 )
 
 # A fresh interpreter: in this one everything has been imported already.
@@ -50,7 +63,8 @@ def outcome(statement: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def imported() -> dict[str, Any]:
-    return outcome("import urlink")
+    """With every public name, each of which is imported when it is asked for."""
+    return outcome("from urlink import *; import urlink")
 
 
 def test_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -> None:
@@ -76,10 +90,19 @@ def test_it_would_be_noticed(statement: str, event: str) -> None:
         assert event in events
 
 
-@pytest.mark.parametrize("name", NOT_NEEDED)
-def test_does_not_import(imported: dict[str, Any], name: str) -> None:
-    assert "urlink" in imported["modules"]
-    assert [each for each in imported["modules"] if each == name or each.startswith(f"{name}.")] == []
+def those(modules: list[str], unwanted: tuple[str, ...]) -> list[str]:
+    return [each for each in modules if any(each == name or each.startswith(f"{name}.") for name in unwanted)]
+
+
+def test_imports_nothing_that_is_not_needed(imported: dict[str, Any]) -> None:
+    assert "urlink.robot" in imported["modules"]
+    assert those(imported["modules"], NOT_NEEDED) == []
+
+
+def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
+    modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.RealtimeState('3.4')")["modules"]
+    assert "urlink.decoding" in modules
+    assert those(modules, NOT_NEEDED_TO_DECODE) == []
 
 
 def test_the_simulator_is_imported_by_who_asks_for_it() -> None:

@@ -16,7 +16,7 @@ __all__ = ["KINDS", "NoSuchField", "field_names", "getter"]
 #: name -> class of everything that comes over the wire, and the classes that stand for several
 KINDS: dict[str, type[State]] = {
     name: getattr(urlink, name)
-    for name in urlink.__all__
+    for name in dir(urlink)
     if isinstance(getattr(urlink, name), type) and issubclass(getattr(urlink, name), State)
 }
 

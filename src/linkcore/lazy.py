@@ -1,0 +1,44 @@
+"""Names of a package that are imported when they are first asked for (PEP 562)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+__all__ = ["lazy_names"]
+
+
+def lazy_names(
+    package: str, homes: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """What makes the public names of a package, so that a program pays for the modules which it uses and no others.
+
+    A package says the same to type checkers, and a test holds the two equal::
+
+        if TYPE_CHECKING:
+            from .robot import Robot as Robot
+        else:
+            __getattr__, __dir__, __all__ = lazy_names(__name__, {".robot": "Robot"})
+
+    A name must not be that of a module of the package: whoever imports the module would replace the name.
+
+    Args:
+        package: its `__name__`.
+        homes: module -> its public names, separated by blanks. A module that begins with a dot is the package's own.
+
+    Returns:
+        The package's `__getattr__`, `__dir__` and `__all__`.
+    """
+    home = {name: module for module, names in homes.items() for name in names.split()}
+    public = sorted(home)
+
+    def get(name: str) -> Any:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(home[name], package), name)
+        setattr(sys.modules[package], name, value)  # from now on it is found without asking here
+        return value
+
+    return get, lambda: list(public), public
