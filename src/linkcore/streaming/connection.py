@@ -315,7 +315,9 @@ class Connection:
         Raises:
             RemoteError, LocalError, Closed: as `start`.
         """
-        delivery = InlineDelivery(callback, self.counters, **self._options(kind, deadline, on_deadline))
+        delivery = InlineDelivery(
+            callback, self.counters, self.reads_here, **self._options(kind, deadline, on_deadline)
+        )
         self._join(delivery, kind)
         self.fan_out.add_delivery(delivery)
         return Subscription(delivery, self.fan_out.remove_delivery, owner)

@@ -75,6 +75,7 @@ class FanOut:
         # What the reader looks at, made from the routes.
         self._offers: tuple[Callable[[Sequence[Any]], None], ...] = ()
         self.taps: tuple[Sink, ...] = ()
+        self._last: Any = None  # where no packet has parts, which is the quick case
         self._newest: dict[type, tuple[int, Any]] = {}
         self._number = 0
 
@@ -90,7 +91,7 @@ class FanOut:
     def publish(self, packets: Sequence[Any]) -> None:
         """Packets, in order, at least one."""
         if self._parts is None:
-            self._newest[self._kind] = (0, packets[-1])
+            self._last = packets[-1]
         else:
             for packet in packets:
                 self._remember(packet)
@@ -108,6 +109,7 @@ class FanOut:
     def forget(self) -> None:
         """What was newest is so no longer."""
         self._newest = {}
+        self._last = None
 
     def end(self) -> None:
         """No more will come; what waits is still delivered."""
@@ -129,6 +131,9 @@ class FanOut:
 
     def newest(self, kind: type[K]) -> K | None:
         """The newest packet of class `kind`."""
+        if self._parts is None:
+            last = self._last
+            return last if isinstance(last, kind) else None
         exact = self._newest.get(kind)
         if exact is not None:
             found: K = exact[1]

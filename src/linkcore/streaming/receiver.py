@@ -65,7 +65,9 @@ class Receiver:
             for failure in failures:
                 self._fail(failure)
         counters.decoded += len(packets)
-        counters.arrived(stamp)
+        now = counters.arrived = stamp[0]
+        if now >= counters.window_ends:
+            counters.next_window(now)
         return packets
 
     def _fail(self, error: PacketError) -> None:

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from ..stamp import Stamp
 from ..wire.protocol import PacketProtocol
 
 __all__ = ["SLOW_INLINE", "StreamCounters", "StreamStatistics", "SubscriptionStatistics", "snapshot"]
@@ -108,6 +107,8 @@ class StreamCounters:
 
     Attributes:
         received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
+        arrived: when the last packet was read, by `time.monotonic`; None before the first.
+        window_ends: when `next_window` is due: the rate is that of the last whole window of about a second.
     """
 
     def __init__(self) -> None:
@@ -120,11 +121,9 @@ class StreamCounters:
         # Of the connections that are over; what the present one has counted is asked of its protocol.
         self._skipped = self._resyncs = self._unknown = self._tails = 0
         self._protocol: PacketProtocol | None = None
-        self._arrived: float | None = None
-        self._window_began = time.monotonic()
-        self._window_ends = self._window_began + 1.0
-        self._window_received = 0
+        self.arrived: float | None = None
         self._rate = 0.0
+        self._begin_window(time.monotonic())
 
     def connected(self, protocol: PacketProtocol) -> None:
         """A connection was made; what its protocol counts belongs to the stream."""
@@ -142,17 +141,15 @@ class StreamCounters:
             self._unknown += protocol.unknown
             self._tails += protocol.tails
 
-    def arrived(self, stamp: Stamp) -> None:
-        """The packets counted last arrived then."""
-        now = self._arrived = stamp[0]
-        if now >= self._window_ends:
-            self._rate = (self.received - self._window_received) / (now - self._window_began)
-            self._begin_window(now)
+    def next_window(self, now: float) -> None:
+        """The window of the rate is over; the next one begins."""
+        self._rate = (self.received - self._window_received) / (now - self._window_began)
+        self._begin_window(now)
 
     def _begin_window(self, now: float) -> None:
         self._window_began = now
-        self._window_ends = now + 1.0
         self._window_received = self.received
+        self.window_ends = now + 1.0
 
     @property
     def statistics(self) -> StreamStatistics:
@@ -177,5 +174,5 @@ class StreamCounters:
             resyncs=self._resyncs + (protocol.framer.resyncs if protocol is not None else 0),
             unknown=self._unknown + (protocol.unknown if protocol is not None else 0),
             tails=self._tails + (protocol.tails if protocol is not None else 0),
-            age=None if self._arrived is None else now - self._arrived,
+            age=None if self.arrived is None else now - self.arrived,
         )

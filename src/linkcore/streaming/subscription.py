@@ -10,6 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from time import monotonic
 from typing import Any
 
 from ..arguments import check_seconds
@@ -22,6 +23,9 @@ __all__ = ["Delivery", "InlineDelivery", "Subscription", "ThreadedDelivery"]
 _log = logging.getLogger(__name__)
 
 _NEVER = float("inf")
+
+#: Seconds after which somebody who waits for the end of an inline call looks again.
+_LOOK = 0.001
 
 
 class Delivery:
@@ -55,7 +59,7 @@ class Delivery:
         self._delivered = 0
         self._raised = 0
         self._is_calling = False
-        self._last = time.monotonic()  # when a packet came last; kept only where there is a deadline
+        self._last = monotonic()  # when a packet came last; kept only where there is a deadline
         self.missed_deadlines = 0
 
     @property
@@ -186,7 +190,7 @@ class ThreadedDelivery(Delivery):
                 self._is_calling = False
                 del packet  # not kept while waiting for the next
                 if deadline is not None:
-                    self._last = time.monotonic()
+                    self._last = monotonic()
                     wait = deadline
             elif self._queue.is_over:
                 return
@@ -195,7 +199,7 @@ class ThreadedDelivery(Delivery):
                 time.sleep(self._gather)
             elif deadline is not None:
                 last = self._last
-                age = time.monotonic() - last
+                age = monotonic() - last
                 wait = deadline - age if age < deadline else deadline
                 if age >= deadline and told != last:  # told once for each time
                     told = last
@@ -209,6 +213,7 @@ class InlineDelivery(Delivery):
 
     Args:
         counters: of the stream, where slow calls are counted.
+        reads_here: whether the current thread is the one that reads.
 
     Raises:
         LocalError: a deadline, and the system has no thread left.
@@ -219,13 +224,20 @@ class InlineDelivery(Delivery):
     #: What is given to it is called at once: there is nothing that could be delivered later.
     evicts = True
 
-    def __init__(self, callback: Callable[[Any], object], counters: StreamCounters, **options: Any) -> None:
+    def __init__(
+        self,
+        callback: Callable[[Any], object],
+        counters: StreamCounters,
+        reads_here: Callable[[], bool],
+        **options: Any,
+    ) -> None:
         super().__init__(callback, **options)
         self._counters = counters
         self._offered = 0
+        # The reader says that it is calling, and then looks whether this is closed. Whoever closes says so, and then
+        # looks whether the reader is calling. So one of the two sees the other, without a lock for each packet.
         self._is_closed = False
-        # Held while calling back. Re-entrant, so that the callback can close its own subscription.
-        self._turn = threading.RLock()
+        self._reads_here = reads_here
         self._closing = threading.Condition()
         if self._deadline is not None:
             started(threading.Thread(target=self._watch, name=f"{self.name} deadline", daemon=True))
@@ -252,23 +264,22 @@ class InlineDelivery(Delivery):
     def offer(self, packets: Sequence[Any]) -> None:
         """Call back with each packet, here and now."""
         callback = self._callback
-        with self._turn:
-            now = time.monotonic()
-            for packet in packets:
-                if self._is_closed:
-                    return
-                self._offered += 1
-                self._is_calling = True
-                try:
-                    callback(packet)
-                    self._delivered += 1
-                except BaseException:
-                    self._fail()
-                self._is_calling = False
-                began, now = now, time.monotonic()
-                if now - began > SLOW_INLINE:
-                    self._counters.slow_inline += 1
-            self._last = now
+        now = monotonic()
+        self._is_calling = True
+        for packet in packets:
+            if self._is_closed:
+                break
+            self._offered += 1
+            try:
+                callback(packet)
+                self._delivered += 1
+            except BaseException:
+                self._fail()
+            began, now = now, monotonic()
+            if now - began > SLOW_INLINE:
+                self._counters.slow_inline += 1
+        self._is_calling = False
+        self._last = now
 
     def end(self) -> None:
         """No more will come. Idempotent."""
@@ -281,10 +292,13 @@ class InlineDelivery(Delivery):
         self.join(timeout)
 
     def join(self, timeout: float) -> bool:
-        until = time.monotonic() + min(timeout, threading.TIMEOUT_MAX)
-        if not (self._waits_closed(timeout) and self._turn.acquire(timeout=max(until - time.monotonic(), 0.0))):
+        until = monotonic() + timeout
+        if not self._waits_closed(timeout):
             return False
-        self._turn.release()
+        while self._is_calling and not self._reads_here():
+            if monotonic() >= until:
+                return False
+            time.sleep(_LOOK)
         return True
 
     def _waits_closed(self, timeout: float) -> bool:
@@ -292,20 +306,14 @@ class InlineDelivery(Delivery):
             return self._closing.wait_for(lambda: self._is_closed, min(timeout, threading.TIMEOUT_MAX))
 
     def runs_here(self) -> bool:
-        # Whoever can take the turn again while a call is on is the one who calls.
-        if not self._turn.acquire(blocking=False):
-            return False
-        try:
-            return self._is_calling
-        finally:
-            self._turn.release()
+        return self._is_calling and self._reads_here()
 
     def _watch(self) -> None:
         assert self._deadline is not None
         wait, told = self._deadline, -1.0
         while not self._waits_closed(wait):
             last = self._last
-            age = time.monotonic() - last
+            age = monotonic() - last
             wait = self._deadline - age if age < self._deadline else self._deadline
             if age >= self._deadline and told != last:
                 told = last
