@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-__all__ = ["printable"]
+import json
+import math
+from typing import Any
+
+__all__ = ["printable", "strict_json"]
 
 
 def printable(text: object) -> str:
@@ -23,3 +27,23 @@ def printable(text: object) -> str:
 
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
+
+
+def strict_json(value: Any) -> str:
+    r"""`value` as one line of JSON that any parser takes: NaN and the infinities are null, the text is ASCII.
+
+    >>> strict_json({"q": [1.5, float("nan")], "text": "\x1b\x7f"})
+    '{"q": [1.5, null], "text": "\\u001b\\u007f"}'
+    """
+    # DEL is ASCII to `json`, but a control character to a terminal.
+    return json.dumps(_finite(value), allow_nan=False).replace("\x7f", "\\u007f")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(element) for key, element in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(element) for element in value]
+    return value

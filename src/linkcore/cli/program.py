@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 from ..errors import LinkError
+from ..text import printable
 from .interruption import Interrupted, raise_on_sigterm
 from .options import Subparsers
-from .terminal import safe
 
 __all__ = ["Command", "program"]
 
@@ -75,7 +75,7 @@ def program(
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except LinkError as error:
-        print(f"{name}: {safe(str(error))}", file=sys.stderr)
+        print(f"{name}: {printable(str(error))}", file=sys.stderr)
         return 1
 
 
@@ -91,7 +91,7 @@ class _SafeFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)
-        return "\n".join(map(safe, text.split("\n")))
+        return "\n".join(map(printable, text.split("\n")))
 
 
 class _Stderr(logging.Handler):

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from linkcore.cli.options import Subparsers, add_command, positive_int
-from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording
 from linkcore.recording.file import Recording
+from linkcore.text import printable, strict_json
 
 from ..recording.playback import received
 from ..wire.dissection import Part, Piece, dissect, guess_sender, tables_in
@@ -108,9 +108,9 @@ def _as_json(piece: Piece) -> dict[str, Any]:
 
 def lines(number: int, piece: Piece) -> Iterator[str]:
     """A piece for people."""
-    yield f"#{number} {safe(piece.package) or '??'}: {piece.meaning}, {piece.size} bytes at {piece.offset}"
+    yield f"#{number} {printable(piece.package) or '??'}: {piece.meaning}, {piece.size} bytes at {piece.offset}"
     if piece.error is not None:
-        yield f"  !! {safe(piece.error)}"
+        yield f"  !! {printable(piece.error)}"
     for part in piece.parts:
         yield from _part_lines(part)
 
@@ -119,7 +119,7 @@ def _part_lines(part: Part) -> Iterator[str]:
     width = 12 if part.meaning else 16
     for at in range(0, len(part.data), width):
         chunk = part.data[at : at + width]
-        beside = safe(part.meaning) if part.meaning and not at else _printed(chunk) if not part.meaning else ""
+        beside = printable(part.meaning) if part.meaning and not at else _printed(chunk) if not part.meaning else ""
         yield f"  {part.offset + at:6}  {chunk.hex(' '):{3 * width - 1}}  {beside}".rstrip()
 
 

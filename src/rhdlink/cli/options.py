@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from linkcore.cli.options import seconds
-from linkcore.cli.terminal import safe
+from linkcore.text import printable
 
 __all__ = ["add_address", "port", "tell"]
 
@@ -28,4 +28,4 @@ def port(text: str) -> int:
 
 def tell(text: str) -> None:
     """One line on stderr."""
-    print(f"rhdlink: {safe(text)}", file=sys.stderr)
+    print(f"rhdlink: {printable(text)}", file=sys.stderr)

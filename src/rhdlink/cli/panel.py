@@ -8,8 +8,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from linkcore.cli.terminal import safe
 from linkcore.streaming.events import ConnectionState
+from linkcore.text import printable
 
 from .units import in_units, words_of, words_text
 from .view import View
@@ -39,7 +39,7 @@ class ViewPanel:
         else:
             head.append(f"   old values, {view.age:.1f} s", "bold red")
             if view.trouble is not None:
-                head.append(f"   {safe(view.trouble)}")
+                head.append(f"   {printable(view.trouble)}")
         head.append(f"   reconnects {view.reconnects}", _LABEL)
         table = Table(box=None, padding=(0, 2, 0, 0), header_style=_LABEL)
         table.add_column("")
@@ -52,11 +52,11 @@ class ViewPanel:
             words = words_of(variable.value)
             table.add_row(
                 "→" if variable.direction == "w" else "",
-                Text(safe(variable.name), "bold" if rate else ""),
+                Text(printable(variable.name), "bold" if rate else ""),
                 Text(words_text(words)),
                 Text(in_units(variable.direction, variable.name, words)),
                 f"{rate:.1f}/s" if rate else "",
                 style="" if view.is_fresh else "dim",
             )
         yield head
-        yield Panel(table, title=Text(f" {safe(view.robot)} "), title_align="left", box=box.ROUNDED)
+        yield Panel(table, title=Text(f" {printable(view.robot)} "), title_align="left", box=box.ROUNDED)

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
-from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording
 from linkcore.recording.file import Recording
 from linkcore.recording.player import ReplayClock
+from linkcore.text import printable, strict_json
 
 from ..client import connect
 from ..recording.playback import play
@@ -148,7 +148,7 @@ def _line(update: Update) -> str:
         # The direction is not told with an update; a name has the same meaning in both.
         words = words_of(change.value)
         meaning = in_units("r", name, words) or in_units("w", name, words)
-        parts.append(f"{safe(name)} {words_text(words)}" + (f" = {meaning}" if meaning else ""))
+        parts.append(f"{printable(name)} {words_text(words)}" + (f" = {meaning}" if meaning else ""))
     return " | ".join(parts)
 
 
@@ -158,9 +158,9 @@ def _summary_text(summary: Summary) -> str:
     rate = f", {summary.batches / summary.seconds:.1f}/s" if summary.seconds else ""
     connections = f"{summary.connections} connection{'' if summary.connections == 1 else 's'}"
     lines = [
-        f"{safe(summary.file)}: {summary.seconds:.1f} s, {summary.size} bytes, {state}{left_out}",
+        f"{printable(summary.file)}: {summary.seconds:.1f} s, {summary.size} bytes, {state}{left_out}",
         f"{summary.batches} batches{rate}, {connections}, time stamps of {summary.width} words",
     ]
-    width = max(map(len, map(safe, summary.variables)), default=0)
-    lines += [f"  {safe(name):{width}}  set {count} times" for name, count in summary.variables.items()]
+    width = max(map(len, map(printable, summary.variables)), default=0)
+    lines += [f"  {printable(name):{width}}  set {count} times" for name, count in summary.variables.items()]
     return "\n".join(lines)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.cli.terminal import safe
+from linkcore.text import printable
 
 from ..robots import Ackerman, Gps, Smr, VelocityOmega
 from ..variables.declarations import Declaration
@@ -81,7 +81,7 @@ def as_columns(variable: Variable) -> tuple[str, ...]:
     return (
         {"r": "read", "w": "write"}[variable.direction],
         str(variable.identity),
-        safe(variable.name),
+        printable(variable.name),
         words_text(words),
         f"= {meaning}" if meaning else "",
         f"{variable.stamp.seconds}.{variable.stamp.microseconds:06d}",

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, seconds
-from linkcore.cli.terminal import safe, strict_json
+from linkcore.text import printable, strict_json
 
 from ..client import Variables, connect
 from ..errors import NotThere
@@ -100,7 +100,7 @@ def _list(args: argparse.Namespace) -> int:
             for variable in found:
                 print(strict_json(as_json(variable)))
             return 0
-        print(safe(f"{robot.address}: {len(found)} variables, time stamps of {robot.width} words"))
+        print(printable(f"{robot.address}: {len(found)} variables, time stamps of {robot.width} words"))
         rows = [as_columns(variable) for variable in found]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         # A long array does not push the columns after it off the screen.
@@ -121,7 +121,7 @@ def _get(args: argparse.Namespace) -> int:
                 continue
             words = words_of(variable.value)
             meaning = in_units(variable.direction, name, words)
-            print(f"{safe(name)} {words_text(words, None)}" + (f" = {meaning}" if meaning else ""))
+            print(f"{printable(name)} {words_text(words, None)}" + (f" = {meaning}" if meaning else ""))
     return 0
 
 

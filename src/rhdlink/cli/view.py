@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linkcore.cli.terminal import safe
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.text import printable
 
 from ..variables.snapshot import Update, Variable
 from .units import in_units, words_of, words_text
@@ -50,18 +50,18 @@ class View:
 
     def as_line(self, clock: str) -> str:
         """On one line; old values say that they are old."""
-        parts = [f"{clock} {self.connection.name}", safe(self.robot)]
+        parts = [f"{clock} {self.connection.name}", printable(self.robot)]
         if not self.is_fresh:
             parts.append(f"OLD DATA, {self.age:.1f} s")
             if self.trouble is not None:
-                parts.append(safe(self.trouble))
+                parts.append(printable(self.trouble))
         else:
             parts.append("- syncs/s" if self.rate is None else f"{self.rate:.1f} syncs/s")
         for variable in self.variables:
             words = words_of(variable.value)
             meaning = in_units(variable.direction, variable.name, words)
             rate = self.rates.get(variable.name)
-            text = f"{safe(variable.name)} {words_text(words)}"
+            text = f"{printable(variable.name)} {words_text(words)}"
             parts.append(text + (f" = {meaning}" if meaning else "") + (f" ({rate:.1f}/s)" if rate else ""))
         return " | ".join(parts)
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
-from linkcore.cli.terminal import strict_json
 from linkcore.stamp import Stamp
 from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import drop_oldest
+from linkcore.text import strict_json
 
 from ..client import Variables, connect
 from ..sync_thread import SyncThread

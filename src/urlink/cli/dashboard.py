@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from linkcore.cli.terminal import safe
 from linkcore.errors import LocalError
+from linkcore.text import printable
 
 from ..interfaces.dashboard.commands import COMMANDS
 from ..robot import connect
@@ -52,5 +52,5 @@ def run(args: argparse.Namespace) -> int:
             robot.dashboard.start(*([] if args.timeout is None else [args.timeout]))
             print("the arm runs")
         else:
-            print(safe(robot.dashboard.send(command, args.timeout)))
+            print(printable(robot.dashboard.send(command, args.timeout)))
     return 0

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.cli.terminal import safe, strict_json
 from linkcore.errors import BadRecording, PacketError
 from linkcore.recording.file import Kind, Recording
+from linkcore.text import printable, strict_json
 from linkcore.wire.dissection import Row, header_rows
 from linkcore.wire.packet import State
 from linkcore.wire.version import version_text
@@ -184,7 +184,7 @@ class Piece:
         count = "" if number is None else f"#{number} "
         yield f"{count}{self.title}: {len(self.data)} bytes at {self.offset}{layout}"
         if self.error is not None:
-            yield f"  !! {safe(self.error)}"
+            yield f"  !! {printable(self.error)}"
         for row in self.rows:
             yield from _row_lines(row, self.offset)
         for part in self.parts:

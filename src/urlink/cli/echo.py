@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from linkcore.cli.terminal import strict_json
+from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
 from ..decoding import INTERFACES

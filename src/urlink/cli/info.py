@@ -6,7 +6,7 @@ import argparse
 import textwrap
 from typing import Any
 
-from linkcore.cli.terminal import safe, strict_json
+from linkcore.text import printable, strict_json
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from ..firmware import release_of
@@ -48,9 +48,9 @@ def run(args: argparse.Namespace) -> int:
     source = "said by the controller" if answer["firmware_is_said"] else "inferred from the sizes of its packages"
     sizes = answer["sizes"]
     parts = ", ".join(f"{name} {size}" for name, size in sizes["sub_packages"].items())
-    print(f"address     {safe(answer['address'])}")
+    print(f"address     {printable(answer['address'])}")
     print(f"firmware    {answer['firmware']} ({source})")
-    print(f"model       {safe(answer['model'] or 'not said by the controller')}")
+    print(f"model       {printable(answer['model'] or 'not said by the controller')}")
     print(f"real-time   {sizes['realtime']} bytes, {answer['realtime_rate']} Hz")
     print(f"state       {sizes['first_state']} bytes, the first of a connection; then {sizes['state']} bytes, 10 Hz")
     print(textwrap.fill(parts, 100, initial_indent=" " * 12, subsequent_indent=" " * 12))

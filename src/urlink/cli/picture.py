@@ -13,7 +13,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from linkcore.cli.terminal import safe
+from linkcore.text import printable
 
 from .glance import Glance, Status
 from .plain import age_text
@@ -62,8 +62,10 @@ class Picture:
             rows += self._body(glance.reading, width >= _NARROW)
         rows.append(_labelled("stream", self._counters()))
         if glance.message is not None:
-            rows.append(_labelled("message", Text(safe(glance.message), _VALUE, overflow="ellipsis", no_wrap=True)))
-        title = Text.assemble((f" {safe(glance.robot)} ", "bold"), (f" {safe(glance.address)} ", _LABEL))
+            rows.append(
+                _labelled("message", Text(printable(glance.message), _VALUE, overflow="ellipsis", no_wrap=True))
+            )
+        title = Text.assemble((f" {printable(glance.robot)} ", "bold"), (f" {printable(glance.address)} ", _LABEL))
         yield Panel(Group(*rows), title=title, title_align="left", border_style=border, box=box.ROUNDED, width=width)
 
     def _header(self) -> Text:
@@ -82,7 +84,7 @@ class Picture:
             warning = f"OLD DATA, {age_text(glance.reading.age)}"
         text.append(f"  {warning}", "bold red" if glance.status is Status.LOST else "bold yellow")
         if glance.trouble is not None and glance.status is not Status.ENDED:
-            text.append(f"  {safe(glance.trouble)}", _LABEL)
+            text.append(f"  {printable(glance.trouble)}", _LABEL)
         return text
 
     def _counters(self) -> Text:
@@ -149,7 +151,7 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
             _number(reading.qd, number, 8, 3),
             _number(reading.currents, number, 7, 2),
             _number(reading.temperatures, number, 6, 1),
-            Text("  " + safe(mode), shade(_mood(mode))) if mode else Text("  –", _LABEL),
+            Text("  " + printable(mode), shade(_mood(mode))) if mode else Text("  –", _LABEL),
         ]
         table.add_row(*row)
     return table
@@ -204,7 +206,7 @@ def _modes(reading: Reading, shade: Callable[[str], str]) -> Text:
         if mode is None:
             text.append("–   ", _LABEL)
         else:
-            text.append(safe(mode), shade(_mood(mode))).append("   ")
+            text.append(printable(mode), shade(_mood(mode))).append("   ")
     if reading.speed_scaling is not None:
         text.append("speed ", _LABEL).append(f"{reading.speed_scaling:.0%}", shade(_VALUE))
     return text

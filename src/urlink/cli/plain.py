@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from linkcore.cli.terminal import safe
+from linkcore.text import printable
 
 from .glance import Glance, Status
 
@@ -14,12 +14,12 @@ __all__ = ["age_text", "line"]
 
 def line(glance: Glance, clock: str) -> str:
     """One line with the values that matter most; old values say that they are old."""
-    parts = [f"{clock} {glance.status.value}", safe(glance.robot)]
+    parts = [f"{clock} {glance.status.value}", printable(glance.robot)]
     reading, stats = glance.reading, glance.stats
     if glance.status is Status.CONNECTED:
         parts.append("- Hz" if glance.rate is None else f"{glance.rate:.1f} Hz")
     elif glance.trouble is not None and glance.status is not Status.ENDED:
-        parts.append(safe(glance.trouble))
+        parts.append(printable(glance.trouble))
     if reading is None:
         parts.append("no state yet")
     else:
@@ -29,7 +29,7 @@ def line(glance: Glance, clock: str) -> str:
         if reading.pose is not None:
             parts.append(f"tool {_vector(reading.pose[:3], 3)} m")
         modes = (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program))
-        parts += [f"{name} {safe(mode)}" for name, mode in modes if mode is not None]
+        parts += [f"{name} {printable(mode)}" for name, mode in modes if mode is not None]
     counters = f"received {stats.received} failed {stats.failed} reconnects {stats.reconnects}"
     return " | ".join([*parts, counters])
 

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from urllib.parse import quote
 
-from linkcore.cli.terminal import strict_json
 from linkcore.recording.file import Recording
+from linkcore.text import strict_json
 
 from ..robot import connect
 from .echo import add_options, echo, kind_of, shower

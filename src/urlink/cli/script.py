@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
-from linkcore.cli.terminal import safe
 from linkcore.errors import BadValue, LinkTimeout
+from linkcore.text import printable
 
 from ..commanding.handle import Program
 from ..errors import ScriptError
@@ -81,7 +81,7 @@ def _read(name: str) -> str:
 
 
 def _show(text: str) -> None:
-    print(safe(text), flush=True)
+    print(printable(text), flush=True)
 
 
 def _stop(program: Program) -> None:

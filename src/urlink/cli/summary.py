@@ -7,9 +7,9 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from linkcore.cli.terminal import safe
 from linkcore.errors import PacketError, WrongPeer
 from linkcore.recording.file import Kind, Record, Recording
+from linkcore.text import printable
 
 from ..interfaces.primary.protocol import PrimaryProtocol
 from ..interfaces.realtime.protocol import RealtimeProtocol
@@ -79,7 +79,7 @@ class Summary:
         state = "complete" if self.is_complete else "not closed in order, as after a crash"
         if self.left_out:
             state += f"; {self.left_out} bytes at the end are damaged or unfinished and left out"
-        lines = [f"{safe(self.path)}: {self.duration:.1f} s, {self.size} bytes, {state}"]
+        lines = [f"{printable(self.path)}: {self.duration:.1f} s, {self.size} bytes, {state}"]
         for channel in self.channels:
             lines += _channel_lines(channel)
         return "\n".join(lines)
@@ -87,7 +87,7 @@ class Summary:
 
 def _channel_lines(channel: Channel) -> list[str]:
     robot = f"{channel.model or 'unknown arm'}, firmware {channel.firmware or 'unknown'}, {channel.address or '-'}"
-    lines = [f"{safe(channel.name)}: {safe(robot)}"]
+    lines = [f"{printable(channel.name)}: {printable(robot)}"]
     if channel.started is None:
         return [*lines, "  no bytes"]
     clock = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(channel.started))
@@ -106,7 +106,7 @@ def _channel_lines(channel: Channel) -> list[str]:
             f"{channel.unfinished} bytes of unfinished packets"
         )
     if channel.connections > 1 or channel.lost:
-        reasons = "".join(f"\n    {safe(reason)}" for reason in channel.lost)
+        reasons = "".join(f"\n    {printable(reason)}" for reason in channel.lost)
         lines.append(
             f"  {_counted(channel.connections, 'connection')}, lost {_counted(len(channel.lost), 'time')}{reasons}"
         )

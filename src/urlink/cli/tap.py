@@ -6,11 +6,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from linkcore.cli.terminal import safe
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.policy import drop_oldest
 from linkcore.streaming.stream import Stream
+from linkcore.text import printable
 
 __all__ = ["Tap", "tell"]
 
@@ -20,7 +20,7 @@ _ROOM = 16384
 
 def tell(text: str) -> None:
     """One line on stderr."""
-    print(f"urlink: {safe(text)}", file=sys.stderr)
+    print(f"urlink: {printable(text)}", file=sys.stderr)
 
 
 class Tap:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.cli.terminal import safe
+from linkcore.text import printable
 from linkcore.wire.packet import State
 from linkcore.wire.shapes import OpenInt
 
@@ -63,10 +63,10 @@ def as_text(value: Any) -> str:
         return "[" + ", ".join(map(as_text, value)) + "]"
     if isinstance(value, (bytes, bytearray)):
         return value.hex()
-    return safe(repr(value)) if isinstance(value, str) else safe(str(value))
+    return printable(repr(value)) if isinstance(value, str) else printable(str(value))
 
 
 def as_line(packet: State) -> str:
     """A packet on one line, its unknown tail too."""
     tail = f" tail={packet.tail.hex()}" if packet.tail else ""
-    return safe(str(packet)) + tail
+    return printable(str(packet)) + tail

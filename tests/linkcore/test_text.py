@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linkcore.cli.terminal import safe, strict_json
+from linkcore.text import printable, strict_json
 from tests.harm import HOSTILE, assert_harmless, strict
 
 
@@ -25,13 +25,13 @@ from tests.harm import HOSTILE, assert_harmless, strict
     ],
 )
 def test_safe_text(text: str, shown: str) -> None:
-    assert safe(text) == shown
+    assert printable(text) == shown
 
 
 @pytest.mark.property
 @given(st.text(st.characters(min_codepoint=0, max_codepoint=sys.maxunicode)))
 def test_nothing_that_steers_a_terminal_is_left(text: str) -> None:
-    assert all(character == " " or unicodedata.category(character)[0] not in "CZ" for character in safe(text))
+    assert all(character == " " or unicodedata.category(character)[0] not in "CZ" for character in printable(text))
 
 
 def test_json_is_strict_and_harmless() -> None:
