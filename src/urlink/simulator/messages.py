@@ -1,8 +1,8 @@
 """What the controller says when something happens: as a connection begins, and robot messages.
 
-That a runtime exception carries no time stamp where a program does not compile, and that keys, texts and exceptions
-come from source -3, is on real bytes of 5.4. The source of the others, their levels and all of it on older firmware
-are guesses.
+Layouts and codes: docs/protocols/primary.md, Robot messages. That a runtime exception carries no time stamp where a
+program does not compile, and that keys, texts and exceptions come from source -3, is on real bytes of 5.4. The source
+of the others, their levels and all of it on older firmware are guesses.
 """
 
 from __future__ import annotations

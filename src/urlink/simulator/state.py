@@ -22,8 +22,8 @@ __all__ = ["ControllerState", "Counters", "Outbox", "firmware_for"]
 
 #: Bytes of messages in one cycle after which texts and popups are lost; a program could make thousands of them.
 MOST_MESSAGES = 1 << 14
-#: Flags of `set_flag` and `get_flag`. How many a controller has is a guess.
-FLAGS = 64
+#: Flags of `set_flag` and `get_flag`: that their numbers go up to 31 is inferred (docs/protocols/urscript.md, Flags).
+FLAGS = 32
 
 
 @dataclass

@@ -1,7 +1,7 @@
 """The dashboard server of a simulated controller: a line in, a line out.
 
-Which firmware has which command, and what the replies look like, is in `urlink.interfaces.dashboard.commands`. What
-the commands do goes through the controller. Guesses, all of them:
+Facts and their evidence: docs/protocols/dashboard.md. Which firmware has which command, and what the replies look like,
+is in `urlink.interfaces.dashboard.commands`. What the commands do goes through the controller. Guesses, all of them:
 
 - the reply to a command that is unknown, not on this firmware, or followed by text that it does not take; and to one
   that lacks its text, but for `addToLog` and `setUserRole`;

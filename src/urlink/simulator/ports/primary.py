@@ -1,6 +1,7 @@
 """The primary and secondary interface, 30001 and 30002: a robot state ten times a second, and messages on the first.
 
-What the sub-packages hold is read off captures where a comment says so.
+Sizes and order of the sub-packages: docs/protocols/primary.md, Robot state. What they hold is read off captures where a
+comment says so.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The real-time interface, 30003: one packet in each cycle, and no greeting."""
+"""The real-time interface, 30003: one packet in each cycle, and no greeting (docs/protocols/realtime.md)."""
 
 from __future__ import annotations
 

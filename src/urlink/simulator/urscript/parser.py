@@ -23,10 +23,10 @@
                | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
-Read off public programs that run on real controllers: line ends mean nothing, so that two statements stand on one line
-and an expression goes on in the next; blocks may be empty; PolyScope writes `$ 1 "Robot Program"` before each node of a
-program, which does nothing here; `m[i, j]` is the element of a matrix, a list of lists; `p[i]` that of a variable that
-is called p.
+Read off public programs that run on real controllers (docs/protocols/urscript.md, What public programs need): line ends
+mean nothing, so that two statements stand on one line and an expression goes on in the next; blocks may be empty;
+PolyScope writes `$ 1 "Robot Program"` before each node of a program, which does nothing here; `m[i, j]` is the element
+of a matrix, a list of lists; `p[i]` that of a variable that is called p.
 
 Guesses: the precedence of `xor`; that the value of a `return` begins on its line, since the next statement would be
 taken for it; that a statement which is an expression begins with a name. `true` and `false` stand in users' programs

@@ -156,7 +156,7 @@ class StandIn:
         self.tcp: Sequence[float] = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
         self.payload = 1.5
         self.payload_cog: Sequence[float] = [0.0, 0.0, 0.05]
-        self.flags = [False] * 64
+        self.flags = [False] * 32
         self.has_popup = False
         self.signals = Signals()
         self.motion = StandInMotion(self)
