@@ -100,8 +100,28 @@ EXTERNAL = '<!DOCTYPE rhd [<!ENTITY x SYSTEM "file:///etc/hostname">]><rhd>&x;</
     ],
 )
 def test_what_is_refused_says_why(text: str, reason: str) -> None:
-    with pytest.raises(BadConfiguration, match=reason):
+    with pytest.raises(BadConfiguration, match=reason) as caught:
         parse_config(text)
+    # One reason and no other: what is no encoding is not said to be one.
+    assert ("encoding" in str(caught.value)) == (reason == "encoding")
+
+
+def test_numbers_at_their_bounds() -> None:
+    def of(text: str) -> Element:
+        return Element("x", {"value": text}, line=3, source="robot.xml")
+
+    assert of("-2147483648").integer("value", 0) == -(2**31)
+    assert of("2147483647").integer("value", 0) == 2**31 - 1
+    assert [of(text).number("value", 0.0, least=-1.0, most=2.0) for text in ("-1", "2", "0.5")] == [-1.0, 2.0, 0.5]
+    for text in ("-2147483649", "2147483648"):
+        with pytest.raises(BadConfiguration, match=f"robot.xml:3: <x>: value='{text}' is not a whole number"):
+            of(text).integer("value", 0)
+    for text in ("-1.1", "2.1", "nan", "inf", "x"):
+        with pytest.raises(BadConfiguration, match="is not a number from -1 to 2"):
+            of(text).number("value", 0.0, least=-1.0, most=2.0)
+    # Without a place in a file none is named.
+    with pytest.raises(BadConfiguration, match=r"^<x>: no good$"):
+        Element("x").reject("no good")
 
 
 def test_limits_are_not_one_too_low() -> None:

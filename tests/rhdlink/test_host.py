@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import sys
@@ -16,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadAddress, BadValue, Closed, LocalError
+from rhdlink.address import PORT
 from rhdlink.host.config import BadConfiguration, Element, parse_config
 from rhdlink.host.host import Host, HostFailed, PluginFailed
 from rhdlink.host.plugin import Plugin
@@ -299,6 +301,9 @@ def test_in_lockstep_each_request_is_one_tick_and_the_bytes_are_the_same_each_ti
                 assert host.tick == number + 1
             stamp = master.tables.read.stamp(0)
             assert stamp == (0, 500_000)
+            for _ in range(60):
+                master.sync({})
+            assert master.tables.read.stamp(0) == (1, 100_000)
         return bytes(received), echo.seen
 
     first = run()
@@ -501,6 +506,18 @@ def test_with_allwriters_all_may_write() -> None:
             assert clients[0].value("order") == 10 + number
 
 
+def test_a_master_that_is_slower_than_the_period_is_waited_for() -> None:
+    with Host([Echo()], port=0, period=0.2, synchronized=True) as host, RawClient(host.port, b"aw") as master:
+        master.greeting()
+        master.sync({})
+        first = master.value("tick")
+        for number in range(1, 4):
+            time.sleep(0.25)  # a period and a bit, of the two that it may take
+            master.sync({})
+            assert master.value("tick") == first + number
+        assert host.stats.overruns == 0
+
+
 def test_synchronized_each_tick_waits_for_the_master() -> None:
     echo = Echo()
     # So long a wait that the test ends within one if the host waits at all.
@@ -512,6 +529,22 @@ def test_synchronized_each_tick_waits_for_the_master() -> None:
             master.sync({"order": number})
         assert master.value("tick") == first + 5
     assert echo.seen[-5:] == list(range(5))
+
+
+def test_a_free_running_host_serves_its_clients() -> None:
+    with Host([Echo()], port=0, pacing="free") as host, RawClient(host.port) as client:
+        client.greeting()
+        for _ in range(5):
+            client.sync()
+        assert host.stats.late_worst == 0.0  # nothing is due at any time
+
+
+def test_the_first_tick_is_due_a_period_after_the_start() -> None:
+    host = Host([Stops(3)], port=0, period=0.05)
+    began = time.monotonic()
+    host.run()
+    assert time.monotonic() - began >= 0.1
+    assert host.stats.skipped < 1000  # and not at the beginning of time
 
 
 def test_free_running_ticks_follow_each_other() -> None:
@@ -584,6 +617,40 @@ def test_a_tick_that_comes_too_late_is_counted_and_not_made_up_for() -> None:
     assert host.stats.skipped >= 4
     assert host.stats.late_worst >= 0.03
     assert host.stats.late_median <= host.stats.late_p99 <= host.stats.late_worst
+
+
+def test_requests_without_end_sent_ahead_are_all_answered() -> None:
+    """More than the host keeps: it reads again when it has answered some."""
+    with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
+        reader.greeting()
+        reader.send(b"rree" * 3000)
+        for tick in range(1, 3001):
+            reader.batch()
+            assert reader.value("tick") == tick
+
+
+def test_what_nobody_says_is_as_the_original_s_clients_expect() -> None:
+    parameters = inspect.signature(Host).parameters
+    assert parameters["port"].default == PORT == 24902
+    assert parameters["address"].default == "127.0.0.1"
+    assert not parameters["allwriters"].default
+    assert not parameters["synchronized"].default
+    assert (parameters["pacing"].default, parameters["resend"].default) == ("period", "changed")
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode", "pacing", "synchronized"),
+    [
+        ("usleep", "", "period", False),
+        ("itimer", '<mode value="synchronized"/>', "period", True),
+        ("freerunning", '<mode value="synchronized"/>', "free", False),
+        ("synchronized", '<mode value="synchronized"/>', "lockstep", False),
+    ],
+)
+def test_scheduler_and_mode_of_a_file(kind: str, mode: str, pacing: str, synchronized: bool) -> None:
+    text = f'<rhd><scheduler><type value="{kind}"/></scheduler><server>{mode}</server></rhd>'
+    host = Host.from_config(parse_config(text))
+    assert (host._pacing, host._synchronized) == (pacing, synchronized)
 
 
 CONFIG = """<rhd>
