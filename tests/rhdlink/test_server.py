@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import struct
 from collections.abc import Callable, Iterator
@@ -276,6 +277,17 @@ def test_what_a_client_sends_ahead_is_bounded(stand: Stand) -> None:
 # -- ends --------------------------------------------------------------------------------------
 
 
+def test_who_is_thrown_out_is_a_warning_and_who_leaves_is_not(stand: Stand, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    stand.join().close()
+    stand.serve(lambda: not stand.service.clients)
+    stand.join().send(b"nonsense")
+    stand.serve(lambda: not stand.service.clients)
+    levels = [record.levelname for record in caplog.records if record.name == "rhdlink.host.server"]
+    assert levels == ["INFO", "WARNING"]
+    assert "'no' cannot begin a package here" in caplog.text
+
+
 def test_a_client_that_resets_while_it_is_answered_is_gone(stand: Stand) -> None:
     client, other = stand.join(b"aw"), stand.join()
     stand.say(client, b"rwee")
@@ -337,6 +349,25 @@ def test_the_slot_of_the_reader_that_is_idle_for_longest_goes_to_a_newcomer(stan
     stand.tick()
     master.batch()
     assert (stand.service.refused_clients, stand.server.evicted) == (2, 1)
+
+
+def test_the_first_request_and_the_handshake_count_like_any_request(stand: Stand) -> None:
+    slow = stand.connect(b"a")
+    stand.serve(lambda: len(stand.server._handlers) == 1)
+    stand.sleep(TIMEOUT - 1.0)
+    slow.send(b"r")  # granted now, and not when it connected
+    stand.serve(lambda: len(stand.service.clients) == 1)
+    first, second = stand.join(), stand.join()
+    stand.sleep(INACTIVITY - 1.0)
+    stand.sync(first)
+    stand.sync(second)
+    assert refused_by(stand, stand.connect(b"ar"))
+    stand.sleep(1.0)
+    stand.join()
+    assert stand.is_open(first)
+    assert stand.is_open(second)
+    slow.greeting()
+    assert not stand.is_open(slow)
 
 
 def test_only_complete_requests_keep_a_slot(stand: Stand) -> None:

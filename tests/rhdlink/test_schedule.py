@@ -1,0 +1,54 @@
+"""When ticks are due, by examples; the property that holds for any lateness is in test_host."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rhdlink.host.schedule import Schedule
+
+
+def ticked(*lateness: float) -> Schedule:
+    """A schedule of a period of one second, of which so many ticks have come, each so late."""
+    schedule = Schedule(1.0, 100.0)
+    for late in lateness:
+        schedule.came(schedule.advance() + late)
+    return schedule
+
+
+def test_a_tick_is_due_a_period_after_the_one_before_however_late_that_was() -> None:
+    assert ticked().due == 100.0
+    assert ticked().advance() == 101.0
+    assert ticked(0.9).advance() == 102.0
+    # A whole period late is as late as the next one is due: not an overrun yet.
+    schedule = ticked(1.0)
+    assert (schedule.overruns, schedule.skipped, schedule.advance()) == (0, 0, 102.0)
+
+
+def test_whole_periods_that_were_missed_are_skipped() -> None:
+    schedule = ticked(3.5)
+    assert (schedule.overruns, schedule.skipped, schedule.due) == (1, 3, 104.0)
+    assert schedule.advance() == 105.0
+    schedule = ticked(1.25, 0.0, 2.5)
+    assert (schedule.overruns, schedule.skipped, schedule.worst) == (2, 3, 2.5)
+
+
+def test_a_tick_that_the_host_waits_with_is_not_late() -> None:
+    schedule = Schedule(1.0, 100.0)
+    schedule.advance()
+    schedule.postpone(0.75)
+    schedule.came(101.75)
+    assert (schedule.due, schedule.worst) == (101.75, 0.0)
+    schedule.postpone(-0.5)  # a clock that went back
+    assert schedule.due == 101.75
+
+
+def test_lateness() -> None:
+    assert ticked().lateness() == (0.0, 0.0)
+    late = [number / 1000 for number in range(200)]
+    median, p99 = ticked(*late).lateness()
+    assert (median, p99) == pytest.approx((np.percentile(late, 50), np.percentile(late, 99)))
+    # Of the last 4096.
+    median, p99 = ticked(*[0.9] * 100, *[0.1] * 4096).lateness()
+    assert (median, p99) == pytest.approx((0.1, 0.1))
+    assert ticked(*[0.9] * 100, *[0.1] * 4095).lateness()[1] == pytest.approx(0.1)
