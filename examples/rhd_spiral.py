@@ -47,7 +47,7 @@ class Driver:
         self.robot = robot
         self.heading = 0.0
 
-    def forward(self, metres: float, speed: float = 0.3) -> None:
+    def forward(self, metres: float, speed: float = 0.5) -> None:
         """Straight on, along the heading that is wanted, and slower towards the end."""
         robot = self.robot
         end = robot.transpos + metres * 1e5
@@ -56,7 +56,7 @@ class Driver:
             robot.cmdrotvel = 2.0 * (self.heading - robot.rotpos)
             robot.sync()
 
-    def turn(self, degrees: float, rate: float = 1.0) -> None:
+    def turn(self, degrees: float, rate: float = 1.5) -> None:
         """Turn to the left on the spot."""
         robot = self.robot
         self.heading += math.radians(degrees)

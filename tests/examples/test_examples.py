@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -141,20 +142,28 @@ def test_run_script_shows_the_line_that_is_wrong(tmp_path: Path) -> None:
     assert done.stderr.splitlines() == ["line 2: txtmsg(a)", "compile_error_name_not_found:txtmsg:"]
 
 
-def test_rhd_spiral(tmp_path: Path) -> None:
+def way(path: Path) -> list[tuple[float, float]]:
+    """The points of the way in a picture."""
+    (line,) = ElementTree.parse(path).getroot().iter("{http://www.w3.org/2000/svg}polyline")
+    return [(float(x), float(y)) for x, y in (point.split(",") for point in line.attrib["points"].split())]
+
+
+def test_rhd_spiral_closes(tmp_path: Path) -> None:
     text = output("rhd_spiral.py", str(tmp_path / "spiral.svg"))
-    away = re.search(r"ended (\d+\.\d+) m from the start", text)
-    assert away is not None
-    assert float(away[1]) < 0.1
-    assert "<polyline" in (tmp_path / "spiral.svg").read_text()
+    assert re.search(r"ended 0\.0[0-2] m from the start", text), text
+    points = way(tmp_path / "spiral.svg")
+    assert points[-1] == pytest.approx(points[0], abs=1.0)
+    # The last leg but one is 4.8 m of the 11 m that 480 pixels show.
+    assert max(y for _, y in points) - min(y for _, y in points) == pytest.approx(4.8 * 480 / 11, abs=2.0)
 
 
-@pytest.mark.parametrize("options", [(), ("--radius", "0.5", "--angle", "-90")])
+@pytest.mark.parametrize("options", [(), ("--radius", "1.0", "--angle", "-270"), ("--radius", "0.5", "--angle", "90")])
 def test_rhd_arc_ends_where_it_should(tmp_path: Path, options: tuple[str, ...]) -> None:
     text = output("rhd_arc.py", str(tmp_path / "arc.svg"), *options)
     ended, should = ([float(number) for number in re.findall(r"-?\d+\.\d+", line)] for line in text.splitlines())
-    assert ended == pytest.approx(should, abs=0.01)
-    assert "<polyline" in (tmp_path / "arc.svg").read_text()
+    assert ended[:2] == pytest.approx(should[:2], abs=0.002)
+    assert ended[2] == pytest.approx(should[2], abs=0.02)
+    assert len(way(tmp_path / "arc.svg")) > 50
 
 
 def test_every_example_is_run_here() -> None:
