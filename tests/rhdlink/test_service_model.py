@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from rhdlink.host.service import Client, Service
 from rhdlink.variables.database import Database
-from rhdlink.wire.decoder import ServerDecoder
+from rhdlink.wire.decoder import Limits, ServerDecoder
 from rhdlink.wire.messages import Row
 
 READ = {"tick": 1, "encoders": 2, "scan": 5, "once": 1}
@@ -242,3 +243,56 @@ def test_arbitrary_bytes_give_a_value_or_a_closed_connection(pieces: list[bytes]
     service.disconnect(client)
     assert service.clients == []
     assert service.sync() == []
+
+
+def service(clients: int = 10, width: int = 2) -> tuple[Service, Database]:
+    database = Database([Row(*item) for item in READ.items()], [Row(*item) for item in WRITE.items()])
+    return Service(database, clients=clients, width=width), database
+
+
+def granted(served: Service, access: bytes = b"ar") -> Client:
+    client = served.connect("client")
+    assert client is not None
+    assert served.receive(client, access)
+    return client
+
+
+def test_a_client_that_is_gone_gives_its_slot_back_once() -> None:
+    served, _ = service(clients=1)
+    first = granted(served)
+    served.disconnect(first)
+    second = granted(served)
+    # Its connection may be told of its end by more than one side.
+    served.disconnect(first)
+    assert served.clients == [second]
+    assert served.is_full
+
+
+def test_a_slot_that_is_taken_during_a_handshake_is_not_given_twice() -> None:
+    served, _ = service(clients=1)
+    slow = served.connect("slow")
+    assert slow is not None
+    granted(served)
+    assert served.receive(slow, b"ar") == b""
+    assert slow.failure == "all slots were taken meanwhile"
+    assert (served.refused_clients, served.bad_clients) == (1, 0)
+    assert slow.slot is None
+
+
+@pytest.mark.parametrize("width", [2, 4])
+def test_a_client_may_set_all_variables_at_once_and_a_kilobyte_more(width: int) -> None:
+    served, database = service(width=width)
+    every = database.write.encode(np.arange(len(database.write)), width)
+    fill = b"rw" * ((1024 - 6 - 2) // 2)  # without the head of the package and the end
+    for more, is_refused in ((b"", False), (b"rw", True)):
+        writer = granted(served, b"aw")
+        served.receive(writer, fill + more + every + b"ee")
+        assert (writer.failure is not None) == is_refused
+        served.disconnect(writer)
+
+
+def test_limits_that_are_given_are_kept() -> None:
+    generous = Service(Database(write=[Row("speed", 1)]), limits=Limits(batch=1 << 20))
+    writer = granted(generous, b"aw")
+    generous.receive(writer, b"rw" * 10_000 + b"ee")
+    assert writer.failure is None
