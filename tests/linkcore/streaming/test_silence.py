@@ -180,7 +180,7 @@ def test_a_silent_peer_is_told_and_then_lost() -> None:
 
 def test_bytes_without_packets_count_as_silence() -> None:
     transport = ScriptedTransport()
-    stream = scripted(transport, silence=0.05, backoff=Backoff(tries=0))
+    stream = scripted(transport, silence=0.5, backoff=Backoff(tries=0))
     stop = threading.Event()
 
     def babble() -> None:
