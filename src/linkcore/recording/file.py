@@ -88,10 +88,15 @@ class RecordingWriter:
         """Declare a channel; `info` is JSON-ready and has at least "name". Returns its number.
 
         Raises:
-            BadValue: there are 256 already.
+            BadValue: `info` has no name, or holds what JSON cannot; or there are 256 channels already.
             BadRecording, Closed: as `write`.
         """
-        payload = json.dumps(dict(info)).encode()
+        if not isinstance(info.get("name"), str):
+            raise BadValue(f'info={info!r}; expected a mapping with a text under "name"')
+        try:
+            payload = json.dumps(dict(info)).encode()
+        except (TypeError, ValueError, RecursionError) as error:
+            raise BadValue(f"info={info!r}; expected what JSON can hold: {error}") from None
         with self._lock:
             number = self._channels
             if number > 255:

@@ -45,6 +45,7 @@ class Recorder:
         """Record `stream` too; `info` says of it what a reader needs, and has at least "name".
 
         Raises:
+            BadValue: `info` has no name, or holds what JSON cannot.
             BadRecording: the disk failed.
             Closed: the recorder, or the stream, was closed.
             RemoteError: the stream could not be opened.
@@ -84,6 +85,10 @@ class Recorder:
             raise BadRecording(self._writer.failure)
         if not all(done):
             raise LinkTimeout(f"{self.path}: not everything was written within {timeout:g} s")
+
+    def __repr__(self) -> str:
+        state = self.failure or f"{len(self._subscriptions)} streams"
+        return f"<Recorder {self.path}: {state}>"
 
     def __enter__(self) -> Recorder:
         return self

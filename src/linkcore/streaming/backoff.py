@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from ..arguments import check_seconds
 from ..errors import BadValue
 
 __all__ = ["Backoff"]
@@ -22,7 +23,7 @@ class Backoff:
         tries: how many tries before giving up; None tries for ever, 0 never.
 
     Raises:
-        BadValue: a negative time, a factor below 1, or a jitter outside 0 to 1.
+        BadValue: a time that is none, a factor below 1, a jitter outside 0 to 1, or no number of tries.
     """
 
     first: float = 0.1
@@ -32,8 +33,10 @@ class Backoff:
     tries: int | None = None
 
     def __post_init__(self) -> None:
-        if self.first < 0 or self.most < 0 or self.factor < 1 or not 0 <= self.jitter <= 1:
-            raise BadValue(f"{self}: times cannot be negative, factor is at least 1, jitter is 0 to 1")
+        check_seconds(self.first, "first")
+        check_seconds(self.most, "most")
+        if not (self.factor >= 1 and 0 <= self.jitter <= 1 and (self.tries is None or self.tries >= 0)):
+            raise BadValue(f"{self}; expected a factor of at least 1, a jitter from 0 to 1, and no tries below 0")
 
     def waits(self) -> Iterator[float]:
         """Seconds to wait before each try; ends when it is time to give up.

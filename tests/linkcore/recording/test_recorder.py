@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from linkcore.errors import BadRecording, Closed, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.errors import BadRecording, BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
 from linkcore.recording.file import Kind, Record, Recording, RecordingWriter
 from linkcore.recording.recorder import Recorder
@@ -90,6 +90,17 @@ def test_every_chunk_is_recorded_once_and_in_order(
     # As they were cut, too.
     assert [each.payload for each in recording if each.kind is Kind.BYTES] == chunks
     assert recorded(tmp_path / "run") == whole
+
+
+@pytest.mark.parametrize("info", [{}, {"name": 3}, {"name": "script", "firmware": b"5.11"}, {"name": "x", "y": {1, 2}}])
+def test_what_cannot_be_said_of_a_stream(stream: Stream[Count], tmp_path: Path, info: dict[str, Any]) -> None:
+    with Recorder(tmp_path / "run") as recorder:
+        with pytest.raises(BadValue, match=r"info=.*expected"):
+            recorder.add(stream, info)
+        assert repr(recorder) == f"<Recorder {tmp_path / 'run'}: 0 streams>"
+        recorder.add(stream, {"name": "script"})
+        assert repr(recorder) == f"<Recorder {tmp_path / 'run'}: 1 streams>"
+    assert Recording(tmp_path / "run").channels == {0: {"name": "script"}}
 
 
 def test_stamps_are_those_of_the_packets(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -62,8 +64,13 @@ def test_each_use_begins_anew() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"first": -1}, {"most": -0.1}, {"factor": 0.5}, {"jitter": -0.1}, {"jitter": 1.1}], ids=str
+    "wrong",
+    [
+        *({"first": value} for value in (-1, math.nan, "soon", None)),
+        *({"most": -0.1}, {"factor": 0.5}, {"factor": math.nan}, {"jitter": -0.1}, {"jitter": 1.1}, {"tries": -1}),
+    ],
+    ids=str,
 )
-def test_what_cannot_be_waited_is_refused(wrong: dict[str, float]) -> None:
+def test_what_cannot_be_waited_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue, match=f"{next(iter(wrong))}="):
-        Backoff(**wrong)  # type: ignore[arg-type]
+        Backoff(**wrong)
