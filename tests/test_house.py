@@ -37,7 +37,7 @@ THREADS = {
 BELOW: dict[str, dict[str, set[str]]] = {
     "urlink": {
         "interfaces": {"interfaces", "firmware"},
-        "firmware": {"firmware", "interfaces"},
+        "firmware": {"firmware"},
         "models": {"models", "interfaces"},
         "errors": {"errors"},
         "urscript": {"urscript", "firmware", "interfaces"},

@@ -1,10 +1,10 @@
 """Which firmware puts what on the wire: the one table.
 
-The layouts say what each field is and since when it is sent; this table says what sizes that must
-add up to, release by release, and what stands behind each row. A test holds the two against each
-other, so a release that appends fields is one row here and the fields with their `since`.
+The layouts say what each field is and since when it is sent. This table says what sizes that must add up to, release by
+release, and what stands behind each row. A test holds the two against each other, so a release that appends fields is
+one row here and the fields with their `since`.
 
-Source: reference ur-realtime section 2, ur-primary section 2.
+Sources: docs/protocols/realtime.md, section Length by firmware; docs/protocols/primary.md, section Robot state.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from typing import NamedTuple
 from linkcore.errors import BadVersion
 from linkcore.wire.version import parse_version
 
-from .interfaces.primary.robot_state import RobotState
-
 __all__ = ["NEWEST", "RELEASES", "Firmware", "Release", "infer", "release_of"]
+
+# Types of sub-packages. Kinematics and configuration come with the first state of a connection only.
+_MASTERBOARD = 3
+_FIRST_STATE_ONLY = frozenset({5, 6})
 
 
 class Firmware(NamedTuple):
@@ -98,8 +100,8 @@ class Release:
     @property
     def first_state_only(self) -> frozenset[int]:
         """Types of the sub-packages that only the first state of a connection has."""
-        # The laser pointer of the oldest firmware shares its number with the kinematics.
-        return frozenset({5, 6}) if self.state.get(5) == 225 else frozenset()
+        # The laser pointer of the oldest firmware shares its number with the kinematics, which have 225 bytes.
+        return _FIRST_STATE_ONLY if self.state.get(5) == 225 else frozenset()
 
 
 def _cb2(masterboard: int, **more: int) -> dict[int, int]:
@@ -194,16 +196,23 @@ def release_of(firmware: Firmware) -> Release:
     return (same or rows)[-1]
 
 
-def infer(state: RobotState) -> Firmware | None:
-    """The oldest firmware whose sizes are those of `state`, or None where no row has them.
+def infer(sizes: Mapping[int, int]) -> Firmware | None:
+    """The oldest firmware that sends such a robot state: what a controller without a version message is known by.
 
-    What a controller that sends no version message can be known by.
+    Args:
+        sizes: type of sub-package -> its bytes, as `RobotState.sizes`. Of the masterboard, with or without Euromap;
+            kinematics and configuration may be missing, since only the first state has them.
+
+    Returns:
+        None where no row of the table has these sizes.
     """
-    sizes = {kind: size for kind, size in state.sizes.items() if kind not in (3, 5, 6)}
-    masterboard = state.sizes.get(3)
+
+    def told(state: Mapping[int, int]) -> dict[int, int]:
+        return {kind: size for kind, size in state.items() if kind not in (_MASTERBOARD, *_FIRST_STATE_ONLY)}
+
     for row in RELEASES:
-        wanted = {kind: size for kind, size in row.state.items() if kind not in (3, 5, 6)}
+        masterboard = row.state[_MASTERBOARD]
         euromap = 12 if row.since.is_cb2 else 16
-        if sizes == wanted and masterboard in (row.state[3], row.state[3] + euromap):
+        if told(sizes) == told(row.state) and sizes.get(_MASTERBOARD) in (masterboard, masterboard + euromap):
             return row.since
     return None

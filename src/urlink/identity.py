@@ -46,7 +46,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
     until = time.monotonic() + timeout
     transport = TcpTransport(host, port, silence=min(0.1, timeout))
     transport.open(timeout)
-    session = PrimaryProtocol()
+    protocol = PrimaryProtocol()
     received = b""
     lost: ConnectionLost | None = None
     state: RobotState | None = None
@@ -61,23 +61,23 @@ def identify(host: str, port: int, timeout: float) -> Identity:
                 lost = error
                 break
             received = (received + data)[:64]
-            for frame in session.framer.feed(data):
+            for frame in protocol.framer.feed(data):
                 try:
-                    packet = session.decode(frame)
+                    packet = protocol.decode(frame)
                 except PacketError:
                     continue  # one bad packet is no reason not to know the others
                 if isinstance(packet, RobotState):
                     state = state or packet
                     configuration = configuration or packet.configuration_data
-            if session.firmware is not None and (configuration is not None or _says_no_more(session.firmware, state)):
+            if protocol.firmware is not None and (configuration is not None or _says_no_more(protocol.firmware, state)):
                 break
-            if session.firmware is not None or state is not None:
+            if protocol.firmware is not None or state is not None:
                 until = min(until, time.monotonic() + _GRACE)
     finally:
         transport.close()
-    firmware = session.firmware or (None if state is None else infer(state))
+    firmware = protocol.firmware or (None if state is None else infer(state.sizes))
     if firmware is None:
-        if session.framer.skipped:
+        if protocol.framer.skipped:
             raise WrongPeer(f"{transport.name} does not talk like a UR controller; it began with {received[:32]!r}")
         if state is not None:
             raise WrongPeer(
@@ -91,7 +91,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
         raise LinkTimeout(
             f"{transport.name} did not say who it is within {timeout:g} s; it began with {received[:32]!r}"
         )
-    return Identity(firmware, session.firmware is not None, _model_name(configuration, firmware))
+    return Identity(firmware, protocol.firmware is not None, _model_name(configuration, firmware))
 
 
 def _says_no_more(firmware: Firmware, state: RobotState | None) -> bool:

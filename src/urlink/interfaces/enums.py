@@ -1,6 +1,7 @@
-"""The numbers that stand for something. Every list stays open: see `OpenInt`.
+"""The numbers that stand for something, on all interfaces. Every list stays open: see `OpenInt`.
 
-Source: reference ur-primary section 6, which merges the vendor's lists with public decoders.
+Source: docs/protocols/primary.md, section Numbers that stand for something: the vendor's lists and those of public
+decoders, put together.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class ControlMode(OpenInt):
 
 
 class JointMode(OpenInt):
-    """State of one joint. A few numbers meant something else on CB2: see the reference."""
+    """State of one joint. On CB2, 240 was emergency stopped, 247 ADC calibration, 248 dead commutation, 251 stopped."""
 
     RESET = 235
     SHUTTING_DOWN = 236

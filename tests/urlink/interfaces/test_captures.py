@@ -502,7 +502,7 @@ def test_states_give_all_their_sub_packages(
     assert 5 + sum(len(bytes(part)) for part in state) == len(data)
     assert b"".join(map(bytes, state)) == data[5:]
     # The oldest firmware with these sizes; and told the firmware, the same comes out.
-    assert infer(state) == Firmware.parse(inferred)
+    assert infer(state.sizes) == Firmware.parse(inferred)
     (told,) = decode(data, "primary", version)
     assert told == state
     assert told.to_dict() == state.to_dict()

@@ -426,7 +426,7 @@ def test_a_firmware_that_is_not_given_is_worked_out(release: Release) -> None:
     assert decoded.sizes == dict(release.state)
     assert decoded.to_dict() == whole.to_dict()
     # By name, the oldest release with these sizes.
-    inferred = infer(decoded)
+    inferred = infer(decoded.sizes)
     assert inferred is not None
     assert inferred <= release.since
     same = {kind: size for kind, size in release_of(inferred).state.items() if kind not in (5, 6)}
@@ -434,7 +434,7 @@ def test_a_firmware_that_is_not_given_is_worked_out(release: Release) -> None:
 
 
 def test_sizes_that_no_release_has_are_no_firmware() -> None:
-    assert infer(RobotState(ToolData())) is None
+    assert infer(RobotState(ToolData()).sizes) is None
 
 
 def test_several_packets_in_one_run_of_bytes() -> None:

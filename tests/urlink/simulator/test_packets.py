@@ -93,7 +93,7 @@ def test_packets_of_every_firmware_and_model_have_the_sizes_of_the_table(release
     assert len(later) == release.state_size
     subs = [decoded(part, release.since) for part in parts(first).values()]
     assert all(sub.tail == b"" for sub in subs)
-    found = infer(RobotState(*subs))
+    found = infer(RobotState(*subs).sizes)
     # Rows of the same state sizes are told apart by the real-time packet alone.
     assert found is not None
     assert release_of(found).state_size == release.state_size

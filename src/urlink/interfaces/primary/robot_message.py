@@ -1,7 +1,7 @@
 """Robot messages (package type 20) and the other packages of the primary interface.
 
-Source: reference ur-primary, sections 3 and 4. Older layouts are recognised by what fits: where
-the new layout leaves too few bytes for its text, the old one is meant.
+Older layouts are recognised by what fits: where the new layout leaves too few bytes for its text, the old one is meant.
+Sources: docs/protocols/primary.md, sections Robot messages and Other packages, where each fact has its evidence.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The robot state (package type 16) of the primary and secondary interface, and its sub-packages.
 
-Source: reference ur-primary, section 2, where each size is graded by its evidence. Sub-packages are
-recognised by type, their layout by size, since sizes grew from release to release.
+Sub-packages are recognised by type, their layout by size, since sizes grew from release to release. No order of them
+can be relied on.
+Source: docs/protocols/primary.md, section Robot state, which has the evidence for each size and field.
 """
 
 from __future__ import annotations

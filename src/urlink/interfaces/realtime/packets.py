@@ -1,8 +1,7 @@
-"""The packet of the real-time interface (TCP 30003, read-only 30013).
+"""The packet of the real-time interface (TCP 30003, read-only 30013): every field, every length.
 
-Every field, every length. CB2 and later controllers share most offsets and order the middle
-differently; no byte but the length tells which. Source: reference ur-realtime, sections 2 to 5;
-only the 812-byte packet (CB2 1.8) is confirmed by complete real bytes.
+Only the 812-byte packet (CB2 1.8) is confirmed by complete real bytes; the others rest on public decoders that agree.
+Sources: docs/protocols/realtime.md, sections Length by firmware, Two orders of fields, What the doubles hold.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ from ..headers import REALTIME
 
 __all__ = ["RealtimeState"]
 
+# CB2 and later controllers share the offsets up to 396 and from 684 on, and order what is between differently. No byte
+# tells which order it is, only the length: up to 812 bytes it is this one.
 _CB2_ORDER = [
     "time",
     "q_target",
