@@ -10,6 +10,7 @@ option `firmware` there is only the layout of that release.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,7 +33,8 @@ from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 
 _log = logging.getLogger(__name__)
 
-_HEAD = ("offset", "field", "wire type", "n", "bytes", "end", "since", "unit", "meaning")
+# As few columns as will do: a table has to fit the page.
+_HEAD = ("offset", "end", "field", "wire type", "since", "meaning")
 
 
 class LayoutsDirective(SphinxDirective):
@@ -53,7 +55,7 @@ class LayoutsDirective(SphinxDirective):
         found: list[nodes.Node] = [nodes.paragraph("", (cls.__doc__ or "").partition("\n\n")[0].replace("\n", " "))]
         for layout in chosen:
             found.append(nodes.paragraph("", "", nodes.strong("", sizes(cls, layout))))
-            found.append(table(_HEAD, rows(layout), code=(1,)))
+            found.append(fields_table(layout))
         return found
 
 
@@ -104,21 +106,26 @@ def releases(cls: type[State], layout: Layout) -> str:
     return f" ({spans(numbers)})"
 
 
-def rows(layout: Layout) -> list[tuple[str, ...]]:
-    """The header's rows, then one for each field."""
-    found: list[tuple[str, ...]] = []
-    offset = 0
-    for name, number in layout.header.parts.items():
-        size = number.width
-        end = offset + size
-        unit, doc = ("B", "bytes of the packet, these included") if name == "size" else ("", "type byte")
-        found.append((str(offset), name, np.dtype(number.kind).name, "1", str(size), str(end), "", unit, doc))
-        offset = end
+def fields_table(layout: Layout) -> nodes.table:
+    """The header's rows, then one for each field; without the column `since` where every release sends everything."""
+    found = list(header_rows(layout))
     is_fixed = True
     for place in layout.places.values():
         found.append(row(place, is_fixed))
         is_fixed = is_fixed and place.number is not None
-    return found
+    shown = [number for number, name in enumerate(_HEAD) if name != "since" or any(each[number] for each in found)]
+    head, *body = [tuple(each[number] for number in shown) for each in (_HEAD, *found)]
+    return table(head, body, code=(head.index("field"),))
+
+
+def header_rows(layout: Layout) -> Iterator[tuple[str, ...]]:
+    """What precedes the fields."""
+    offset = 0
+    for name, number in layout.header.parts.items():
+        end = offset + number.width
+        meaning = "bytes of the packet, these included" if name == "size" else "type byte"
+        yield str(offset), str(end), name, np.dtype(number.kind).name, "", meaning
+        offset = end
 
 
 def row(place: Place, is_fixed: bool) -> tuple[str, ...]:
@@ -131,12 +138,13 @@ def row(place: Place, is_fixed: bool) -> tuple[str, ...]:
     since = "" if field.since.text == "0.0" else field.since.text.replace("/", " / ")
     if field.until is not None:
         since += f"{' ' if since else ''}until {'.'.join(map(str, field.until))}"
-    size = str(place.width * count)
     if place.number is None:
-        size, end = "", ""
+        end = ""
     if not is_fixed:
         offset, end = "", ""
-    return (offset, field.name, shape(place), str(count), size, end, since, field.unit, field.doc)
+    kind = shape(place) if place.count is None else f"{count} × {shape(place)}"
+    meaning = f"{field.doc} [{field.unit}]" if field.unit else field.doc
+    return offset, end, field.name, kind, since, meaning
 
 
 def shape(place: Place) -> str:
