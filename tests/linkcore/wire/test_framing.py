@@ -139,7 +139,7 @@ def test_a_peer_that_sends_no_packet_is_given_up() -> None:
     assert framer.feed(TWO) == [TWO]
     # And without a limit nobody is doubted, not even who says that he is somebody else.
     framer = Framer(HashBoundary(), limit=None)
-    assert framer.feed(b"wauwau" * 100_000 + ONE) == [ONE]
+    assert framer.feed(b"wauwau" * 1000 + ONE) == [ONE]
 
 
 @pytest.mark.property

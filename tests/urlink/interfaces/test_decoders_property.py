@@ -52,7 +52,7 @@ def name_of(layout: StateLayout) -> str:
     return f"{layout.packet.__name__}-{'.'.join(map(str, layout.first))}{block}"
 
 
-# For what looks at fifteen packets at once.
+# For what looks at fifteen packets at once, or draws a value for each of fifty fields.
 FEWER = settings(max_examples=max(settings().max_examples // 3, 1))
 
 every_layout = pytest.mark.parametrize("layout", LAYOUTS, ids=name_of)
@@ -218,6 +218,7 @@ def values(layout: StateLayout) -> st.SearchStrategy[dict[str, Any]]:
 
 
 @every_layout
+@FEWER
 @given(data=st.data())
 def test_what_is_encoded_is_decoded(layout: StateLayout, data: st.DataObject) -> None:
     given_values = data.draw(values(layout))

@@ -122,6 +122,9 @@ def test_whole_streams(release: Release) -> None:
             assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
 
 
+#: So many that the largest size which a forged header can declare ends among them.
+MANY_PACKETS = [realtime(n) for n in (1, 2, 3)]
+MANY_STATES = [robot_state(number=n) for n in range(120)]
 GOOD_PACKAGES = [VERSION, MESSAGE_12, KEY, MODBUS, VARIABLES, UNKNOWN, robot_state(), robot_state(first=True), LEAK_560]
 
 damage: st.SearchStrategy[Callable[[bytes], bytes]] = st.one_of(
@@ -198,9 +201,7 @@ def test_arbitrary_bytes_keep_the_books_and_the_bound(kind: Session, chunks: lis
         return
     # After a good packet nobody is somebody else, and the next good packets are found whatever came.
     first = realtime(0) if kind is RealtimeProtocol else VERSION
-    later = (
-        [realtime(n) for n in (1, 2, 3)] if kind is RealtimeProtocol else [robot_state(number=n) for n in range(120)]
-    )
+    later = MANY_PACKETS if kind is RealtimeProtocol else MANY_STATES
     frames, framer = fed(kind, first, *chunks, *later)
     assert frames[0] == first
     assert frames[-1] == later[-1]
