@@ -1,0 +1,1 @@
+"""SMR-CL: the mission language of DTU's mobile robots, executed in Python."""

@@ -1,0 +1,228 @@
+"""The main loop of a mission, one cycle per answer of the robot, without a robot, a clock or a thread.
+
+::
+
+    controller = Controller(conf, read, write, profile=MRC)
+    controller.load(source)
+    request = controller.first_request()
+    while not controller.is_finished:
+        raw = exchange(request)                # the robot's read variables, by name
+        request = controller.step(raw)         # what is to be written next
+    exchange(request)                          # the robot stands
+
+The order within a cycle is that of MRC: sensors, odometry, script, motion control, watches, log. What a cycle writes
+acts on the robot from its next answer on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from .arithmetic import format_number
+from .dialogue import Dialogue
+from .effects import Hook, MissionEffects
+from .expressions import Fault
+from .interpreter import Failure, Interpreter, Limits, Run
+from .motion.topoint import NoWay
+from .outbox import Outbox, Said
+from .plan import Plan, split_lines
+from .profile import SOUND, Profile
+from .robot_conf import RobotConf
+from .vehicle import Vehicle
+
+__all__ = ["Controller", "Program", "Script"]
+
+#: Cycles before the first line: the sensors' filters settle, and MRC's clients count on it.
+_WARM_UP = 20
+
+
+class Program(Protocol):
+    """What a controller executes: a script, or a dialogue with clients."""
+
+    @property
+    def run(self) -> Run | None:
+        """The plan that is executed."""
+
+    def step(self) -> bool:
+        """One cycle; whether it is over."""
+
+
+@dataclass
+class Script:
+    """One plan, executed once.
+
+    Attributes:
+        interpreter: executes its lines.
+        run: its execution.
+    """
+
+    interpreter: Interpreter
+    plan: Plan
+    run: Run = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.run = Run(self.plan)
+
+    def step(self) -> bool:
+        """One cycle; whether the script is over."""
+        return self.interpreter.step(self.run)
+
+
+class Controller:
+    """Executes a mission cycle by cycle.
+
+    Args:
+        conf: what the robot is.
+        read: length of each of its read variables, by name.
+        write: the values of its write variables, by name.
+        profile: as MRC does it, or sound.
+        functions: further functions for expressions.
+        hooks: what fulfils commands that need hardware.
+        limits: bounds.
+
+    Attributes:
+        vehicle: the robot.
+        interpreter: executes lines.
+        effects: what commands do.
+        failure: why the mission ended early; None if it did not.
+        is_finished: the mission is over: what `step` returned last has the robot stand.
+        cycle: cycles so far; -1 before the first.
+    """
+
+    def __init__(
+        self,
+        conf: RobotConf,
+        read: Mapping[str, int],
+        write: Mapping[str, Sequence[int]],
+        *,
+        profile: Profile = SOUND,
+        functions: Mapping[str, Callable[..., float]] | None = None,
+        hooks: Mapping[str, Hook] | None = None,
+        limits: Limits | None = None,
+    ) -> None:
+        self.vehicle = Vehicle(conf, read, write, profile)
+        self._outbox = Outbox()
+        self.vehicle.control.say = self._say_of_motion
+        self.interpreter = Interpreter(self.vehicle, self._outbox, functions or {}, limits or Limits())
+        self.effects = MissionEffects(self.vehicle, self.interpreter, self._outbox, self._outbox, hooks or {})
+        self.interpreter.effects = self.effects
+        self._profile = profile
+        self._program: Program | None = None
+        self.failure: Failure | None = None
+        self.is_finished = False
+        self.cycle = -1
+        self._is_begun = False
+        self._was_blocked = False
+
+    def _say_of_motion(self, text: str) -> None:
+        if not self._profile.checks_first:
+            self._outbox.message(text)
+
+    # -- what is executed -------------------------------------------------------------------------------
+
+    def load(self, source: str, name: str = "") -> Plan:
+        """Execute a script."""
+        plan = Plan(list(split_lines(source, cuts=not self._profile.checks_first)), name)
+        self._program = Script(self.interpreter, plan)
+        return plan
+
+    def serve(self, *, exit_ends: bool | None = None) -> Dialogue:
+        """Execute what clients send. `exit` ends all of it under MRC's profile, and otherwise only that client."""
+        ends = not self._profile.client_loss_stops if exit_ends is None else exit_ends
+        dialogue = Dialogue(self.vehicle, self.interpreter, self.effects, self._outbox, exit_ends=ends)
+        self._program = dialogue
+        return dialogue
+
+    @property
+    def run(self) -> Run | None:
+        """The plan that is executed."""
+        return None if self._program is None else self._program.run
+
+    def take_said(self) -> list[Said]:
+        """What the mission said since the last call."""
+        return self._outbox.take()
+
+    # -- cycles -----------------------------------------------------------------------------------------
+
+    def first_request(self) -> dict[str, list[int]]:
+        """What is to be written before the first answer."""
+        self.vehicle.reset_motors()
+        return self.vehicle.take_changed()
+
+    def step(self, raw: Mapping[str, Sequence[int]], time: float = 0.0) -> dict[str, list[int]]:
+        """One cycle.
+
+        Args:
+            raw: the robot's read variables.
+            time: ``$time``, s.
+
+        Returns:
+            What is to be written next, by name.
+        """
+        vehicle = self.vehicle
+        if not self._is_begun:
+            self._is_begun = True
+            vehicle.begin(raw)
+            return {}
+        self.cycle += 1
+        self.interpreter.time = time
+        vehicle.sense(raw)
+        is_over = False
+        if self.cycle > _WARM_UP:
+            is_over = self._program is None or self._program.step()
+            run = self.run
+            if run is not None and run.failure is not None and isinstance(self._program, Script):
+                self.failure = run.failure
+        if self.is_held:
+            written = vehicle.stand()
+        else:
+            written, is_blocked = self._act()
+            is_over = is_over or is_blocked
+        self._supervise()
+        self.effects.log.update()
+        if is_over or self.failure is not None or vehicle.is_told_to_stop:
+            self.is_finished = True
+            written.update(vehicle.stand())
+        return written
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the mission stands at a breakpoint."""
+        run = self.run
+        return run is not None and run.is_held
+
+    def _act(self) -> tuple[dict[str, list[int]], bool]:
+        try:
+            return self.vehicle.act(), False
+        except NoWay as error:
+            self._fail(str(error))
+            return self.vehicle.stand(), True
+
+    def _fail(self, reason: str) -> None:
+        run = self.run
+        line = None if run is None else run.line
+        self.failure = Failure(reason, 0, 0, "") if line is None else Failure(reason, line.number, 0, line.text)
+
+    def _supervise(self) -> None:
+        """The status of motion control, and the watches."""
+        is_blocked = self.vehicle.control.is_blocked
+        if is_blocked != self._was_blocked:
+            self._was_blocked = is_blocked
+            self._tell("motioncontrol status changed\n", '<motioncontrol status="changed" />\n')
+        for watch in self.effects.watches:
+            try:
+                has_risen = watch.update(self.interpreter)
+            except Fault as fault:
+                self._fail(f'watch "{watch.name}": {fault}')
+                return
+            if has_risen:
+                time = format_number(self.interpreter.time)
+                self._tell(f"watch {watch.name} fired {time} \n", f'<watch name="{watch.name}" time="{time}" /> \n')
+
+    def _tell(self, plain: str, xml: str) -> None:
+        if isinstance(self._program, Dialogue):
+            self._program.tell(plain, xml)
+        else:
+            self._outbox.event(plain.strip())

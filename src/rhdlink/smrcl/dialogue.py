@@ -1,0 +1,493 @@
+"""The server side of a mission: commands from clients instead of a file, as MRC takes them on its port.
+
+Lines of text, each with at most 255 characters. Some words are answered at once (`eval`, `getevent`, `beginplan`, ...);
+everything else is a command, which is queued and executed when it is its turn. What becomes of a command is told by
+events, which a client fetches one by one with `getevent`, or gets at once in the xml form (``set "xmlon" 1``).
+
+There is one queue for all clients, since there is one robot; ids, events, streams and the form belong to each client.
+No socket is here: bytes come in by `Session.receive` and go out by `Session.take`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .arithmetic import format_number, leading_number
+from .effects import MissionEffects
+from .interpreter import ERROR, FREE_LINE, Failure, Interpreter, Run
+from .motion.standing import Stop
+from .outbox import Outbox
+from .plan import LONGEST_LINE, Plan, PlanLine
+from .vehicle import Vehicle
+
+__all__ = ["Dialogue", "Session"]
+
+#: Commands that wait, events of a client, and plans: as in MRC.
+MOST_COMMANDS, MOST_EVENTS, MOST_PLANS = 400, 100, 10
+#: Lines of a plan. MRC has 100000 bytes for them.
+MOST_PLAN_LINES = 5000
+#: Variables in a stream, as in MRC.
+MOST_STREAMED = 20
+#: Bytes that wait to be sent to a client before it is given up, and lines that are taken in one cycle.
+_MOST_WAITING, _MOST_LINES = 1 << 20, 400
+
+
+class Session:
+    """One client.
+
+    Attributes:
+        is_closed: it has said goodbye, or was given up; nothing more is taken from it.
+        uses_xml: the form of its events.
+    """
+
+    def __init__(self, dialogue: Dialogue) -> None:
+        self._dialogue = dialogue
+        self._line = bytearray()
+        self._lines: deque[str] = deque()
+        self._after = 0
+        self._answers = bytearray()
+        self._events: deque[str] = deque()
+        self._waiting: int | None = None
+        self._streamed: list[tuple[str, int]] = []
+        self._stream_period = 1
+        self.commands = 0
+        self.uses_xml = False
+        self.is_closed = False
+        self.recorded: Plan | None = None
+
+    # -- bytes --------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes) -> None:
+        """Take what has come. Lines end with CR, LF, or both in either order."""
+        if self.is_closed:
+            return
+        for byte in data:
+            if byte in (10, 13):
+                if self._after and byte != self._after:
+                    # The second half of the end of a line.
+                    self._after = 0
+                    continue
+                self._after = byte
+                self._lines.append(self._line.decode("latin-1"))
+                self._line.clear()
+            else:
+                self._after = 0
+                self._line.append(byte)
+                if len(self._line) > LONGEST_LINE:
+                    self.send(f"error a line has at most {LONGEST_LINE} characters\n")
+                    self.is_closed = True
+                    return
+
+    def take(self) -> bytes:
+        """What is to be sent, which is then forgotten."""
+        answers, self._answers = bytes(self._answers), bytearray()
+        return answers
+
+    def send(self, text: str) -> None:
+        """Send a text, unless the client takes nothing any more."""
+        self._answers += text.encode("latin-1", "replace")
+        if len(self._answers) > _MOST_WAITING:
+            self.is_closed = True
+
+    def next_line(self) -> str | None:
+        """The next line, or None."""
+        return self._lines.popleft() if self._lines else None
+
+    # -- what the client is told ----------------------------------------------------------------------
+
+    def event(self, plain: str, xml: str) -> None:
+        """Send an event in the xml form, or keep it until it is asked for.
+
+        Of more than `MOST_EVENTS` the newest are lost, as in MRC.
+        """
+        if self.uses_xml:
+            self.send(xml)
+        elif len(self._events) < MOST_EVENTS:
+            self._events.append(plain)
+
+    def command_event(self, number: int, status: str, condition: float | None = None) -> None:
+        """What has become of a command."""
+        if condition is None:
+            self.event(f"ID{number} {status}\n", f'<cmd id="{number}" status="{status}" />\n')
+        else:
+            found = format_number(condition)
+            self.event(
+                f"ID{number} {status} {found}\n", f'<cmd id="{number}" status="finished" stopcond="{found}" />\n'
+            )
+
+    def answer_command(self, number: int, status: str) -> None:
+        """What is told about a command at once."""
+        self.send(f'<cmd id="{number}" status="{status}" />\n' if self.uses_xml else f"ID{number} {status}\n")
+
+    def ask_event(self, seconds: float) -> None:
+        """Send the oldest event, or the next one within some seconds. Asking again replaces the question."""
+        if self._events:
+            self.send(self._events.popleft())
+        else:
+            self._waiting = int(max(-(2.0**31), min(2.0**31, seconds * 100)))
+
+    def end_cycle(self) -> None:
+        """Answer who waits for an event, or say that none came."""
+        if self._waiting is None:
+            return
+        if self._events:
+            self.send(self._events.popleft())
+            self._waiting = None
+        elif self._waiting < 1:
+            self.send("eventtimeout\n")
+            self._waiting = None
+        else:
+            self._waiting -= 1
+
+    def begin_cycle(self, cycle: int, time: float, pool: Sequence[float]) -> None:
+        """Send the streamed variables when it is time."""
+        if self._streamed and cycle % self._stream_period == 0:
+            self._send_streamed(self._streamed, time, pool)
+
+    def _send_streamed(self, variables: Sequence[tuple[str, int]], time: float, pool: Sequence[float]) -> None:
+        if self.uses_xml:
+            values = "".join(f'{name}="{format_number(pool[place])}" ' for name, place in variables)
+            self.send(f'<data time="{format_number(time)}" {values} />\n')
+        else:
+            values = "".join(f"{format_number(pool[place])} " for _, place in variables)
+            self.send(f"stream {format_number(time)} {values}\n")
+
+    # -- what a script says to its client (effects.Client) ----------------------------------------------
+
+    def text(self, text: str) -> None:
+        """`print`, `read`."""
+        self.send(text)
+
+    def user_event(self, name: str) -> None:
+        """`putevent`."""
+        self.event(f"userevent {name}\n", f'<userevent name="{name}" />\n')
+
+    def sync_event(self, name: str) -> None:
+        """`syncevent`: not queued in either form."""
+        self.send(f"syncevent {name}\n")
+
+    def set_xml(self, is_on: bool) -> None:
+        """``set "xmlon"``. Events that wait stay where they are."""
+        self.uses_xml = is_on
+
+    def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
+        """`stream`: add variables, and send all of them in each `period`-th cycle; with 0 send these once."""
+        dialogue = self._dialogue
+        if period == 0:
+            self._send_streamed(variables, dialogue.time, dialogue.pool)
+            return
+        self._stream_period = abs(period)
+        for each in variables[: MOST_STREAMED - len(self._streamed)]:
+            self._streamed.append(each)
+            dialogue.say(f"streamvar {each[0]} {len(self._streamed)} \n")
+
+    def save_log(self, name: str, text: str) -> None:
+        """`control "savelog"`."""
+        self._dialogue.save_log(name, text)
+
+
+@dataclass
+class _Queued:
+    """A command that waits, or runs."""
+
+    session: Session
+    number: int
+    text: str
+
+
+class Dialogue:
+    """Executes what clients send, stepped once per cycle.
+
+    Args:
+        vehicle: what moves.
+        interpreter: executes lines.
+        effects: what commands do.
+        outbox: is told what MRC prints, and takes the place of a client that has gone.
+        exit_ends: a client's `exit` ends the dialogue, as it ends MRC; otherwise only that client.
+
+    Attributes:
+        sessions: the clients.
+        failures: of commands, the newest last.
+        time: ``$time`` of this cycle.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        interpreter: Interpreter,
+        effects: MissionEffects,
+        outbox: Outbox,
+        *,
+        exit_ends: bool,
+    ) -> None:
+        self._vehicle = vehicle
+        self._interpreter = interpreter
+        self._effects = effects
+        self._outbox = outbox
+        self._exit_ends = exit_ends
+        self._profile = vehicle.profile
+        self.pool: Sequence[float] = vehicle.symbols.pool
+        self.sessions: list[Session] = []
+        self.failures: deque[Failure] = deque(maxlen=100)
+        self.time = 0.0
+        self._queue: deque[_Queued] = deque()
+        self._plans: list[Plan] = []
+        self._run: Run | None = None
+        self._current: _Queued | None = None
+        # MRC leaves the result of the command before in place, where an empty plan ends with it.
+        self._result = 0.0
+        self._cycles = -1
+        self._is_ending = False
+
+    # -- clients --------------------------------------------------------------------------------------
+
+    def connect(self) -> Session:
+        """A new client."""
+        session = Session(self)
+        self.sessions.append(session)
+        return session
+
+    def disconnect(self, session: Session) -> None:
+        """A client has gone.
+
+        Under the sound profile its commands are flushed, and if one of them was running the robot stops.
+        """
+        session.is_closed = True
+        if session not in self.sessions:
+            return
+        self.sessions.remove(session)
+        if not self._profile.client_loss_stops:
+            return
+        self._queue = deque(each for each in self._queue if each.session is not session)
+        if self._current is not None and self._current.session is session:
+            self._run = self._current = None
+            self._interpreter.leave_switch()
+            self._vehicle.control.finish()
+
+    @property
+    def waiting(self) -> int:
+        """Commands in the queue."""
+        return len(self._queue)
+
+    @property
+    def run(self) -> Run | None:
+        """What is executed."""
+        return self._run
+
+    # -- cycles ---------------------------------------------------------------------------------------
+
+    def step(self) -> bool:
+        """One cycle; whether the dialogue is over."""
+        self._cycles += 1
+        self.time = self._interpreter.time
+        for session in self.sessions:
+            session.begin_cycle(self._cycles, self.time, self.pool)
+        is_over = self._is_ending
+        if is_over:
+            self._run = None
+            self._vehicle.control.start(Stop())
+        else:
+            for session in list(self.sessions):
+                self._take_lines(session)
+            self._go_on()
+        if self._run is None:
+            period = self._vehicle.control.parameters.period
+            self._vehicle.update_variables(self._vehicle.odometry.distance, self._cycles * period, self.time)
+        for session in self.sessions:
+            session.end_cycle()
+        return is_over
+
+    def tell(self, plain: str, xml: str) -> None:
+        """Tell every client of something that the robot did."""
+        for session in self.sessions:
+            session.event(plain, xml)
+
+    def say(self, text: str) -> None:
+        """Something that MRC prints."""
+        self._outbox.message(text)
+
+    def save_log(self, name: str, text: str) -> None:
+        """`control "savelog"`."""
+        self._outbox.save_log(name, text)
+
+    def _take_lines(self, session: Session) -> None:
+        for _ in range(_MOST_LINES):
+            line = session.next_line()
+            if line is None or session.is_closed:
+                return
+            self._take_line(session, line)
+
+    def _take_line(self, session: Session, line: str) -> None:
+        # The order matters, since only the beginning of the line is looked at: `planet` is a line of a plan.
+        if line.startswith("exit"):
+            session.send("ok\n")
+            self._leave(session)
+        elif line.startswith("logoff"):
+            session.send("ok\n")
+            self.disconnect(session)
+        elif not line:
+            pass
+        elif line.startswith("beginplan"):
+            self._begin_plan(session, line[9:])
+        elif line.startswith("deleteplan"):
+            self._delete_plan(line[10:])
+            session.send("ok\n")
+        elif line.startswith("endplan"):
+            self._end_plan(session, line[7:])
+        elif line.startswith("plan"):
+            self._add_to_plan(session, line[4:])
+        elif line.startswith("getevent"):
+            session.ask_event(leading_number(line[8:]) or 0.0)
+        elif line.startswith("eval"):
+            session.send(self._evaluate(session, line))
+        elif line.startswith("setvar"):
+            # Answered by nothing, also when it is wrong.
+            self._effects.client = session
+            self._interpreter.perform_aside(f"set   {line[6:]}")
+        elif line.startswith("laserscan"):
+            session.send(self._laser_scan())
+        elif line.startswith("flushcmds"):
+            self._flush(session)
+        else:
+            self._enqueue(session, line)
+
+    def _leave(self, session: Session) -> None:
+        if self._exit_ends:
+            self._is_ending = True
+        else:
+            self.disconnect(session)
+
+    def _enqueue(self, session: Session, line: str) -> None:
+        session.commands += 1
+        if len(self._queue) >= MOST_COMMANDS:
+            session.answer_command(session.commands, "refused")
+            return
+        self._queue.append(_Queued(session, session.commands, line))
+        session.answer_command(session.commands, "queued")
+
+    def _flush(self, session: Session) -> None:
+        self._queue.clear()
+        self._run = None
+        self._interpreter.leave_switch()
+        if self._profile.flush_stops:
+            self._vehicle.control.finish()
+        current = self._current
+        session.answer_command(0 if current is None else current.number, "flushed")
+
+    def _evaluate(self, session: Session, line: str) -> str:
+        values = self._interpreter.evaluate(line)
+        if values is None:
+            return "syntaxerror\n"
+        if not session.uses_xml:
+            return "".join(f"{format_number(value)} " for value in values) + "\n"
+        found = "<eval "
+        # The names are cut out of the line: behind "eval $" the first, two characters behind the last one each other.
+        place = 6
+        for value in values:
+            end = line.find(";", place) if place <= len(line) else -1
+            end = len(line) if end < 0 else end
+            found += f'{line[place:end]}="{format_number(value)}" '
+            place = end + 2
+        return f"{found}/>\n"
+
+    def _laser_scan(self) -> str:
+        # 361 values of two bytes. No laser scanner is known here, and MRC sends zeros without one.
+        return "\0" * 722
+
+    # -- plans ----------------------------------------------------------------------------------------
+
+    def _begin_plan(self, session: Session, name: str) -> None:
+        if len(self._plans) < MOST_PLANS:
+            session.recorded = Plan([], name)
+            self._plans.append(session.recorded)
+            self.say(f"beginplan {name}\n")
+            session.send("ok\n")
+        else:
+            # MRC says ok, and adds the lines to the plan before.
+            session.recorded = None
+            session.send(f"error there are {MOST_PLANS} plans already\n")
+
+    def _add_to_plan(self, session: Session, text: str) -> None:
+        plan = session.recorded
+        if plan is None or len(plan.lines) >= MOST_PLAN_LINES:
+            session.send("error no plan has begun, or it is too long\n")
+            return
+        plan.append(PlanLine(text.lstrip(" \t"), len(plan.lines) + 1))
+        self.say(f"plan {text}\n")
+        session.send("ok\n")
+
+    def _end_plan(self, session: Session, text: str) -> None:
+        lines = [] if session.recorded is None else session.recorded.lines
+        self.say("\n" + "".join(f"{line.text}\0" for line in lines) + f"endplan {text}\n")
+        # MRC prints addresses; these count from the beginning of the plan.
+        size = sum(len(line.text) + 1 for line in lines)
+        labels = 0 if session.recorded is None else session.recorded.labels
+        self.say(f"start 0 end {size:x}  label 0 nlabels {labels}\n")
+        session.send("ok\n")
+
+    def _delete_plan(self, name: str) -> None:
+        for plan in self._plans:
+            if self._is_named(plan, name):
+                self._plans.remove(plan)
+                return
+
+    def _is_named(self, plan: Plan, name: str) -> bool:
+        # MRC takes the blank before a name for a part of it.
+        return plan.name == name or (self._profile.names_are_checked and plan.name.strip() == name.strip())
+
+    # -- the queue ------------------------------------------------------------------------------------
+
+    def _go_on(self) -> None:
+        """Go on with the present command, and begin others until one takes time."""
+        left = MOST_COMMANDS
+        while True:
+            run, current = self._run, self._current
+            if run is not None and current is not None:
+                self._effects.client = current.session
+                if not self._interpreter.step(run):
+                    return
+                self._finish(run, current)
+            elif self._queue:
+                self._begin(self._queue.popleft())
+            left -= 1
+            if self._run is not None or not self._queue or left < 0:
+                return
+
+    def _begin(self, queued: _Queued) -> None:
+        self._current = queued
+        self._effects.client = session = queued.session
+        run = Run(self._plan(queued.text), self._result)
+        if not self._interpreter.step(run):
+            self._run = run
+            session.command_event(queued.number, "started")
+            return
+        self._keep(run)
+        if run.result == ERROR:
+            session.command_event(queued.number, "syntaxerror")
+        elif run.result == FREE_LINE:
+            session.command_event(queued.number, "assignment")
+        else:
+            session.command_event(queued.number, "stopcond", run.result)
+
+    def _finish(self, run: Run, current: _Queued) -> None:
+        self._run = None
+        self._keep(run)
+        # A plan whose last line took no time ends without a word.
+        if run.result != FREE_LINE:
+            current.session.command_event(current.number, "stopcond", run.result)
+
+    def _keep(self, run: Run) -> None:
+        self._result = run.result
+        if run.failure is not None:
+            self.failures.append(run.failure)
+
+    def _plan(self, text: str) -> Plan:
+        if not text.startswith("runplan"):
+            return Plan([PlanLine(text, 1)])
+        for plan in self._plans:
+            if self._is_named(plan, text[7:]):
+                return Plan(plan.lines, plan.name)
+        # MRC executes a line of two blanks instead.
+        return Plan([PlanLine("  ", 1)])

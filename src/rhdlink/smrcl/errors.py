@@ -1,0 +1,79 @@
+"""What can go wrong with a mission.
+
+Branches of the tree in `linkcore.errors`::
+
+    LinkError
+    └── LocalError
+        ├── BadMission          the script cannot be run: every mistake in it, with line and column
+        └── MissionFailed       a mission ended because of a line that could not be executed
+            └── MissionLimit    a bound that keeps a mission from running away
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from linkcore.errors import LocalError
+
+__all__ = ["BadMission", "MissionFailed", "MissionLimit", "Mistake"]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something in a script that cannot work.
+
+    Attributes:
+        line: of the file, from 1.
+        column: from 1; 0 for the whole line.
+        message: what is wrong, and what was expected.
+    """
+
+    line: int
+    column: int
+    message: str
+
+    def __str__(self) -> str:
+        place = f"line {self.line}" + (f", column {self.column}" if self.column else "")
+        return f"{place}: {self.message}"
+
+
+class BadMission(LocalError, ValueError):
+    """A script that cannot be run.
+
+    Attributes:
+        source: name of the script.
+        mistakes: all of them, in the order of the file.
+    """
+
+    def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
+        self.source = source
+        self.mistakes = tuple(mistakes)
+        super().__init__("; ".join(f"{source}: {mistake}" for mistake in self.mistakes))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (type(self), (self.source, self.mistakes))
+
+
+class MissionFailed(LocalError):
+    """A mission ended because of a line that could not be executed, or of something that it needs and has not.
+
+    Attributes:
+        line: of the file, from 1; 0 where no line is at fault.
+        text: of the line.
+        reason: what was wrong.
+    """
+
+    def __init__(self, reason: str, line: int = 0, text: str = "") -> None:
+        self.reason = reason
+        self.line = line
+        self.text = text
+        place = f"line {line} ({text.strip()}): " if line else ""
+        super().__init__(f"{place}{reason}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (type(self), (self.reason, self.line, self.text))
+
+
+class MissionLimit(MissionFailed):
+    """A mission went beyond a bound: an endless loop that takes no time, calls within calls, too many values."""

@@ -1,0 +1,189 @@
+"""Expressions as Python functions.
+
+An expression is compiled once and evaluated many times: a condition in each cycle. A variable of the script is looked
+up by name each time, since the script may make it at any moment; a system variable is looked up once. Nothing is
+short-circuited: both sides of ``|`` and ``&`` are evaluated.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+
+from .arithmetic import (
+    BINARY_FUNCTIONS,
+    UNARY_FUNCTIONS,
+    divide,
+    power,
+    remainder_inclusive,
+    remainder_modulo,
+    truncate,
+)
+from .profile import Profile
+from .symbols import Symbol, Symbols
+from .syntax import Call, Element, Expression, Negate, Number, Variable
+
+__all__ = ["BEYOND", "Compiler", "Fault", "Value"]
+
+#: A compiled expression.
+Value = Callable[[], float]
+
+#: What MRC reads beyond an array: the address of the array's name, taken for a double. It prints as 0 and is true.
+BEYOND = 4.6e-310
+
+_COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
+    "==": operator.eq,
+    "!=": operator.ne,
+    ">": operator.gt,
+    "<": operator.lt,
+    ">=": operator.ge,
+    "<=": operator.le,
+}
+_ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": divide,
+    "^": power,
+}
+
+
+class Fault(Exception):
+    """A line cannot be executed. It ends the plan, and never leaves the interpreter.
+
+    Attributes:
+        column: of what is wrong in the line, from 1; 0 for the whole line.
+        is_limit: a bound was reached.
+    """
+
+    def __init__(self, message: str, column: int = 0, *, is_limit: bool = False) -> None:
+        super().__init__(message)
+        self.column = column
+        self.is_limit = is_limit
+
+
+class Compiler:
+    """Compiles expressions over one set of variables.
+
+    Args:
+        symbols: the variables.
+        profile: of `rem`, and of what lies beyond an array.
+        functions: further functions, by name: those of the user.
+    """
+
+    #: Counters of `ntrue`.
+    COUNTERS = 10
+
+    def __init__(self, symbols: Symbols, profile: Profile, functions: Mapping[str, Callable[..., float]]) -> None:
+        self._symbols = symbols
+        self._profile = profile
+        self._counters = [0] * self.COUNTERS
+        self._functions: dict[str, Callable[..., float]] = {
+            **UNARY_FUNCTIONS,
+            **BINARY_FUNCTIONS,
+            "rem": remainder_modulo if profile.rem_excludes_divisor else remainder_inclusive,
+            "ntrue": self._count_true,
+        }
+        self._functions.update(functions)
+
+    def reset_counter(self, number: int) -> bool:
+        """Set a counter of `ntrue` to 0; False if there is no such counter."""
+        if not 0 <= number < self.COUNTERS:
+            return False
+        self._counters[number] = 0
+        return True
+
+    def find(self, variable: Variable) -> Symbol:
+        """The symbol of a variable.
+
+        Raises:
+            Fault: there is none.
+        """
+        if variable.is_system:
+            symbol = self._symbols.find_system(variable.name)
+            if symbol is None:
+                raise Fault(f"the robot has no system variable ${variable.name}", variable.column)
+            return symbol
+        found = self._symbols.user.get(variable.name)
+        if found is None:
+            raise Fault(f"there is no variable {variable.name}; it is made by assigning to it", variable.column)
+        return found
+
+    def compile(self, expression: Expression) -> Value:
+        """A function that evaluates it, and raises `Fault` where it cannot."""
+        if isinstance(expression, Number):
+            value = expression.value
+            return lambda: value
+        if isinstance(expression, Variable):
+            return self._variable(expression)
+        if isinstance(expression, Element):
+            return self._element(expression)
+        if isinstance(expression, Call):
+            return self._call(expression)
+        if isinstance(expression, Negate):
+            operand = self.compile(expression.operand)
+            return lambda: -operand()
+        left, right = self.compile(expression.left), self.compile(expression.right)
+        if expression.operator == "|":
+            return lambda: 1.0 if (left() != 0.0) | (right() != 0.0) else 0.0
+        if expression.operator == "&":
+            return lambda: 1.0 if (left() != 0.0) & (right() != 0.0) else 0.0
+        compare = _COMPARISONS.get(expression.operator)
+        if compare is not None:
+            return lambda: 1.0 if compare(left(), right()) else 0.0
+        calculate = _ARITHMETIC[expression.operator]
+        return lambda: calculate(left(), right())
+
+    def _variable(self, variable: Variable) -> Value:
+        pool = self._symbols.pool
+        if variable.is_system and (symbol := self._symbols.find_system(variable.name)) is not None:
+            place = symbol.place
+            return lambda: pool[place]
+        user = self._symbols.user
+
+        def value() -> float:
+            found = None if variable.is_system else user.get(variable.name)
+            return pool[(found or self.find(variable)).place]
+
+        return value
+
+    def _element(self, element: Element) -> Value:
+        pool = self._symbols.pool
+        index = self.compile(element.index)
+
+        def value() -> float:
+            symbol = self.find(element.array)
+            place = truncate(index())
+            if 0 <= place < symbol.size:
+                return pool[symbol.place + place]
+            if self._profile.indices_are_checked:
+                raise self.beyond(element.array, symbol, place)
+            return BEYOND
+
+        return value
+
+    @staticmethod
+    def beyond(array: Variable, symbol: Symbol, index: int) -> Fault:
+        """The fault of an index that is beyond an array."""
+        name = f"${array.name}" if array.is_system else array.name
+        what = f"values {name}[0] to {name}[{symbol.size - 1}]" if symbol.size > 1 else "one value"
+        return Fault(f"index {index} is beyond {name}, which has {what}", array.column)
+
+    def _call(self, call: Call) -> Value:
+        function = self._functions[call.name]
+        arguments = [self.compile(each) for each in call.arguments]
+        if len(arguments) == 1:
+            only = arguments[0]
+            return lambda: function(only())
+        if len(arguments) == 2:
+            first, second = arguments
+            return lambda: function(first(), second())
+        return lambda: function(*[each() for each in arguments])
+
+    def _count_true(self, number: float, condition: float) -> float:
+        if not 0 <= number <= self.COUNTERS - 1:
+            return -1.0
+        counter = int(number)
+        if condition != 0.0:
+            self._counters[counter] += 1
+        return float(self._counters[counter])

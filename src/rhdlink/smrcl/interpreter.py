@@ -1,0 +1,669 @@
+"""Executes lines, one plan at a time, stepped once per cycle.
+
+A line is read in one cycle, and from the next one on its default end and its stop conditions are tested, until one of
+them is true; then the next line is read in the cycle after that. Lines that take no time (assignments, `if`, `goto` and
+the like) are followed by the next one in the same cycle. This is the state machine `sm_interp` of MRC.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from .arithmetic import format_number, leading_number, truncate
+from .commands import COMMANDS
+from .expressions import Compiler, Fault, Value
+from .lexer import TokenType, tokenize
+from .parser import FUNCTIONS, Parser
+from .plan import Plan, PlanLine
+from .syntax import (
+    Assign,
+    Case,
+    Command,
+    Element,
+    EndSwitch,
+    Evaluate,
+    If,
+    Number,
+    Operand,
+    SpeedSetting,
+    Statement,
+    Switch,
+    Text,
+    WaitFor,
+)
+from .vehicle import Vehicle
+
+__all__ = ["Effects", "Failure", "Interpreter", "Limits", "Outcome", "Output", "Run", "never"]
+
+
+class Outcome(enum.Enum):
+    """How a line goes on."""
+
+    #: The line takes time: it is over when its end or a condition is true.
+    WAIT = 0
+    #: The next line follows in the same cycle.
+    NEXT = 1
+
+
+class Output(Protocol):
+    """Takes what a mission says."""
+
+    def line(self, number: int, line: PlanLine) -> None:
+        """A line is about to be executed; `number` counts all lines executed so far."""
+
+    def values(self, text: str) -> None:
+        """What `eval` has computed."""
+
+    def message(self, text: str) -> None:
+        """What a command, or an error, has to say."""
+
+
+class Effects(Protocol):
+    """What commands do; see `rhdlink.smrcl.effects`."""
+
+    def perform(self, name: str, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]) -> Outcome:
+        """Execute a command.
+
+        Args:
+            name: of the command.
+            parameters: of the number and the kinds that it takes.
+            run: the plan that it belongs to.
+            conditions: its stop conditions.
+
+        Raises:
+            Fault: it cannot be executed.
+        """
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds that no mission of the field comes near, and that keep one from running away.
+
+    Attributes:
+        lines: that may be executed in one cycle.
+        calls: within each other; as many as MRC has room for.
+    """
+
+    lines: int = 20_000
+    calls: int = 1000
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a plan has failed.
+
+    Attributes:
+        reason: in words.
+        line: of the file, from 1.
+        column: from 1; 0 for the whole line.
+        text: of the line.
+        is_limit: a bound was reached.
+    """
+
+    reason: str
+    line: int
+    column: int
+    text: str
+    is_limit: bool = False
+
+
+class _Stage(enum.Enum):
+    """What a run does in its next cycle."""
+
+    FETCH = "reads lines"
+    WAIT = "tests the end of a line"
+    ROUTINE = "goes through a routine of a command"
+    HOLD = "stands at a breakpoint"
+    DONE = "is over"
+
+
+#: What a run leaves as its result; otherwise 0 for a default end, or the number of the condition that was true.
+FREE_LINE, ERROR = -2.0, -1.0
+
+
+class Run:
+    """One execution of a plan.
+
+    Args:
+        plan: what is executed.
+        result: what is left there until a line has a result.
+
+    Attributes:
+        plan: what is executed; `goto` moves in it.
+        line: the line that is executed.
+        result: of the last line: 0 for its default end, the number of a condition, `FREE_LINE` or `ERROR`.
+        failure: why it ended early; None if it did not.
+    """
+
+    def __init__(self, plan: Plan, result: float = 0.0) -> None:
+        self.plan = plan
+        self.line: PlanLine | None = None
+        self.result = result
+        self.failure: Failure | None = None
+        self.stage = _Stage.FETCH
+        self._entered: _Stage | None = None
+        self.cycles = -1
+        self.start_distance = 0.0
+        self.calls: list[int] = []
+        self._routine: Callable[[int], bool] | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it is over."""
+        return self.stage is _Stage.DONE
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it stands at a breakpoint."""
+        return self.stage is _Stage.HOLD
+
+    def start_routine(self, routine: Callable[[int], bool]) -> None:
+        """Go through a routine from the next cycle on; it is given the number of the cycle and says when it is over."""
+        self._routine = routine
+        self.stage = _Stage.ROUTINE
+
+    def continue_routine(self) -> None:
+        """One cycle of the routine."""
+        if self._routine is None or self._routine(self.cycles):
+            self.stage = _Stage.FETCH
+
+    def enter(self, distance: float) -> None:
+        """Begin a cycle: way and time count from the first cycle of a stage."""
+        if self.stage is not self._entered:
+            self._entered = self.stage
+            self.cycles = -1
+            self.start_distance = distance
+        self.cycles += 1
+
+
+def never() -> bool:
+    """The default end of what goes on until it is told."""
+    return False
+
+
+_Step = Callable[[Run], Outcome | None]
+
+
+class Interpreter:
+    """Executes plans on a vehicle.
+
+    Args:
+        vehicle: what moves, and has the variables.
+        output: is told what is executed and said.
+        functions: further functions for expressions, by name.
+        limits: bounds.
+
+    Attributes:
+        effects: what commands do; set by whoever makes both.
+        executed: lines so far.
+        default_end: of the last command.
+        time: ``$time``, s.
+        holds: asked before each line; the run stands while it is true.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        output: Output,
+        functions: Mapping[str, Callable[..., float]],
+        limits: Limits,
+    ) -> None:
+        self._vehicle = vehicle
+        self._output = output
+        self._profile = vehicle.profile
+        self._limits = limits
+        self._symbols = vehicle.symbols
+        self._parser = Parser(frozenset(COMMANDS), {**FUNCTIONS, **dict.fromkeys(functions)})
+        self.compiler = Compiler(vehicle.symbols, vehicle.profile, functions)
+        self.effects: Effects | None = None
+        self.executed = 0
+        self.default_end: Callable[[], bool] = never
+        self.time = 0.0
+        self.holds: Callable[[PlanLine], bool] | None = None
+        self._condition = vehicle.symbols.system["condition"].place
+        self._symbols.pool[self._condition] = -1.0
+        # The conditions of the present line as they were computed last, and how many there are. Watches use the same
+        # place in MRC.
+        self._found = [0.0] * 128
+        self._count = 0
+        self._tests: tuple[Value, ...] = ()
+        self._case = 0
+        self._skips = False
+
+    # -- cycles -------------------------------------------------------------------------------------
+
+    def step(self, run: Run) -> bool:
+        """One cycle of a run; whether it is over."""
+        run.enter(self._vehicle.odometry.distance)
+        if run.stage is _Stage.FETCH or run.stage is _Stage.HOLD:
+            self._fetch(run)
+        elif run.stage is _Stage.WAIT:
+            self._wait(run)
+        elif run.stage is _Stage.ROUTINE:
+            run.continue_routine()
+        return run.is_done
+
+    def update_variables(self, run: Run) -> None:
+        """Bring the system variables up to date, with way and time of a run."""
+        vehicle = self._vehicle
+        driven = vehicle.odometry.distance - run.start_distance
+        vehicle.update_variables(driven, run.cycles * vehicle.control.parameters.period, self.time)
+
+    def _wait(self, run: Run) -> None:
+        self.update_variables(run)
+        if self.default_end():
+            run.result = 0.0
+            run.stage = _Stage.FETCH
+        if self._count:
+            try:
+                self._test(self._tests)
+            except Fault as fault:
+                self._fail(run, fault)
+                return
+            if number := self._first_true():
+                run.result = float(number)
+                run.stage = _Stage.FETCH
+            else:
+                run.result = 0.0
+
+    def _fetch(self, run: Run) -> None:
+        left = self._limits.lines
+        plan = run.plan
+        while plan.next < len(plan.lines):
+            line = plan.lines[plan.next]
+            if self.holds is not None and not self._skips and self.holds(line):
+                run.stage = _Stage.HOLD
+                self.update_variables(run)
+                return
+            run.stage = _Stage.FETCH
+            run.line = line
+            plan.next += 1
+            self.executed += 1
+            self.update_variables(run)
+            self.begin_command()
+            self._output.line(self.executed, line)
+            left -= 1
+            if left < 0:
+                reason = f"a loop that takes no time: {self._limits.lines} lines in one cycle"
+                self._fail(run, Fault(reason, is_limit=True))
+                return
+            if self._skips:
+                self._skip(line.text)
+                run.result = FREE_LINE
+                continue
+            try:
+                outcome = self._execute(line, run)
+            except Fault as fault:
+                self._fail(run, fault)
+                return
+            if outcome is Outcome.WAIT:
+                if run.stage is _Stage.FETCH:
+                    run.stage = _Stage.WAIT
+                return
+            run.result = FREE_LINE
+        run.stage = _Stage.DONE
+
+    def _fail(self, run: Run, fault: Fault) -> None:
+        line = run.line
+        assert line is not None
+        number = line.number if self._profile.file_lines else self.executed
+        if self._profile.checks_first:
+            self._output.message(f"line {number}: {fault}\n")
+        else:
+            self._output.message(f" syntax error in line : {number} \n")
+        run.failure = Failure(str(fault), line.number, fault.column, line.text, fault.is_limit)
+        run.result = ERROR
+        run.stage = _Stage.DONE
+
+    # -- conditions ---------------------------------------------------------------------------------
+
+    def begin_command(self) -> None:
+        """Set ``$condition`` from the conditions that were computed last, and forget them."""
+        self._symbols.pool[self._condition] = float(self._first_true())
+        self._count = 0
+
+    def _first_true(self) -> int:
+        found = self._found
+        for number in range(self._count):
+            if found[number] != 0.0:
+                return number + 1
+        return 0
+
+    def _test(self, tests: Sequence[Value]) -> None:
+        for number, test in enumerate(tests):
+            self._found[number] = test()
+        self._count = len(tests)
+
+    def watch(self, tests: Sequence[Value]) -> float:
+        """The value of the first condition of a watch.
+
+        Raises:
+            Fault: it cannot be computed.
+        """
+        if self._profile.watches_apart:
+            return tests[0]()
+        with self.aside():
+            self._test(tests)
+            return self._found[0]
+
+    def aside(self) -> _Aside:
+        """A command within the present one, after which that goes on as before: a watch, or a client's `eval`."""
+        return _Aside(self)
+
+    # -- lines --------------------------------------------------------------------------------------
+
+    def _skip(self, text: str) -> None:
+        """A line in a `switch` whose case has not come, or is over. It is not read any further."""
+        text = text.lstrip(" \t\r")
+        if text.startswith("case "):
+            value = leading_number(text[5:])
+            if value is not None and abs(value - self._case) < 0.1:
+                self._skips = False
+        elif text.startswith("endswitch"):
+            self._skips = False
+
+    def leave_switch(self) -> None:
+        """Skip no more lines."""
+        self._skips = False
+
+    def _execute(self, line: PlanLine, run: Run) -> Outcome:
+        if line.steps is None:
+            self.prepare(line)
+        assert line.tree is not None
+        assert line.steps is not None
+        try:
+            for step in line.steps:
+                outcome = step(run)
+                if outcome is not None:
+                    return outcome
+            if (problem := line.tree.problem) is not None:
+                raise Fault(problem.message, problem.column)
+        except Fault as fault:
+            if self._profile.checks_first or not fault.column:
+                raise
+            if self._reads_on(line.text, fault.column):
+                return Outcome.NEXT
+            raise
+        return Outcome.NEXT
+
+    def _reads_on(self, text: str, column: int) -> bool:
+        """Read the rest of a wrong line as MRC does: it complains of the names there.
+
+        Returns:
+            Whether there is a character beyond ASCII in it, which has MRC forget the error.
+        """
+        for token in tokenize(text):
+            if token.column < column:
+                continue
+            if token.type is TokenType.FOREIGN:
+                return True
+            if token.type is TokenType.SYSTEM and token.text not in self._symbols.system:
+                self._output.message(f'System variable "${token.text}" not found\n')
+        return False
+
+    def prepare(self, line: PlanLine) -> None:
+        """Read a line, and compile what it says. What is wrong with it shows when it is executed."""
+        tree = line.tree = self._parser.parse(line.text)
+        line.steps = tuple(self._step(statement) for statement in tree.statements)
+
+    def _step(self, statement: Statement) -> _Step:
+        if isinstance(statement, Command):
+            return self._command(statement)
+        if isinstance(statement, Assign):
+            return self._assign(statement)
+        if isinstance(statement, Evaluate):
+            return self._evaluate(statement)
+        if isinstance(statement, If):
+            return self._if(statement)
+        if isinstance(statement, WaitFor):
+            return self._wait_for(statement)
+        if isinstance(statement, Switch):
+            return self._switch(statement)
+        return self._case_or_end(statement)
+
+    def evaluate(self, text: str) -> list[float] | None:
+        """The values of ``eval ...``, beside the present command; None if it is something else, or wrong."""
+        line = PlanLine(text, 0)
+        values: list[float] = []
+        with self.aside():
+            self.prepare(line)
+            assert line.tree is not None
+            statement = line.tree.statements[0] if line.tree.statements else None
+            try:
+                if line.tree.problem is not None:
+                    raise Fault(line.tree.problem.message, line.tree.problem.column)
+                if not isinstance(statement, Evaluate):
+                    return None
+                values = [self.compiler.compile(each)() for each in statement.values]
+            except Fault as fault:
+                if not self._profile.checks_first and fault.column:
+                    self._reads_on(text, fault.column)
+                return None
+        self._print(values)
+        return values
+
+    def perform_aside(self, text: str) -> bool:
+        """Execute a line beside the present command; False if it is wrong. It takes no time, whatever it says."""
+        line = PlanLine(text, 0)
+        with self.aside():
+            run = Run(Plan([line]))
+            run.line = line
+            try:
+                self._execute(line, run)
+            except Fault:
+                return False
+        return True
+
+    # -- statements ---------------------------------------------------------------------------------
+
+    def _operand(self, operand: Operand) -> Callable[[], float | str]:
+        if isinstance(operand, (Number, Text)):
+            value = operand.value
+            return lambda: value
+        pool, compiler = self._symbols.pool, self.compiler
+        return lambda: pool[compiler.find(operand).place]
+
+    def _command(self, command: Command) -> _Step:
+        name = command.name
+        signature = COMMANDS[name]
+        parameters = [self._operand(each) for each in command.parameters]
+        speeds = [self._speed(each) for each in command.speeds]
+        conditions = tuple(map(self.compiler.compile, command.conditions))
+
+        def step(run: Run) -> Outcome | None:
+            values = [parameter() for parameter in parameters]
+            for speed in speeds:
+                speed()
+            if command.is_broken:
+                return None
+            self._test(conditions)
+            self._tests = conditions
+            if not signature.takes(len(values)):
+                if not self._profile.checks_first:
+                    most = "9" if signature.most == 9 else str(signature.most)
+                    self._output.message(f"Expecting between {signature.least}  and {most} parameters\n")
+                raise Fault(f"{name} takes {signature.count}, not {len(values)}")
+            for number, operand in enumerate(command.parameters):
+                if mistake := signature.mistake(number, operand):
+                    raise Fault(f"{name}: {mistake}")
+            assert self.effects is not None
+            return self.effects.perform(name, values, run, conditions)
+
+        return step
+
+    def _speed(self, setting: SpeedSetting) -> Callable[[], None]:
+        value = self._operand(setting.value)
+        control = self._vehicle.control
+
+        def set_speed() -> None:
+            found = value()
+            assert isinstance(found, float)
+            if self._profile.numbers_are_checked and not (abs(found) < 1e6 and (setting.letter == "v" or found > 0.0)):
+                kind = "speed" if setting.letter == "v" else "acceleration; it has to be above 0"
+                raise Fault(f"@{setting.letter} {format_number(found)} is no {kind}")
+            if setting.letter == "v":
+                control.speed = found
+            else:
+                control.acceleration = found
+
+        return set_speed
+
+    def _wait_for(self, statement: WaitFor) -> _Step:
+        conditions = tuple(map(self.compiler.compile, statement.conditions))
+
+        def step(run: Run) -> Outcome:
+            if not conditions and self._profile.checks_first:
+                raise Fault("a line cannot begin with a character that is not ASCII", statement.column)
+            self._test(conditions)
+            self._tests = conditions
+            return Outcome.WAIT
+
+        return step
+
+    def _evaluate(self, statement: Evaluate) -> _Step:
+        values = tuple(map(self.compiler.compile, statement.values))
+
+        def step(run: Run) -> Outcome:
+            self._print([value() for value in values])
+            return Outcome.NEXT
+
+        return step
+
+    def _print(self, values: Sequence[float]) -> None:
+        self._output.values("".join(f"{format_number(value)}  " for value in values) + "\n")
+
+    def _if(self, statement: If) -> _Step:
+        condition, label = self.compiler.compile(statement.condition), statement.label
+
+        def step(run: Run) -> Outcome:
+            if condition() != 0.0:
+                self.go_to(label, run)
+            return Outcome.NEXT
+
+        return step
+
+    def go_to(self, label: str, run: Run) -> None:
+        """Have the line with a label executed next.
+
+        Raises:
+            Fault: there is no such label.
+        """
+        place = run.plan.find_label(label)
+        if place is None:
+            raise Fault(f'there is no label "{label}"')
+        run.plan.next = place
+
+    def call(self, label: str, run: Run) -> None:
+        """Go to a label, and remember the way back.
+
+        Raises:
+            Fault: there is no such label, or there are too many calls within calls.
+        """
+        back = run.plan.next
+        self.go_to(label, run)
+        if len(run.calls) >= self._limits.calls:
+            raise Fault(f"more than {self._limits.calls} calls within each other", is_limit=True)
+        run.calls.append(back)
+
+    def go_back(self, run: Run) -> None:
+        """Go on behind the last call.
+
+        Raises:
+            Fault: there was none.
+        """
+        if not run.calls:
+            raise Fault("return without a call")
+        run.plan.next = run.calls.pop()
+
+    def _assign(self, statement: Assign) -> _Step:
+        target = statement.target
+        value = self.compiler.compile(statement.value)
+        pool = self._symbols.pool
+        if isinstance(target, Element):
+            index = self.compiler.compile(target.index)
+            array = target.array
+
+            def assign_element(run: Run) -> None:
+                symbol = self.compiler.find(array)
+                place, new = truncate(index()), value()
+                if 0 <= place < symbol.size:
+                    pool[symbol.place + place] = new
+                elif self._profile.indices_are_checked:
+                    raise self.compiler.beyond(array, symbol, place)
+
+            return assign_element
+        if target.is_system:
+
+            def assign_system(run: Run) -> None:
+                symbol = self.compiler.find(target)
+                pool[symbol.place] = value()
+
+            return assign_system
+        user, name, following = self._symbols.user, target.name, statement.following
+
+        def assign(run: Run) -> Outcome | None:
+            symbol = user.get(name)
+            new = value()
+            if symbol is not None:
+                pool[symbol.place] = new
+                return None
+            reads_on = self._profile.new_variables_read_on
+            # MRC has only one place for a new name, and the name behind the value is there by now.
+            overwritten = not reads_on and following is not None and following not in user
+            made = self._symbols.make(following if overwritten and following is not None else name)
+            if made is None:
+                raise Fault("there is no room for further variables", is_limit=True)
+            pool[made.place] = new
+            return None if reads_on else Outcome.NEXT
+
+        return assign
+
+    def _switch(self, statement: Switch) -> _Step:
+        value = self.compiler.compile(statement.value)
+
+        def step(run: Run) -> Outcome:
+            case = truncate(value())
+            # Below 1 the lines up to the first case are executed, and no case matches.
+            self._case = case if case >= 1 else 0
+            self._skips = case >= 1
+            return Outcome.NEXT
+
+        return step
+
+    def _case_or_end(self, statement: Case | EndSwitch) -> _Step:
+        skips = isinstance(statement, Case)
+
+        def step(run: Run) -> Outcome:
+            self._skips = skips
+            return Outcome.NEXT
+
+        return step
+
+
+class _Aside:
+    """Keeps the present command of an interpreter while another one is executed."""
+
+    def __init__(self, interpreter: Interpreter) -> None:
+        self._interpreter = interpreter
+
+    def __enter__(self) -> None:
+        interpreter = self._interpreter
+        pool = interpreter._symbols.pool
+        self._kept = (
+            interpreter._count,
+            interpreter._tests,
+            interpreter.default_end,
+            pool[interpreter._condition],
+        )
+        self._found = list(interpreter._found) if interpreter._profile.watches_apart else None
+        interpreter.begin_command()
+
+    def __exit__(self, *exc: object) -> None:
+        interpreter = self._interpreter
+        interpreter._count, interpreter._tests, interpreter.default_end, condition = self._kept
+        interpreter._symbols.pool[interpreter._condition] = condition
+        if self._found is not None:
+            interpreter._found = self._found

@@ -1,0 +1,136 @@
+"""`followline`, `followwall` and `followwall2`."""
+
+from __future__ import annotations
+
+import math
+
+from ..arithmetic import divide, normalize_angle
+from ..odometry import Pose
+from .control import Motion, MotionControl, limited
+
+__all__ = ["FollowLine", "FollowWall", "FollowWallTable"]
+
+
+class FollowLine(Motion):
+    """`followline`: steer towards the line; without one go on as before, and stand after `no_line_distance`."""
+
+    #: m/s that a wheel gets at most beyond the speed.
+    LIMIT = 0.15
+
+    def __init__(self) -> None:
+        self._seen = Pose()
+        self._steering = 0.0
+
+    def begin(self, control: MotionControl) -> None:
+        """Take over the speed."""
+        self._seen = control.pose.copy()
+        control.target = control.pose.copy()
+        control.reached = control.velocity
+
+    def update(self, control: MotionControl) -> None:
+        """Steer by the position of the line, damped by the turn since the last cycle."""
+        parameters, pose, line = control.parameters, control.pose, control.line
+        turned = pose.th - control.target.th
+        control.target = pose.copy()
+        control.ramp()
+        steering = self._steering
+        if not line.is_missing:
+            self._seen = pose.copy()
+            steering = parameters.line_gain * line.position - parameters.line_tau * turned
+        elif math.dist((pose.x, pose.y), (self._seen.x, self._seen.y)) > parameters.no_line_distance:
+            control.reached = steering = 0.0
+        self._steering = steering = limited(steering, -self.LIMIT, self.LIMIT)
+        control.set_wheels(control.reached - steering, control.reached + steering)
+
+
+class FollowWall(Motion):
+    """`followwall`: keep a distance to the wall on one side, by a PD controller that turns the target heading.
+
+    Args:
+        is_left: on which side.
+        distance: m.
+    """
+
+    #: m/s that a wheel gets at most beyond the speed: half of this.
+    LIMIT = 0.2
+
+    def __init__(self, is_left: bool, distance: float) -> None:
+        self._is_left = is_left
+        self._distance = distance
+        self._state = self._proportional = self._feedback = 0.0
+
+    def begin(self, control: MotionControl) -> None:
+        """Set up the controller: a lead filter by the bilinear transform."""
+        parameters = control.parameters
+        lag = 2 * parameters.wall_alfa * parameters.wall_tau + parameters.period
+        self._proportional = divide(2 * parameters.wall_tau + parameters.period, lag)
+        self._feedback = divide(2 * parameters.period, lag)
+        self._state = parameters.wall_gain * self._error(control)
+        control.target = control.pose.copy()
+        control.reached = control.velocity
+
+    def _error(self, control: MotionControl) -> float:
+        """m, positive where the robot has to turn left."""
+        return control.ir_left - self._distance if self._is_left else self._distance - control.ir_right
+
+    def update(self, control: MotionControl) -> None:
+        """Turn the target heading by what the controller says, and steer to it."""
+        parameters, pose, target = control.parameters, control.pose, control.target
+        target.x, target.y = pose.x, pose.y
+        control.ramp()
+        error = self._error(control)
+        if parameters.wall_input_mode == 1:
+            if self._is_left:
+                error += (control.wall_angle_left - math.pi / 2) * parameters.wall_angle_gain
+            else:
+                error -= (control.wall_angle_right + math.pi / 2) * parameters.wall_angle_gain
+        scaled = parameters.wall_gain * error
+        rate = (scaled - self._state) * self._proportional + self._state
+        self._state = (scaled - self._state) * self._feedback + self._state
+        target.th += rate * parameters.period
+        steering = limited(2 * normalize_angle(target.th - pose.th), -self.LIMIT, self.LIMIT)
+        control.set_wheels(control.reached - steering / 2, control.reached + steering / 2)
+
+
+class FollowWallTable(Motion):
+    """`followwall2`: keep a distance to a wall along the x axis, by state feedback whose gains stand in a table.
+
+    Args:
+        is_left: on which side.
+        distance: m.
+    """
+
+    #: m/s from row to row of the table; m from the middle of the robot to its side sensors.
+    SPEED_STEP = 0.01039
+    SIDE, AHEAD = 0.13, 0.21
+
+    def __init__(self, is_left: bool, distance: float) -> None:
+        self._is_left = is_left
+        self._distance = distance
+
+    def begin(self, control: MotionControl) -> None:
+        """Take over the speed."""
+        control.reached = control.velocity
+
+    def update(self, control: MotionControl) -> None:
+        """Steer by the distance and the heading; only ever by a faster wheel."""
+        parameters, pose = control.parameters, control.pose
+        c, s = math.cos(pose.th), math.sin(pose.th)
+        if self._is_left:
+            there = abs(self.AHEAD * s + (self.SIDE + control.ir_left) * c)
+        else:
+            there = abs(self.AHEAD * s - (self.SIDE + control.ir_right) * c)
+        if control.reached < control.speed:
+            control.reached += parameters.period * control.acceleration
+        row = math.floor(abs(control.reached) / self.SPEED_STEP + 0.5) - 1
+        table = parameters.wall_table
+        angle_gain, distance_gain, reference_gain = table[min(max(row, 0), len(table) - 1)]
+        wanted = (self._distance + self.SIDE) * reference_gain
+        if self._is_left:
+            rate = -wanted - (-there * distance_gain + pose.th * angle_gain)
+        else:
+            rate = wanted - (there * distance_gain + pose.th * angle_gain)
+        faster = abs(rate) * parameters.width / 2.0
+        left, right = (0.0, faster) if rate >= 0 else (faster, 0.0)
+        control.target = pose.copy()
+        control.set_wheels(control.reached + left, control.reached + right)

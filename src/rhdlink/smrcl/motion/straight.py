@@ -1,0 +1,118 @@
+"""`fwd`, `drive` and `motorcmds`."""
+
+from __future__ import annotations
+
+import math
+
+from ..arithmetic import normalize_angle, sign
+from .control import Drive, Motion, MotionControl, limited, ramped, root
+
+__all__ = ["FollowDirection", "Forward", "Wheels"]
+
+
+class Forward(Motion):
+    """`fwd`: straight on along the target heading, to a target that is moved on by the distance.
+
+    The target is moved, not the pose, so that errors do not add up. Near its end the robot slows down, and the line
+    ends 5 mm before the target; the robot goes on to it unless another motion begins.
+    """
+
+    #: m before the target at which the line ends.
+    TOLERANCE = 0.005
+
+    def __init__(self, distance: float) -> None:
+        self._distance = distance
+
+    def begin(self, control: MotionControl) -> None:
+        """Move the target on."""
+        control.distance = self._distance
+        control.reached = abs(control.velocity)
+        target = control.target
+        control.before = target.copy()
+        target.x += self._distance * math.cos(target.th)
+        target.y += self._distance * math.sin(target.th)
+
+    def update(self, control: MotionControl) -> None:
+        """Ramp up, slow down before the target or an obstacle, and steer to the heading."""
+        parameters, pose, target = control.parameters, control.pose, control.target
+        acceleration = control.acceleration
+        velocity = ramped(abs(control.speed), control.reached, acceleration * parameters.period)
+        remaining = (target.x - pose.x) * math.cos(target.th) + (target.y - pose.y) * math.sin(target.th)
+        is_ahead = control.distance > 0.0
+        free = (control.obstacle_front if is_ahead else control.obstacle_back) - parameters.stop_distance
+        free = control.clearance(free)
+        if abs(remaining) > free and not control.ignores_obstacles:
+            way, direction = free, 1.0 if is_ahead else -1.0
+        else:
+            way, direction = abs(remaining), sign(remaining)
+        for most in (root(2.0 * way * acceleration), parameters.kp * way):
+            if most < velocity:
+                velocity = most
+        control.reached = velocity
+        control.set_velocity(velocity * direction, control.heading_control(control.before.th - pose.th))
+        control.remaining = remaining
+
+    def is_done(self, control: MotionControl) -> bool:
+        """5 mm before the target, or beyond it."""
+        return sign(control.distance) * control.remaining < self.TOLERANCE
+
+
+class FollowDirection(Motion):
+    """`drive` and its kin: along the line through the reference, in its direction, without an end.
+
+    Args:
+        keeps_speed: begins at the commanded speed (`driveon`) rather than at the robot's.
+        is_world: the reference is in world coordinates (`drivew`, `driveonw`).
+    """
+
+    def __init__(self, *, keeps_speed: bool = False, is_world: bool = False) -> None:
+        self._keeps_speed = keeps_speed
+        self._is_world = is_world
+
+    def begin(self, control: MotionControl) -> None:
+        """Take over the speed."""
+        control.reached = control.speed if self._keeps_speed else control.velocity
+
+    def update(self, control: MotionControl) -> None:
+        """Steer by the distance to the line and the angle to its direction."""
+        parameters, pose, reference = control.parameters, control.pose, control.reference
+        control.target = pose.copy()
+        control.ramp()
+        x, y, th = reference.x, reference.y, reference.th
+        if self._is_world:
+            world = control.world
+            c, s = math.cos(world.th), math.sin(world.th)
+            x, y = c * x - s * y + world.x, s * x + c * y + world.y
+            th = normalize_angle(th + world.th)
+        c, s = math.cos(th), math.sin(th)
+        control.remaining = (x - pose.x) * c + (y - pose.y) * s
+        error = normalize_angle(th - pose.th)
+        # The line in normal form: the distance to it counts to the left.
+        offset = (pose.x * -s + pose.y * c + -(-s * x + c * y)) + control.distance
+        if parameters.drive_kdist > 0.0:
+            # So far off the robot drives straight towards the line.
+            most = abs(parameters.drive_kangle * math.pi / 2 / parameters.drive_kdist)
+            if abs(offset) > most:
+                offset = most * sign(offset)
+        offset *= sign(control.reached)
+        rate = -parameters.drive_kdist * offset + parameters.drive_kangle * error
+        if control.drive is Drive.DIFFERENTIAL:
+            rate *= parameters.width
+        # The same limit for a turn rate and for a wheel: a velocity-omega robot turns far slower here.
+        control.set_velocity(control.reached, limited(rate, -parameters.limit, parameters.limit))
+
+
+class Wheels(Motion):
+    """`motorcmds`: the speeds of the wheels, as they are given."""
+
+    def __init__(self, left: float, right: float) -> None:
+        self._left, self._right = left, right
+
+    def update(self, control: MotionControl) -> None:
+        """Set them."""
+        control.target = control.pose.copy()
+        control.set_wheels(self._left, self._right)
+
+    def is_done(self, control: MotionControl) -> bool:
+        """At once."""
+        return True

@@ -1,0 +1,119 @@
+"""What a mission says in a cycle, in the order in which it says it."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .plan import PlanLine
+
+__all__ = ["Outbox", "Said", "SaidKind"]
+
+#: Things said in one cycle that are kept; a script can say 20000.
+_MOST = 50_000
+
+
+class SaidKind(enum.Enum):
+    """What was said."""
+
+    #: A line is about to be executed.
+    LINE = "line"
+    #: The values of `eval`.
+    VALUES = "values"
+    #: What a command or an error has to say, for whoever reads along.
+    MESSAGE = "message"
+    #: `print` and `read`, without a client.
+    TEXT = "text"
+    #: `putevent`, `syncevent`, a watch, or the status of motion control, without a client.
+    EVENT = "event"
+    #: `stream`, without a client.
+    STREAM = "stream"
+    #: `control "savelog"`: the name, and the text behind a line feed.
+    LOG = "log"
+
+
+@dataclass(frozen=True)
+class Said:
+    """Something that a mission said.
+
+    Attributes:
+        kind: what it is.
+        text: in words. A line and values end with a line feed, a message as MRC prints it.
+        number: of a line: how many have been executed; else 0.
+        line: of a line: where it stands in the file; else 0.
+    """
+
+    kind: SaidKind
+    text: str
+    number: int = 0
+    line: int = 0
+
+    @property
+    def printed(self) -> str:
+        """As MRC prints it; "" for what it does not print."""
+        if self.kind is SaidKind.LINE:
+            return f"Line no {self.number:3d}:   {self.text} \n"
+        return self.text if self.kind in (SaidKind.VALUES, SaidKind.MESSAGE) else ""
+
+
+class Outbox:
+    """Collects what is said. It is the output of the interpreter, and the client where there is none."""
+
+    def __init__(self) -> None:
+        self._said: list[Said] = []
+        self._streamed = 0
+
+    def take(self) -> list[Said]:
+        """What was said since the last call."""
+        said, self._said = self._said, []
+        return said
+
+    def _add(self, kind: SaidKind, text: str, number: int = 0, line: int = 0) -> None:
+        if len(self._said) < _MOST:
+            self._said.append(Said(kind, text, number, line))
+
+    # -- interpreter.Output -----------------------------------------------------------------------------
+
+    def line(self, number: int, line: PlanLine) -> None:
+        """A line is about to be executed."""
+        self._add(SaidKind.LINE, line.text, number, line.number)
+
+    def values(self, text: str) -> None:
+        """What `eval` has computed."""
+        self._add(SaidKind.VALUES, text)
+
+    def message(self, text: str) -> None:
+        """What a command, or an error, has to say."""
+        self._add(SaidKind.MESSAGE, text)
+
+    # -- effects.Client ---------------------------------------------------------------------------------
+
+    def text(self, text: str) -> None:
+        """`print`, `read`."""
+        self._add(SaidKind.TEXT, text)
+
+    def user_event(self, name: str) -> None:
+        """`putevent`."""
+        self._add(SaidKind.EVENT, f"userevent {name}")
+
+    def sync_event(self, name: str) -> None:
+        """`syncevent`."""
+        self._add(SaidKind.EVENT, f"syncevent {name}")
+
+    def event(self, text: str) -> None:
+        """A watch, or the status of motion control."""
+        self._add(SaidKind.EVENT, text)
+
+    def set_xml(self, is_on: bool) -> None:
+        """Nobody reads xml."""
+
+    def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
+        """Nobody reads a stream; MRC prints that it was asked for."""
+        for each in variables:
+            self._streamed += 1
+            self.message(f"streamvar {each[0]} {self._streamed} \n")
+
+    def save_log(self, name: str, text: str) -> None:
+        """`control "savelog"`."""
+        self._add(SaidKind.LOG, f"{name}\n{text}")

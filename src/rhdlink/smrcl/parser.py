@@ -1,0 +1,340 @@
+"""One line of SMR-CL to its syntax tree, by recursive descent with precedence climbing.
+
+::
+
+    line       = { assignment } [ command | wait | eval | if | switch | case | endswitch ]
+    assignment = variable [ "[" expression "]" ] "=" expression
+    command    = COMMAND { ["-"] NUMBER | variable | STRING } { "@v" ["-"] NUMBER | "@v" variable
+                 | "@a" NUMBER | "@a" variable } [ ":" conditions ]
+    wait       = ":" conditions
+    conditions = "(" expression ")" { "|" "(" expression ")" }
+    eval       = "eval" expression { ";" expression }
+    if         = "if" "(" expression ")" STRING            ; what follows is not looked at
+    switch     = "switch" "(" expression ")"               ; likewise
+    case       = "case" NUMBER                             ; likewise
+    endswitch  = "endswitch"                               ; likewise
+
+MRC executes a line while it reads it, so what stands before an error has had its effect. Here a line with an error is
+the tree up to there and the error (`Line`), and executing it does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .arithmetic import BINARY_FUNCTIONS, UNARY_FUNCTIONS
+from .lexer import LONGEST_NAME, Token, TokenType, tokenize
+from .syntax import (
+    PRECEDENCE,
+    UNARY_PRECEDENCE,
+    Assign,
+    Binary,
+    Call,
+    Case,
+    Command,
+    Element,
+    EndSwitch,
+    Evaluate,
+    Expression,
+    If,
+    Line,
+    Negate,
+    Number,
+    Operand,
+    Problem,
+    SpeedSetting,
+    Statement,
+    Switch,
+    Text,
+    Variable,
+    WaitFor,
+)
+
+__all__ = ["DEEPEST", "FUNCTIONS", "KEYWORDS", "Parser"]
+
+#: Words that are statements rather than names.
+KEYWORDS = frozenset(("if", "eval", "switch", "case", "endswitch"))
+
+#: Arguments of each function of the language.
+FUNCTIONS: Mapping[str, int] = {
+    **dict.fromkeys(UNARY_FUNCTIONS, 1),
+    **dict.fromkeys(BINARY_FUNCTIONS, 2),
+    "rem": 2,
+    "ntrue": 2,
+}
+
+#: Brackets within brackets. A line of 255 characters can have 125, but nobody writes more than a few.
+DEEPEST = 60
+
+
+class _Unexpected(Exception):
+    """The line goes on otherwise than it may. Never leaves this module."""
+
+    def __init__(self, token: Token, message: str) -> None:
+        super().__init__(message)
+        self.token = token
+
+
+class Parser:
+    """Reads lines.
+
+    Args:
+        commands: names of the commands; a variable cannot have them.
+        functions: arguments of each function, by name; None for any number of them.
+    """
+
+    def __init__(self, commands: frozenset[str], functions: Mapping[str, int | None] = FUNCTIONS) -> None:
+        self._commands = commands
+        self._functions = functions
+        self._tokens: list[Token] = []
+        self._place = 0
+        self._depth = 0
+
+    def parse(self, text: str) -> Line:
+        """The tree of a line. Never raises: what is wrong stands in it."""
+        self._tokens = tokenize(text)
+        self._place = 0
+        self._depth = 0
+        statements: list[Statement] = []
+        try:
+            while True:
+                statement = self._statement(statements)
+                if statement is None:
+                    return Line(tuple(statements))
+                statements.append(statement)
+                if not isinstance(statement, Assign):
+                    return Line(tuple(statements))
+        except _Unexpected as error:
+            return Line(tuple(statements), Problem(error.token.column, str(error)))
+
+    # -- tokens --------------------------------------------------------------------------------
+
+    @property
+    def _token(self) -> Token:
+        return self._tokens[self._place]
+
+    def _next(self) -> Token:
+        token = self._tokens[self._place]
+        if token.type is not TokenType.END:
+            self._place += 1
+        return token
+
+    def _is(self, symbol: str) -> bool:
+        return self._token.type is TokenType.SYMBOL and self._token.text == symbol
+
+    def _take(self, symbol: str) -> bool:
+        if self._is(symbol):
+            self._place += 1
+            return True
+        return False
+
+    def _expect(self, symbol: str, where: str) -> None:
+        if not self._take(symbol):
+            raise self._unexpected(f"'{symbol}' {where}")
+
+    def _unexpected(self, expected: str) -> _Unexpected:
+        return _Unexpected(self._token, f"expected {expected}, found {self._describe(self._token)}")
+
+    def _describe(self, token: Token) -> str:
+        if token.type is TokenType.NAME:
+            kind = (
+                "the word"
+                if token.text in KEYWORDS
+                else "the command"
+                if token.text in self._commands
+                else "the function"
+                if token.text in self._functions
+                else "the name"
+            )
+            return f"{kind} {token.text}"
+        if token.type in (TokenType.END, TokenType.FOREIGN):
+            return str(token)
+        return f"'{token}'"
+
+    def _is_variable(self, token: Token) -> bool:
+        if token.type is TokenType.SYSTEM:
+            return True
+        return token.type is TokenType.NAME and not (
+            token.text in KEYWORDS or token.text in self._commands or token.text in self._functions
+        )
+
+    def _variable(self) -> Variable:
+        token = self._next()
+        if len(token.text) > LONGEST_NAME:
+            raise _Unexpected(token, f"a name has at most {LONGEST_NAME} characters, this one {len(token.text)}")
+        return Variable(token.text, token.type is TokenType.SYSTEM, token.column)
+
+    # -- statements ----------------------------------------------------------------------------
+
+    def _statement(self, before: list[Statement]) -> Statement | None:
+        """The statement that begins here; None at the end of the line.
+
+        Args:
+            before: the statements of the line so far, to which one that breaks off is added.
+        """
+        token = self._token
+        if token.type is TokenType.END:
+            return None
+        if token.type is TokenType.FOREIGN:
+            return WaitFor((), token.column)
+        if self._take(":"):
+            conditions = self._conditions()
+            self._end("the conditions")
+            return WaitFor(conditions, token.column)
+        if token.type in (TokenType.NAME, TokenType.SYSTEM):
+            if self._is_variable(token):
+                return self._assignment()
+            if token.text in KEYWORDS:
+                self._place += 1
+                return self._keyword(token.text)
+            if token.text in self._commands:
+                self._place += 1
+                return self._command(token, before)
+        raise self._unexpected("a command or an assignment")
+
+    def _keyword(self, word: str) -> Statement:
+        if word == "eval":
+            values = [self._expression()]
+            while self._take(";"):
+                values.append(self._expression())
+            self._end("the values")
+            return Evaluate(tuple(values))
+        if word == "if":
+            condition = self._bracketed("after if")
+            if self._token.type is not TokenType.STRING:
+                raise self._unexpected('a label, as in if (a > 1) "label"')
+            return If(condition, self._next().text)
+        if word == "switch":
+            return Switch(self._bracketed("after switch"))
+        if word == "case":
+            if self._token.type is not TokenType.NUMBER:
+                raise self._unexpected("a number after case")
+            return Case(Number(self._next().value))
+        return EndSwitch()
+
+    def _assignment(self) -> Assign:
+        variable = self._variable()
+        target: Variable | Element = variable
+        if self._take("["):
+            target = Element(variable, self._expression())
+            self._expect("]", "after the index")
+        if not self._take("="):
+            if isinstance(target, Variable) and not variable.is_system:
+                raise self._unexpected(f"'=' after {variable.name}, which is no command")
+            raise self._unexpected("'='")
+        value = self._expression()
+        following = self._token
+        is_name = following.type is TokenType.NAME and self._is_variable(following)
+        return Assign(target, value, following.text if is_name else None)
+
+    def _command(self, name: Token, before: list[Statement]) -> Command:
+        parameters: list[Operand] = []
+        speeds: list[SpeedSetting] = []
+        conditions: tuple[Expression, ...] = ()
+        try:
+            while (operand := self._parameter()) is not None:
+                parameters.append(operand)
+            while (speed := self._speed()) is not None:
+                speeds.append(speed)
+            if self._take(":"):
+                conditions = self._conditions()
+            self._end("the parameters" if not (speeds or conditions) else "the line")
+        except _Unexpected:
+            before.append(Command(name.text, tuple(parameters), tuple(speeds), column=name.column, is_broken=True))
+            raise
+        return Command(name.text, tuple(parameters), tuple(speeds), conditions, name.column)
+
+    def _parameter(self) -> Operand | None:
+        token = self._token
+        if token.type is TokenType.NUMBER:
+            return Number(self._next().value)
+        if token.type is TokenType.STRING:
+            return Text(self._next().text)
+        if self._is_variable(token):
+            return self._variable()
+        if self._take("-"):
+            if self._token.type is not TokenType.NUMBER:
+                raise self._unexpected("a number after '-'; a parameter is a number, a variable or a text")
+            return Number(-self._next().value)
+        return None
+
+    def _speed(self) -> SpeedSetting | None:
+        for letter in "va":
+            if self._take(f"@{letter}"):
+                if letter == "v" and self._take("-"):
+                    if self._token.type is not TokenType.NUMBER:
+                        raise self._unexpected("a number after '@v -'")
+                    return SpeedSetting(letter, Number(-self._next().value))
+                if self._token.type is TokenType.NUMBER:
+                    return SpeedSetting(letter, Number(self._next().value))
+                if self._is_variable(self._token):
+                    return SpeedSetting(letter, self._variable())
+                raise self._unexpected(f"a number or a variable after '@{letter}'")
+        return None
+
+    def _conditions(self) -> tuple[Expression, ...]:
+        found = [self._bracketed("around a condition")]
+        while self._take("|"):
+            found.append(self._bracketed("around a condition"))
+        return tuple(found)
+
+    def _bracketed(self, where: str) -> Expression:
+        self._expect("(", where)
+        expression = self._expression()
+        self._expect(")", where)
+        return expression
+
+    def _end(self, what: str) -> None:
+        if self._token.type is not TokenType.END:
+            raise self._unexpected(f"the end of the line after {what}")
+
+    # -- expressions ---------------------------------------------------------------------------
+
+    def _expression(self, loosest: int = 0) -> Expression:
+        """An expression whose operators bind at least as tightly as `loosest`."""
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise _Unexpected(self._token, f"more than {DEEPEST} brackets and signs within each other")
+        left = self._primary()
+        while self._token.type is TokenType.SYMBOL:
+            operator = self._token.text
+            level = PRECEDENCE.get(operator)
+            if level is None or level < loosest:
+                break
+            self._place += 1
+            left = Binary(operator, left, self._expression(level if operator == "^" else level + 1))
+        self._depth -= 1
+        return left
+
+    def _primary(self) -> Expression:
+        token = self._token
+        if token.type is TokenType.NUMBER:
+            return Number(self._next().value)
+        if self._take("-"):
+            return Negate(self._expression(UNARY_PRECEDENCE))
+        if self._is("("):
+            return self._bracketed("around an expression")
+        if token.type is TokenType.NAME and token.text in self._functions:
+            self._place += 1
+            return self._call(token)
+        if self._is_variable(token):
+            variable = self._variable()
+            if self._take("["):
+                element = Element(variable, self._expression())
+                self._expect("]", "after the index")
+                return element
+            return variable
+        raise self._unexpected("a number, a variable or '('")
+
+    def _call(self, name: Token) -> Call:
+        self._expect("(", f"after the function {name.text}")
+        count = self._functions[name.text]
+        arguments: list[Expression] = []
+        if not (count is None and self._is(")")):
+            arguments.append(self._expression())
+            while (count is None or len(arguments) < count) and self._take(","):
+                arguments.append(self._expression())
+        if count is not None and len(arguments) < count:
+            raise self._unexpected(f"',' and another value: {name.text} takes {count}")
+        self._expect(")", f"after the {'value' if count == 1 else 'values'} of {name.text}")
+        return Call(name.text, tuple(arguments), name.column)

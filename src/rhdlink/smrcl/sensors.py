@@ -1,0 +1,216 @@
+"""Infrared distances, and the line on the floor: MRC's conditioning of the raw values.
+
+Infrared: raw values are bytes; a distance is ``k1 / (raw - k2)`` m, at most 1 m. The five used are left, front left,
+front middle, front right and right; the sixth is unused.
+
+Line: 8 sensors across the robot, as a rule, the leftmost one last, so that a position counts to the left. The raw
+values become 0 on black and 1 on white by the calibration, and are smoothed. Uncalibrated sensors read 0: black
+everywhere. MRC keeps the sums in floats of 32 bits, whose rounding shows in the commands, so they are rounded here too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from struct import Struct
+
+from .arithmetic import NAN, divide, truncate
+
+__all__ = ["IR_NAMES", "InfraredSensors", "LineSensor"]
+
+#: The infrared sensors, in the order of the robot's variable.
+IR_NAMES = ("left", "front left", "front middle", "front right", "right", "unused")
+
+#: m beyond which an infrared sensor sees nothing.
+_FARTHEST = 1.0
+
+_FLOAT = Struct("f")
+
+
+def _single(value: float) -> float:
+    """`value` rounded to a float of 32 bits."""
+    try:
+        found: float = _FLOAT.unpack(_FLOAT.pack(value))[0]
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return found
+
+
+class InfraredSensors:
+    """Distances from raw values.
+
+    Args:
+        k1: of each sensor, m.
+        k2: of each sensor: the raw value at an infinite distance.
+
+    Attributes:
+        distances: of each sensor, m; 0 before the first update.
+    """
+
+    def __init__(self, k1: Sequence[float] = (16.0,) * 6, k2: Sequence[float] = (76.0,) * 6) -> None:
+        self._parameters = tuple(zip(k1, k2, strict=True))
+        self.distances = [0.0] * len(self._parameters)
+
+    def update(self, raw: Sequence[int]) -> None:
+        """One cycle."""
+        distances = self.distances
+        for number, (k1, k2) in enumerate(self._parameters):
+            if number == len(raw):
+                break
+            # MRC keeps the raw value in a byte, and the difference in an int.
+            above = truncate(int(raw[number]) % 256 - k2)
+            distances[number] = _FARTHEST if above < 1 else k1 / above
+
+    @property
+    def front(self) -> float:
+        """The least of the three front distances, m."""
+        return min(self.distances[1:4])
+
+
+class LineSensor:
+    """The line under the robot.
+
+    Args:
+        size: how many sensors there are, 5 to 30.
+        smoothing: part of the value before that is kept in each cycle, 0..1.
+        white, black: raw value of each sensor on white and on black; without them every sensor reads black.
+
+    Attributes:
+        values: of each sensor: 0 black, 1 white; not smoothed.
+        smoothed: likewise, smoothed.
+        black: position of the middle of a black line, cm to the left; nan where all sensors read the same.
+        black_left, black_right: where the edges of a black line have the robot drive, cm.
+        white: position of a white line, cm.
+        white_left, white_right: of its edges; MRC has them always 0.
+        is_missing: no black line has been seen for 5 cycles.
+    """
+
+    def __init__(
+        self,
+        size: int = 8,
+        smoothing: float = 0.8,
+        white: Sequence[float] | None = None,
+        black: Sequence[float] | None = None,
+    ) -> None:
+        self.size = size
+        self._smoothing = smoothing
+        self._offset = [0.0] * size if black is None else list(black)
+        self._gain = (
+            [0.0] * size
+            if white is None or black is None
+            else [divide(1.0, on_white - on_black) for on_white, on_black in zip(white, black, strict=True)]
+        )
+        self.values = [0.0] * size
+        self.smoothed = [0.0] * size
+        self.black = self.black_left = self.black_right = 0.0
+        self.white = self.white_left = self.white_right = 0.0
+        self.is_missing = False
+        self._count = 0
+        self._black_crossing = _Crossing()
+        self._white_crossing = _Crossing()
+
+    def update(self, raw: Sequence[int]) -> None:
+        """One cycle."""
+        gain, offset = self._gain, self._offset
+        self.see([gain[each] * (raw[each] - offset[each]) for each in range(self.size)])
+
+    def see(self, values: Sequence[float]) -> None:
+        """One cycle, with calibrated values."""
+        self.values[:] = values
+        keep, smoothed = self._smoothing, self.smoothed
+        for number, value in enumerate(values):
+            smoothed[number] = smoothed[number] * keep + value * (1 - keep)
+        brightest, darkest, place = 0.0, 100.0, 0
+        for number, value in enumerate(smoothed):
+            if value > brightest:
+                brightest, place = _single(value), number
+            if value < darkest:
+                darkest = _single(value)
+        self._miss(darkest)
+        mass = weighted = 0.0
+        for number, value in enumerate(smoothed):
+            mass = _single(mass + (brightest - value))
+            weighted = _single(weighted + (brightest - value) * number)
+        middle = (self.size - 1) / 2.0
+        centre = _single(divide(weighted, mass)) if mass == mass else NAN
+        self.black = (centre - middle) * 2
+        self.white = (place - middle) * 2
+        # An edge is seen about one sensor before it.
+        left, right = _edges(smoothed, _single((darkest + brightest) / 2.0))
+        self.black_right = (left + 1.1 - middle) * 2
+        self.black_left = (right - 1.1 - middle) * 2
+        left, right = _edges([-value for value in smoothed], -(darkest + brightest) / 2.0)
+        self.white_right = (left + 1.1 - middle) * 2
+        self.white_left = (right - 1.1 - middle) * 2
+
+    def _miss(self, darkest: float) -> None:
+        """A line is found, or lost, when the darkest sensor has said so for 6 cycles."""
+        if (darkest < 0.43) if self.is_missing else (darkest > 0.43):
+            self._count += 1
+            if self._count > 5:
+                self._count = 0
+                self.is_missing = not self.is_missing
+
+    @property
+    def is_found(self) -> bool:
+        """The two sensors in the middle (numbers 3 and 4) are on black."""
+        return self.smoothed[3] < 0.3 and self.smoothed[4] < 0.3
+
+    def crosses_black(self, distance: float) -> bool:
+        """Both halves have been on black within 3 cm; `distance` is the way driven, m."""
+        dark = self.smoothed
+        return self._black_crossing.update(max(dark[:4]) <= 0.2, max(dark[self.size - 4 :]) <= 0.2, distance)
+
+    def crosses_white(self, distance: float) -> bool:
+        """Both halves have been on white within 3 cm."""
+        bright = self.smoothed
+        return self._white_crossing.update(min(bright[:4]) >= 0.75, min(bright[4:8]) >= 0.75, distance)
+
+
+def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:
+    """Where the brightness falls below `cross` first, from the one end and from the other, in sensors."""
+    last = len(smoothed) - 1
+    inner, outer = 0, -1
+    for number in range(1, last + 1):
+        if smoothed[number] > cross:
+            inner = number
+        else:
+            outer = number
+            break
+    left = -1.0
+    if outer > 0 and smoothed[outer] < smoothed[inner]:
+        left = _single(inner + (smoothed[inner] - cross) / (smoothed[inner] - smoothed[outer]))
+        if left < 0:
+            left = _single(left / 3)
+        left = max(left, -1.0)
+    inner, outer = last, -1
+    for number in range(last - 1, -1, -1):
+        if smoothed[number] > cross:
+            inner = number
+        else:
+            outer = number
+            break
+    right = last + 1.0
+    if outer >= 0 and smoothed[outer] < smoothed[inner]:
+        right = _single(inner - (smoothed[inner] - cross) / (smoothed[inner] - smoothed[outer]))
+        if right > last:
+            right = _single(last + (right - last) / 3.0)
+        right = min(right, last + 1.0)
+    return left, right
+
+
+class _Crossing:
+    """Remembers where each half of the sensor was on the line last. Both begin at 0 m, as in MRC."""
+
+    def __init__(self) -> None:
+        self._first = self._second = 0.0
+
+    def update(self, first: bool, second: bool, distance: float) -> bool:
+        crosses = False
+        if first:
+            self._first = distance
+            crosses = abs(self._first - self._second) < 0.03
+        if second:
+            self._second = distance
+            crosses = crosses or abs(self._first - self._second) < 0.03
+        return crosses

@@ -1,0 +1,140 @@
+"""The variables of a mission: those of the script, and the system variables (``$name``) of the robot.
+
+As in MRC all values stand in one pool of doubles, in the order in which they are made: first ``$condition`` and the
+results, then the built-in system variables, then the read and the write variables of the robot, then the script's. The
+order is kept because it shows: MRC checks the index of ``a[i]`` but not the one in ``set "a[9]" 1`` or ``log "a[9]"``,
+which reach whatever stands behind the array.
+
+A system variable has three slots for each of its values: the value, its offset and its gain (`setoffset`, `setgain`),
+as three blocks one after the other.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+__all__ = ["POOL_SIZE", "Symbol", "Symbols", "split_index"]
+
+#: Doubles in the pool, as in MRC, which writes beyond it.
+POOL_SIZE = 10_000
+#: Variables that a script can make, as in MRC.
+MOST_SYMBOLS = 10_000
+
+_INDEX = re.compile(r"[ \t\n\v\f\r]*([+-]?[0-9]{1,9})")
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A variable.
+
+    Attributes:
+        name: without the ``$``.
+        place: of its first value in the pool.
+        size: how many values it has.
+    """
+
+    name: str
+    place: int
+    size: int
+
+
+class Symbols:
+    """The variables of a mission.
+
+    Args:
+        built_in: names of the built-in system variables, in order.
+        read: length of each read variable of the robot, by name, in order.
+        write: likewise of the write variables.
+
+    Attributes:
+        pool: every value.
+        user: the variables of the script by name.
+        system: the system variables by name. Of two with the same name the first counts: MRC finds its own ``$tick``
+            before the robot's.
+        inputs, outputs: the robot's read and write variables among them.
+        raw: the robot's read variables of this cycle.
+    """
+
+    def __init__(self, built_in: Iterable[str], read: Mapping[str, int], write: Mapping[str, int]) -> None:
+        self.pool = [0.0] * POOL_SIZE
+        self.raw: Mapping[str, Sequence[int]] = {}
+        self.user: dict[str, Symbol] = {}
+        self.system: dict[str, Symbol] = {}
+        self._used = 0
+        self._live: dict[str, Symbol] = {}
+        self.inputs: dict[str, Symbol] = {}
+        self.outputs: dict[str, Symbol] = {}
+        self.system["condition"] = Symbol("condition", self._reserve(1), 1)
+        for name in built_in:
+            self.system.setdefault(name, Symbol(name, self._reserve(3), 1))
+        for table, lengths in ((self.inputs, read), (self.outputs, write)):
+            for name, length in lengths.items():
+                symbol = Symbol(name, self._reserve(3 * length), length)
+                self.pool[symbol.place + 2 * length : symbol.place + 3 * length] = [1.0] * length
+                table.setdefault(name, symbol)
+                self.system.setdefault(name, symbol)
+
+    def find_system(self, name: str) -> Symbol | None:
+        """The system variable of a name, from now on kept up to date; None if there is none."""
+        symbol = self.system.get(name)
+        if symbol is not None and name not in self._live and self.inputs.get(name) is symbol:
+            # A robot may have thousands of variables. Those that nobody looks at are not converted.
+            self._live[name] = symbol
+            self._refresh(symbol)
+        return symbol
+
+    def refresh(self, raw: Mapping[str, Sequence[int]]) -> None:
+        """Take the robot's read variables of a new cycle."""
+        self.raw = raw
+        for symbol in self._live.values():
+            self._refresh(symbol)
+
+    def _refresh(self, symbol: Symbol) -> None:
+        words = self.raw.get(symbol.name)
+        if words is None:
+            return
+        pool, place, size = self.pool, symbol.place, symbol.size
+        for index in range(size):
+            here = place + index
+            pool[here] = (words[index] + pool[here + size]) * pool[here + 2 * size]
+
+    @property
+    def free(self) -> int:
+        """Values that can still be made."""
+        return POOL_SIZE - self._used
+
+    def make(self, name: str) -> Symbol | None:
+        """A new variable of the script, of value 0; None where there is no room."""
+        return self._make(name, 1, 0)
+
+    def make_array(self, name: str, size: int) -> Symbol | None:
+        """A new array of zeros; None where there is no room. A variable of that name stays what it is."""
+        # MRC makes a plain variable first and leaves its value unused.
+        return self._make(name, size, 1)
+
+    def _make(self, name: str, size: int, unused: int) -> Symbol | None:
+        if len(self.user) >= MOST_SYMBOLS or not 0 <= size <= self.free - unused:
+            return None
+        symbol = Symbol(name, self._reserve(unused + size) + unused, size)
+        self.pool[symbol.place : symbol.place + size] = [0.0] * size
+        return self.user.setdefault(name, symbol)
+
+    def _reserve(self, count: int) -> int:
+        place = self._used
+        self._used += count
+        if self._used > POOL_SIZE:
+            raise MemoryError(f"the robot's variables need more than {POOL_SIZE} values")
+        return place
+
+
+def split_index(text: str) -> tuple[str, int]:
+    """``"servo[2]"`` to ``("servo", 2)``; the index is 0 where there is none, and for what is no number.
+
+    As in MRC an index of -1 counts as none.
+    """
+    name, bracket, rest = text.partition("[")
+    found = _INDEX.match(rest) if bracket else None
+    index = int(found.group(1)) if found else 0
+    return name, 0 if index == -1 else index

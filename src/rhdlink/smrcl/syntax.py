@@ -1,0 +1,312 @@
+"""The syntax tree of SMR-CL, and its way back to text.
+
+A tree says what is written and nothing of what it means to a robot: whether a variable exists is found out when the
+line is executed, as in MRC. Columns do not count when trees are compared.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Union
+
+__all__ = [
+    "PRECEDENCE",
+    "UNARY_PRECEDENCE",
+    "Assign",
+    "Binary",
+    "Call",
+    "Case",
+    "Command",
+    "Element",
+    "EndSwitch",
+    "Evaluate",
+    "Expression",
+    "If",
+    "Line",
+    "Negate",
+    "Number",
+    "Operand",
+    "Problem",
+    "SpeedSetting",
+    "Statement",
+    "Switch",
+    "Text",
+    "Variable",
+    "WaitFor",
+    "write_expression",
+    "write_line",
+]
+
+#: How tightly a binary operator binds; a level for almost each of them, as in MRC's grammar. Equal ones group to the
+#: left, ``^`` to the right.
+PRECEDENCE = {
+    "|": 1,
+    "&": 2,
+    "==": 3,
+    "!=": 4,
+    ">": 5,
+    "<": 6,
+    ">=": 7,
+    "<=": 8,
+    "+": 9,
+    "-": 9,
+    "*": 10,
+    "/": 10,
+    "^": 12,
+}
+#: Of the unary minus: ``-2^2`` is -4 and ``-2*3`` is ``(-2)*3``.
+UNARY_PRECEDENCE = 11
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number, without a sign except as a parameter of a command."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Text:
+    """A string, as a parameter of a command."""
+
+    value: str
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the script, or with `is_system` one of the robot (``$name``)."""
+
+    name: str
+    is_system: bool = False
+    column: int = field(default=0, compare=False)
+
+
+@dataclass(frozen=True)
+class Element:
+    """One value of an array."""
+
+    array: Variable
+    index: Expression
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function with its arguments."""
+
+    name: str
+    arguments: tuple[Expression, ...]
+    column: int = field(default=0, compare=False)
+
+
+@dataclass(frozen=True)
+class Negate:
+    """The unary minus."""
+
+    operand: Expression
+
+
+@dataclass(frozen=True)
+class Binary:
+    """Two expressions and an operator of `PRECEDENCE`."""
+
+    operator: str
+    left: Expression
+    right: Expression
+
+
+Expression = Union[Number, Variable, Element, Call, Negate, Binary]
+Operand = Union[Number, Text, Variable]
+
+
+@dataclass(frozen=True)
+class SpeedSetting:
+    """``@v`` or ``@a`` with its value.
+
+    Attributes:
+        letter: "v" for the speed, m/s, or "a" for the acceleration, m/s2.
+    """
+
+    letter: str
+    value: Number | Variable
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command with its parameters, speeds and stop conditions.
+
+    Attributes:
+        is_broken: what follows on the line is an error. The speeds are set, and then the line fails.
+    """
+
+    name: str
+    parameters: tuple[Operand, ...] = ()
+    speeds: tuple[SpeedSetting, ...] = ()
+    conditions: tuple[Expression, ...] = ()
+    column: int = field(default=0, compare=False)
+    is_broken: bool = False
+
+
+@dataclass(frozen=True)
+class WaitFor:
+    """``: (condition) | (condition)``.
+
+    Without conditions: how MRC reads a line that begins with a character beyond ASCII. Its column is `column`.
+    """
+
+    conditions: tuple[Expression, ...]
+    column: int = field(default=0, compare=False)
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """``eval``."""
+
+    values: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class If:
+    """Jump to a label if the condition is not 0."""
+
+    condition: Expression
+    label: str
+
+
+@dataclass(frozen=True)
+class Assign:
+    """An assignment.
+
+    Attributes:
+        following: the name of a variable of the script that comes right behind it, where one does. MRC reads it before
+            it makes a new variable, and then makes the wrong one; `MRC`'s profile does likewise.
+    """
+
+    target: Variable | Element
+    value: Expression
+    following: str | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True)
+class Switch:
+    """``switch``: the lines up to the matching `Case` are skipped."""
+
+    value: Expression
+
+
+@dataclass(frozen=True)
+class Case:
+    """``case``, where it is not skipped: the lines up to the next matching case or `EndSwitch` are skipped."""
+
+    value: Number
+
+
+@dataclass(frozen=True)
+class EndSwitch:
+    """``endswitch``."""
+
+
+Statement = Union[Command, WaitFor, Evaluate, If, Assign, Switch, Case, EndSwitch]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is wrong with a line.
+
+    Attributes:
+        column: where, from 1.
+        message: what was found, and what was expected.
+    """
+
+    column: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line: what it says up to the first problem, and that problem.
+
+    Attributes:
+        statements: in order. Only assignments can be followed by others.
+        problem: None if all of the line is understood.
+    """
+
+    statements: tuple[Statement, ...]
+    problem: Problem | None = None
+
+
+def write_expression(expression: Expression, loosest: int = 0) -> str:
+    """An expression as text, in brackets if it binds looser than `loosest`."""
+    if isinstance(expression, Number):
+        return _number(expression.value)
+    if isinstance(expression, Variable):
+        return f"${expression.name}" if expression.is_system else expression.name
+    if isinstance(expression, Element):
+        return f"{write_expression(expression.array)}[{write_expression(expression.index)}]"
+    if isinstance(expression, Call):
+        return f"{expression.name}({', '.join(map(write_expression, expression.arguments))})"
+    if isinstance(expression, Negate):
+        # The operand takes what binds at least as tightly as a minus, and a minus of its own.
+        text, level = f"-{write_expression(expression.operand, UNARY_PRECEDENCE)}", UNARY_PRECEDENCE
+    else:
+        level = PRECEDENCE[expression.operator]
+        is_power = expression.operator == "^"
+        left = write_expression(expression.left, level + is_power)
+        right = write_expression(expression.right, level + (not is_power))
+        text = f"{left} {expression.operator} {right}"
+    return f"({text})" if level < loosest else text
+
+
+def write_line(line: Line) -> str:
+    """A line as text that is read back as the same line. It has no problem.
+
+    Raises:
+        ValueError: a line with a problem, or a text in it that cannot be written.
+    """
+    if line.problem is not None:
+        raise ValueError(f"a line with a problem has no text: {line.problem.message}")
+    return " ".join(map(_write, line.statements))
+
+
+def _write(statement: Statement) -> str:
+    if isinstance(statement, Command):
+        words = [statement.name, *map(_operand, statement.parameters)]
+        words += [f"@{each.letter} {_operand(each.value)}" for each in statement.speeds]
+        if statement.conditions:
+            words.append(_conditions(statement.conditions))
+        return " ".join(words)
+    if isinstance(statement, WaitFor):
+        return _conditions(statement.conditions)
+    if isinstance(statement, Evaluate):
+        return f"eval {' ; '.join(map(write_expression, statement.values))}"
+    if isinstance(statement, If):
+        return f"if ({write_expression(statement.condition)}) {_quoted(statement.label)}"
+    if isinstance(statement, Assign):
+        return f"{write_expression(statement.target)} = {write_expression(statement.value)}"
+    if isinstance(statement, Switch):
+        return f"switch ({write_expression(statement.value)})"
+    if isinstance(statement, Case):
+        return f"case {_number(statement.value.value)}"
+    return "endswitch"
+
+
+def _conditions(conditions: tuple[Expression, ...]) -> str:
+    return f": {' | '.join(f'({write_expression(each)})' for each in conditions)}"
+
+
+def _operand(operand: Operand) -> str:
+    return _quoted(operand.value) if isinstance(operand, Text) else write_expression(operand)
+
+
+def _quoted(text: str) -> str:
+    if '"' in text or "\\" in text or "\0" in text:
+        raise ValueError(f"no string can hold {text!r}")
+    return f'"{text}"'
+
+
+def _number(value: float) -> str:
+    if value != value:
+        raise ValueError("no number is written nan")
+    if math.isinf(value):
+        return "1e999" if value > 0 else "-1e999"
+    return repr(value)
