@@ -14,13 +14,14 @@ from .arithmetic import divide, format_number, truncate
 from .data_log import DataLog
 from .expressions import Fault, Value
 from .interpreter import Interpreter, Outcome, Output, Run, never
-from .motion.control import LineKind, Motion, Standing
+from .motion.control import Motion, Standing
 from .motion.following import FollowLine, FollowWall, FollowWallTable
 from .motion.standing import Align, FunctionGenerator, Stop
 from .motion.straight import FollowDirection, Forward, Wheels
 from .motion.topoint import DriveToPoint
 from .motion.turning import Arc, Clothoid, Turn
 from .odometry import Pose
+from .sensors import LineKind
 from .symbols import split_index
 from .vehicle import Vehicle
 
@@ -181,10 +182,11 @@ class MissionEffects:
         vehicle = self._vehicle
         vehicle.control.distance = 0.0
         if len(reference) < 3:
-            vehicle.control.reference = vehicle.estimated_pose()
+            here = vehicle.estimated_pose()
+            vehicle.control.reference.set(here.x, here.y, here.th)
             return self._move(motion)
         x, y, th = reference[:3]
-        vehicle.control.reference = Pose(x, y, _radians(th, reference[3] if len(reference) > 3 else None))
+        vehicle.control.reference.set(x, y, _radians(th, reference[3] if len(reference) > 3 else None))
         return self._move(motion, x, y, th)
 
     def _drivetopoint(self, x: float, y: float, th: float, radius: float, frame: object = None) -> Outcome:
@@ -414,7 +416,7 @@ class MissionEffects:
         if symbol is None:
             self._reject_name(f"the robot has no variable {variable}", " input variable not found \n")
         elif 0 <= symbol.place + index < len(self._symbols.pool):
-            self._vehicle.routes[module, function, name] = symbol.place + index
+            self._vehicle.route_input(module, function, name, symbol.place + index)
         return self._at_once()
 
     def _routeoutput(self, source: str, text: str) -> Outcome:
@@ -541,7 +543,7 @@ class MissionEffects:
 
     def _get(self, what: str, text: str = "") -> Outcome:
         if what == "guidemark":
-            self._vehicle.external["guidemarkok"] = 0.0
+            self._vehicle.provide({"guidemarkok": 0.0})
             self._use_hook("get", what, text)
         else:
             self._reject_name(f'get knows no "{what}", only guidemark')

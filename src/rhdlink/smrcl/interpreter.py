@@ -376,7 +376,7 @@ class Interpreter:
         assert line.steps is not None
         try:
             for step in line.steps:
-                outcome = step(run)
+                outcome: Outcome | None = step(run)
                 if outcome is not None:
                     return outcome
             if (problem := line.tree.problem) is not None:

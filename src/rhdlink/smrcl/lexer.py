@@ -56,9 +56,10 @@ class Token:
 
     def __str__(self) -> str:
         if self.type in (TokenType.END, TokenType.FOREIGN):
-            return self.type.value
-        mark = {TokenType.STRING: '"', TokenType.SYSTEM: "$"}.get(self.type, "")
-        return f"{mark}{self.text}{mark if self.type is TokenType.STRING else ''}"
+            return str(self.type.value)
+        if self.type is TokenType.STRING:
+            return f'"{self.text}"'
+        return f"${self.text}" if self.type is TokenType.SYSTEM else self.text
 
 
 def tokenize(line: str) -> list[Token]:

@@ -29,6 +29,10 @@ class Pose:
     y: float = 0.0
     th: float = 0.0
 
+    def set(self, x: float, y: float, th: float) -> None:
+        """Go there."""
+        self.x, self.y, self.th = x, y, th
+
     def copy(self) -> Pose:
         """Another one at the same place."""
         return Pose(self.x, self.y, self.th)

@@ -10,13 +10,14 @@ everywhere. MRC keeps the sums in floats of 32 bits, whose rounding shows in the
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Sequence
 from struct import Struct
 
-from .arithmetic import NAN, divide, truncate
+from .arithmetic import divide, truncate
 
-__all__ = ["IR_NAMES", "InfraredSensors", "LineSensor"]
+__all__ = ["IR_NAMES", "InfraredSensors", "LineKind", "LineSensor"]
 
 #: The infrared sensors, in the order of the robot's variable.
 IR_NAMES = ("left", "front left", "front middle", "front right", "right", "unused")
@@ -24,7 +25,22 @@ IR_NAMES = ("left", "front left", "front middle", "front right", "right", "unuse
 #: m beyond which an infrared sensor sees nothing.
 _FARTHEST = 1.0
 
+#: Brightness of the darkest sensor between line and no line.
+_THRESHOLD = 0.43
+
 _FLOAT = Struct("f")
+
+
+class LineKind(enum.Enum):
+    """Which line `followline` follows, as the language names it."""
+
+    BLACK_MIDDLE = "bm"
+    BLACK_LEFT = "bl"
+    BLACK_RIGHT = "br"
+    WHITE_MIDDLE = "wm"
+    WHITE_LEFT = "wl"
+    WHITE_RIGHT = "wr"
+    CAMERA = "bmc"
 
 
 def _single(value: float) -> float:
@@ -50,15 +66,17 @@ class InfraredSensors:
     def __init__(self, k1: Sequence[float] = (16.0,) * 6, k2: Sequence[float] = (76.0,) * 6) -> None:
         self._parameters = tuple(zip(k1, k2, strict=True))
         self.distances = [0.0] * len(self._parameters)
+        self._raw: Sequence[int] = ()
 
     def update(self, raw: Sequence[int]) -> None:
         """One cycle."""
+        if raw == self._raw:
+            return
+        self._raw = raw
         distances = self.distances
-        for number, (k1, k2) in enumerate(self._parameters):
-            if number == len(raw):
-                break
+        for number, ((k1, k2), value) in enumerate(zip(self._parameters, raw, strict=False)):
             # MRC keeps the raw value in a byte, and the difference in an int.
-            above = truncate(int(raw[number]) % 256 - k2)
+            above = truncate(value % 256 - k2)
             distances[number] = _FARTHEST if above < 1 else k1 / above
 
     @property
@@ -76,13 +94,10 @@ class LineSensor:
         white, black: raw value of each sensor on white and on black; without them every sensor reads black.
 
     Attributes:
+        size: how many sensors there are.
         values: of each sensor: 0 black, 1 white; not smoothed.
         smoothed: likewise, smoothed.
-        black: position of the middle of a black line, cm to the left; nan where all sensors read the same.
-        black_left, black_right: where the edges of a black line have the robot drive, cm.
-        white: position of a white line, cm.
-        white_left, white_right: of its edges; MRC has them always 0.
-        is_missing: no black line has been seen for 5 cycles.
+        is_missing: no black line has been seen for 6 cycles.
     """
 
     def __init__(
@@ -102,50 +117,80 @@ class LineSensor:
         )
         self.values = [0.0] * size
         self.smoothed = [0.0] * size
-        self.black = self.black_left = self.black_right = 0.0
-        self.white = self.white_left = self.white_right = 0.0
         self.is_missing = False
         self._count = 0
+        self._raw: Sequence[int] = ()
+        self._is_settled = False
+        self._darkest = self._brightest = 0.0
+        self._brightest_place = 0
+        self._halves = (True, True, False, False)
+        # Computed when somebody asks, until the next cycle. Without a sensor they stay 0.
+        self._positions: dict[LineKind, float] = dict.fromkeys(LineKind, 0.0)
         self._black_crossing = _Crossing()
         self._white_crossing = _Crossing()
 
     def update(self, raw: Sequence[int]) -> None:
         """One cycle."""
+        if raw == self._raw and self._is_settled:
+            self._miss()
+            return
+        self._raw = raw
         gain, offset = self._gain, self._offset
         self.see([gain[each] * (raw[each] - offset[each]) for each in range(self.size)])
 
     def see(self, values: Sequence[float]) -> None:
         """One cycle, with calibrated values."""
-        self.values[:] = values
-        keep, smoothed = self._smoothing, self.smoothed
-        for number, value in enumerate(values):
-            smoothed[number] = smoothed[number] * keep + value * (1 - keep)
+        keep = self._smoothing
+        smoothed = [old * keep + new * (1 - keep) for old, new in zip(self.smoothed, values, strict=True)]
+        self._is_settled = smoothed == self.smoothed
+        self.values = list(values)
+        self.smoothed = smoothed
         brightest, darkest, place = 0.0, 100.0, 0
         for number, value in enumerate(smoothed):
             if value > brightest:
                 brightest, place = _single(value), number
             if value < darkest:
                 darkest = _single(value)
-        self._miss(darkest)
+        self._darkest, self._brightest, self._brightest_place = darkest, brightest, place
+        self._miss()
+        self._halves = (
+            max(smoothed[:4]) <= 0.2,
+            max(smoothed[self.size - 4 :]) <= 0.2,
+            min(smoothed[:4]) >= 0.75,
+            min(smoothed[4:8]) >= 0.75,
+        )
+        self._positions.clear()
+
+    def position(self, kind: LineKind) -> float:
+        """The position of a line, cm to the left of the middle."""
+        if kind not in self._positions:
+            self._locate()
+        return self._positions[kind]
+
+    def _locate(self) -> None:
+        smoothed, brightest, darkest = self.smoothed, self._brightest, self._darkest
+        middle = (self.size - 1) / 2.0
         mass = weighted = 0.0
         for number, value in enumerate(smoothed):
             mass = _single(mass + (brightest - value))
             weighted = _single(weighted + (brightest - value) * number)
-        middle = (self.size - 1) / 2.0
-        centre = _single(divide(weighted, mass)) if mass == mass else NAN
-        self.black = (centre - middle) * 2
-        self.white = (place - middle) * 2
+        # nan where all sensors read the same.
+        centre = _single(divide(weighted, mass))
+        black = _edges(smoothed, _single((darkest + brightest) / 2.0))
+        white = _edges([-value for value in smoothed], -(darkest + brightest) / 2.0)
         # An edge is seen about one sensor before it.
-        left, right = _edges(smoothed, _single((darkest + brightest) / 2.0))
-        self.black_right = (left + 1.1 - middle) * 2
-        self.black_left = (right - 1.1 - middle) * 2
-        left, right = _edges([-value for value in smoothed], -(darkest + brightest) / 2.0)
-        self.white_right = (left + 1.1 - middle) * 2
-        self.white_left = (right - 1.1 - middle) * 2
+        self._positions = {
+            LineKind.BLACK_MIDDLE: (centre - middle) * 2,
+            LineKind.BLACK_RIGHT: (black[0] + 1.1 - middle) * 2,
+            LineKind.BLACK_LEFT: (black[1] - 1.1 - middle) * 2,
+            LineKind.WHITE_MIDDLE: (self._brightest_place - middle) * 2,
+            LineKind.WHITE_RIGHT: (white[0] + 1.1 - middle) * 2,
+            LineKind.WHITE_LEFT: (white[1] - 1.1 - middle) * 2,
+        }
 
-    def _miss(self, darkest: float) -> None:
+    def _miss(self) -> None:
         """A line is found, or lost, when the darkest sensor has said so for 6 cycles."""
-        if (darkest < 0.43) if self.is_missing else (darkest > 0.43):
+        if (self._darkest < _THRESHOLD) if self.is_missing else (self._darkest > _THRESHOLD):
             self._count += 1
             if self._count > 5:
                 self._count = 0
@@ -158,13 +203,11 @@ class LineSensor:
 
     def crosses_black(self, distance: float) -> bool:
         """Both halves have been on black within 3 cm; `distance` is the way driven, m."""
-        dark = self.smoothed
-        return self._black_crossing.update(max(dark[:4]) <= 0.2, max(dark[self.size - 4 :]) <= 0.2, distance)
+        return self._black_crossing.update(self._halves[0], self._halves[1], distance)
 
     def crosses_white(self, distance: float) -> bool:
         """Both halves have been on white within 3 cm."""
-        bright = self.smoothed
-        return self._white_crossing.update(min(bright[:4]) >= 0.75, min(bright[4:8]) >= 0.75, distance)
+        return self._white_crossing.update(self._halves[2], self._halves[3], distance)
 
 
 def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Union
 
 __all__ = [
     "PRECEDENCE",
@@ -115,8 +114,8 @@ class Binary:
     right: Expression
 
 
-Expression = Union[Number, Variable, Element, Call, Negate, Binary]
-Operand = Union[Number, Text, Variable]
+Expression = Number | Variable | Element | Call | Negate | Binary
+Operand = Number | Text | Variable
 
 
 @dataclass(frozen=True)
@@ -206,7 +205,7 @@ class EndSwitch:
     """``endswitch``."""
 
 
-Statement = Union[Command, WaitFor, Evaluate, If, Assign, Switch, Case, EndSwitch]
+Statement = Command | WaitFor | Evaluate | If | Assign | Switch | Case | EndSwitch
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from collections.abc import Mapping, Sequence
 
 from linkcore.errors import BadValue
 
-from .motion.control import Drive, Line, LineKind, MotionControl
+from .motion.control import Drive, MotionControl
 from .motion.standing import FunctionGenerator, Stop
 from .odometry import Covariance, Odometry, Pose
 from .profile import Profile
 from .robot_conf import RobotConf
-from .sensors import InfraredSensors, LineSensor
+from .sensors import InfraredSensors, LineKind, LineSensor
 from .symbols import Symbols, split_index
 
 __all__ = ["BUILT_IN", "Vehicle", "counted"]
@@ -100,7 +100,11 @@ class Vehicle:
         control: its motion control.
         line_kind: which line `followline` follows.
         external: system variables that a user's program provides, by name.
-        obstacle_front: m; by default what the front infrared sensors of an SMR see.
+        heading: of the counter or gyro, before offset and gain.
+        heading_offset, heading_gain: of it; rad per count.
+        uses_kalman: motions go by the pose of a filter outside.
+        stop_input: not 0 ends the mission.
+        generator_output: the output that `routeoutput` sends `funcgen` to: variable and index.
     """
 
     def __init__(
@@ -134,14 +138,15 @@ class Vehicle:
         if not profile.stands_at_first:
             self.control.start(Stop())
             self.control.update()
-        self.line_kind = LineKind.BLACK_RIGHT
+        self.line_kind = self._followed = LineKind.BLACK_RIGHT
+        self.control.line_position = self.line_position
         self.external: dict[str, float] = {}
-        #: Whether motions go by the pose of a filter outside.
         self.uses_kalman = False
         self.heading_offset = 0.0
         is_velomega = conf.drive is Drive.VELOMEGA
         self.heading_gain = conf.heading_gain if is_velomega else 0.0
-        self.obstacle_front = _FREE_AHEAD
+        self.heading = self.steering_angle = self.stop_input = 0.0
+        self.control.obstacle_front, self.control.obstacle_back = _FREE_AHEAD, _FREE_BEHIND
         self._left_counter = "transpos" if is_velomega else "encl"
         self._right_counter = "encr"
         self._written = ("cmdtransvel", "cmdrotvel") if is_velomega else ("speedl", "speedr")
@@ -151,19 +156,20 @@ class Vehicle:
         self._has_line = read.get("linesensor", 0) >= conf.line_size
         self._has_tick = "tick" in read
         self._gps = tuple((_PLACES[name], *source) for name, source in _GPS.items() if source[0] in read)
+        self._has_more = bool(self._gps) or (profile.knows_tick and self._has_tick)
         self._values = [_INITIAL.get(name, 0.0) for name in BUILT_IN]
         first = self.symbols.system[BUILT_IN[0]].place
         self._block = slice(first, first + 3 * len(BUILT_IN), 3)
         self._results = self.symbols.system["res0"].place
-        self._is_begun = False
-        #: Inputs of control functions that come from a system variable: its place in the pool.
-        self.routes: dict[tuple[str, str, str], int] = {}
-        #: The output that `routeoutput` sends `funcgen` to: variable and index.
+        # Inputs of control functions that come from a place in the pool.
+        self._routes: dict[tuple[bool, str, str], int] = {}
+        self._sensed: list[tuple[object, str, int]] = []
+        self._acted: list[tuple[object, str, int]] = []
         self.generator_output: tuple[str, int] | None = None
         self._generator: FunctionGenerator | None = None
         if is_velomega and (heading := self.symbols.system.get("rotpos")) is not None:
             self.symbols.find_system("rotpos")
-            self.routes["mrc", "odoconnect", "dth"] = heading.place
+            self.route_input("mrc", "odoconnect", "dth", heading.place)
         for scale in conf.scales:
             name, index = split_index(scale.variable)
             self.set_scale(name, index, offset=scale.offset, gain=scale.gain)
@@ -187,27 +193,32 @@ class Vehicle:
 
     def sense(self, raw: Mapping[str, Sequence[int]]) -> None:
         """Take the values of a cycle, as far as the script needs them."""
-        self.symbols.refresh(raw)
-        odometry, control = self.odometry, self.control
-        odometry.heading = (self._routed("mrc", "odoconnect", "dth") + self.heading_offset) * self.heading_gain
-        if self.external or self.routes:
-            # Unless something else is named, the laser server tells where the world lies.
-            world, told = control.world, self.external
-            world.x = self._routed("mrc", "motionconnect", "w2odox", told.get("l0", 0.0))
-            world.y = self._routed("mrc", "motionconnect", "w2odoy", told.get("l1", 0.0))
-            world.th = self._routed("mrc", "motionconnect", "w2odoth", told.get("l2", 0.0))
+        symbols, odometry, control = self.symbols, self.odometry, self.control
+        symbols.refresh(raw)
+        if self.external:
+            # Unless something else is routed there, the laser server tells where the world lies.
+            told = self.external
+            control.world.set(told.get("l0", 0.0), told.get("l1", 0.0), told.get("l2", 0.0))
+        pool = symbols.pool
+        for owner, attribute, place in self._sensed:
+            setattr(owner, attribute, pool[place])
+        odometry.heading = (self.heading + self.heading_offset) * self.heading_gain
         if odometry.heading_source == 2:
             odometry.curvature = _first(raw, "curvature")
         if self._has_ir:
             self.infrared.update(raw["irsensor"])
         if self._has_line:
             self.line_sensor.update(raw["linesensor"])
-        control.line = self._line()
         odometry.update(_first(raw, self._left_counter), _first(raw, self._right_counter))
-        self.covariance.update(odometry.left_step, odometry.right_step)
+        if odometry.left_step or odometry.right_step:
+            self.covariance.update(odometry.left_step, odometry.right_step)
         control.pose = odometry.pose.copy()
         if self.uses_kalman and "xkalman" in self.external:
             control.pose = self.kalman_pose()
+        # The kind that was asked for by the cycle before: the script of this one comes later.
+        self._followed = self.line_kind
+        is_white = self.line_kind.value[:1] == "w"
+        control.line_is_missing = self.line_sensor.is_missing and not is_white and self.line_kind is not LineKind.CAMERA
 
     def update_variables(self, driven: float, seconds: float, time: float) -> None:
         """Bring the built-in system variables up to date, as MRC does before each line and each test of conditions.
@@ -218,41 +229,42 @@ class Vehicle:
             time: ``$time``.
         """
         values, odometry, control = self._values, self.odometry, self.control
-        pose, target, sensor, raw = odometry.pose, control.target, self.line_sensor, self.symbols.raw
-        values[0:2] = driven, seconds
-        values[2:7] = self.infrared.distances[:5]
-        if self._has_ir:
-            values[7:12] = raw["irsensor"][:5]
+        pose, target, sensor, covariance = odometry.pose, control.target, self.line_sensor, self.covariance
+        distances = self.infrared.distances
+        left, right, driven_all = control.left, control.right, odometry.distance
+        values[0:7] = driven, seconds, *distances[:5]
         values[12:21] = (
-            *(pose.x, pose.y, pose.th, odometry.distance, odometry.left_distance, odometry.right_distance),
+            *(pose.x, pose.y, pose.th, driven_all, odometry.left_distance, odometry.right_distance),
             *(odometry.velocity, odometry.right_step, odometry.left_step),
         )
         values[22] = sensor.is_found
-        values[23] = sensor.crosses_black(odometry.distance)
-        values[25] = sensor.crosses_white(odometry.distance)
-        size = min(sensor.size, 8)
-        values[31 : 31 + size] = sensor.values[:size]
+        values[23] = sensor.crosses_black(driven_all)
+        values[25] = sensor.crosses_white(driven_all)
+        if self._has_ir:
+            values[7:12] = self.symbols.raw["irsensor"][:5]
         if self._has_line:
-            words = raw["linesensor"][:8]
-            values[39 : 39 + len(words)] = words
-        values[47:49] = control.line.position, sensor.is_missing
-        values[_LOG0 : _LOG0 + 4] = (
-            self._routed("motioncontrol", "followwall", "distl", self.infrared.distances[0]),
-            self._routed("motioncontrol", "followwall", "distr", self.infrared.distances[4]),
-            self._routed("motioncontrol", "followwall", "anglel"),
-            self._routed("motioncontrol", "followwall", "angler"),
+            size = min(sensor.size, 8)
+            values[31 : 31 + size] = sensor.values[:size]
+            values[39 : 39 + size] = self.symbols.raw["linesensor"][:size]
+            values[47:49] = self.line_position(), sensor.is_missing
+        values[65:69] = distances[0], distances[4], control.wall_angle_left, control.wall_angle_right
+        values[72:81] = (
+            *(left, right, 0.0, control.is_blocked, target.x, target.y, target.th),
+            *(control.remaining, time),
         )
-        values[_MOTORS : _MOTORS + 9] = (
-            *(control.left, control.right, 0.0, control.is_blocked),
-            *(target.x, target.y, target.th, control.remaining, time),
-        )
-        values[_SPEED_REFERENCE] = control.left
-        values[_MOTCON : _MOTCON + 3] = control.left, control.right, control.omega
-        covariance = self.covariance
+        values[_SPEED_REFERENCE] = left
+        values[_MOTCON : _MOTCON + 3] = left, right, control.omega
         values[_COVARIANCE : _COVARIANCE + 6] = (
             *(covariance.th_th, covariance.th_x, covariance.th_y),
             *(covariance.x_x, covariance.x_y, covariance.y_y),
         )
+        if self._has_more:
+            self._update_more()
+        self.symbols.pool[self._block] = values
+
+    def _update_more(self) -> None:
+        """The system variables that few robots have."""
+        values, raw = self._values, self.symbols.raw
         for place, name, has_millionths in self._gps:
             words = raw[name]
             values[place] = words[0] + (1e-6 * words[1] if has_millionths and len(words) > 1 else 0.0)
@@ -260,27 +272,27 @@ class Vehicle:
             values[_TICK] = raw["tick"][0]
         for name, value in self.external.items():
             values[_PLACES[name]] = value
-        self.symbols.pool[self._block] = values
+
+    def line_position(self) -> float:
+        """The position of the line that is followed, cm to the left."""
+        kind = self._followed
+        if kind is LineKind.CAMERA:
+            return self.external.get("linepos", 0.0)
+        if kind in (LineKind.WHITE_LEFT, LineKind.WHITE_RIGHT) and not self.profile.white_edges:
+            return 0.0
+        return self.line_sensor.position(kind)
 
     def act(self) -> dict[str, list[int]]:
         """Motion control for this cycle; what is to be written, by name."""
-        odometry, control = self.odometry, self.control
+        odometry, control, distances = self.odometry, self.control, self.infrared.distances
         control.velocity = odometry.velocity
         control.left_velocity, control.right_velocity = odometry.left_velocity, odometry.right_velocity
         if self._sees_obstacles:
-            self.obstacle_front = self.infrared.front
-        control.obstacle_front = self._routed("mrc", "motionconnect", "obstaclefront", self.obstacle_front)
-        control.obstacle_back = self._routed("mrc", "motionconnect", "obstacleback", _FREE_BEHIND)
-        distances = self.infrared.distances
-        control.ir_left = self._routed("motioncontrol", "followwall", "distl", distances[0])
-        control.ir_right = self._routed("motioncontrol", "followwall", "distr", distances[4])
-        control.wall_angle_left = self._routed("motioncontrol", "followwall", "anglel")
-        control.wall_angle_right = self._routed("motioncontrol", "followwall", "angler")
-        if self.routes:
-            reference = control.reference
-            reference.x = self._routed("motioncontrol", "drive", "refx", reference.x)
-            reference.y = self._routed("motioncontrol", "drive", "refy", reference.y)
-            reference.th = self._routed("motioncontrol", "drive", "refth", reference.th)
+            control.obstacle_front = self.infrared.front
+        control.ir_left, control.ir_right = distances[0], distances[4]
+        pool = self.symbols.pool
+        for owner, attribute, place in self._acted:
+            setattr(owner, attribute, pool[place])
         control.update()
         if isinstance(control.motion, FunctionGenerator):
             self._generator = control.motion
@@ -327,23 +339,6 @@ class Vehicle:
             return False
         return self._has_ir or not self.profile.sees_without_ir or any(self.infrared.distances)
 
-    def _line(self) -> Line:
-        sensor, kind = self.line_sensor, self.line_kind
-        has_edges = self.profile.white_edges
-        if kind is LineKind.BLACK_MIDDLE:
-            return Line(sensor.black, sensor.is_missing)
-        if kind is LineKind.BLACK_LEFT:
-            return Line(sensor.black_left, sensor.is_missing)
-        if kind is LineKind.BLACK_RIGHT:
-            return Line(sensor.black_right, sensor.is_missing)
-        if kind is LineKind.WHITE_MIDDLE:
-            return Line(sensor.white)
-        if kind is LineKind.WHITE_LEFT:
-            return Line(sensor.white_left if has_edges else 0.0)
-        if kind is LineKind.WHITE_RIGHT:
-            return Line(sensor.white_right if has_edges else 0.0)
-        return Line(self.external.get("linepos", 0.0))
-
     # -- what the script changes ------------------------------------------------------------------
 
     def set_results(self, *values: float) -> None:
@@ -352,7 +347,7 @@ class Vehicle:
             self.symbols.pool[self._results + 3 * number] = value
 
     def set_output(self, name: str, index: int, value: float) -> bool:
-        """Write a variable of the robot: ``(value + offset) * gain``, as a whole number. False if it has no such one."""
+        """Write ``(value + offset) * gain`` to a variable of the robot, rounded. False if it has no such one."""
         symbol = self.symbols.outputs.get(name)
         if symbol is None or not 0 <= index < symbol.size:
             return False
@@ -392,9 +387,17 @@ class Vehicle:
 
     def route_input(self, module: str, function: str, name: str, place: int) -> bool:
         """Have an input of a control function come from a place in the pool. False if there is none of that name."""
-        if not self.has_input(module, function, name):
+        path = _INPUTS.get((module, function, name))
+        if path is None:
             return False
-        self.routes[module, function, name] = place
+        self._routes[path] = place
+        inputs: tuple[list[tuple[object, str, int]], ...] = [], []
+        for (is_sensed, owner, attribute), where in self._routes.items():
+            found: object = self
+            for each in owner.split("."):
+                found = getattr(found, each) if each else found
+            inputs[not is_sensed].append((found, attribute, where))
+        self._sensed, self._acted = inputs
         return True
 
     def has_input(self, module: str, function: str, name: str) -> bool:
@@ -417,6 +420,7 @@ class Vehicle:
             if name not in _PLACES:
                 raise BadValue(f"${name} is no built-in system variable")
             self.external[name] = float(value)
+            self._has_more = True
 
     def kalman_pose(self) -> Pose:
         """The pose of a filter outside, where there is one."""
@@ -426,14 +430,10 @@ class Vehicle:
         """The pose that motions go by: of the odometry, or of a filter."""
         return self.kalman_pose() if self.uses_kalman else self.odometry.pose.copy()
 
-    def _routed(self, module: str, function: str, name: str, default: float = 0.0) -> float:
-        place = self.routes.get((module, function, name))
-        return default if place is None else self.symbols.pool[place]
-
     @property
     def is_told_to_stop(self) -> bool:
         """Whether the input `stop` of `mrccontrol` is not 0."""
-        return self._routed("mrc", "mrccontrol", "stop") != 0.0
+        return self.stop_input != 0.0
 
     def reset_motors(self) -> None:
         """Write the variables that reset the motors, where the robot has them."""
@@ -442,8 +442,6 @@ class Vehicle:
                 self._changed[name] = self._words[name]
 
 
-_LOG0 = _PLACES["log0"]
-_MOTORS = _PLACES["motorcmdl"]
 _SPEED_REFERENCE = _PLACES["hakospeedref"]
 _MOTCON = _PLACES["motcon_lvel"]
 _COVARIANCE = _PLACES["odocovth"]
@@ -460,15 +458,24 @@ _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "drivetopoint", "evalmethod"): "evaluation",
 }
 
-_INPUTS = frozenset(
-    (
-        *(("motioncontrol", "followwall", name) for name in ("distl", "distr", "angler", "anglel")),
-        *(("motioncontrol", "drive", name) for name in ("refx", "refy", "refth")),
-        *(("mrc", "odoconnect", name) for name in ("dth", "steeringangle")),
-        *(("mrc", "motionconnect", name) for name in ("w2odox", "w2odoy", "w2odoth", "obstaclefront", "obstacleback")),
-        ("mrc", "mrccontrol", "stop"),
-    )
-)
+#: Inputs of control functions: whether they are taken before the script, and where they go: owner, attribute.
+_INPUTS: Mapping[tuple[str, str, str], tuple[bool, str, str]] = {
+    ("mrc", "odoconnect", "dth"): (True, "", "heading"),
+    ("mrc", "odoconnect", "steeringangle"): (True, "", "steering_angle"),
+    ("mrc", "motionconnect", "w2odox"): (True, "control.world", "x"),
+    ("mrc", "motionconnect", "w2odoy"): (True, "control.world", "y"),
+    ("mrc", "motionconnect", "w2odoth"): (True, "control.world", "th"),
+    ("mrc", "motionconnect", "obstaclefront"): (False, "control", "obstacle_front"),
+    ("mrc", "motionconnect", "obstacleback"): (False, "control", "obstacle_back"),
+    ("mrc", "mrccontrol", "stop"): (False, "", "stop_input"),
+    ("motioncontrol", "followwall", "distl"): (False, "control", "ir_left"),
+    ("motioncontrol", "followwall", "distr"): (False, "control", "ir_right"),
+    ("motioncontrol", "followwall", "anglel"): (False, "control", "wall_angle_left"),
+    ("motioncontrol", "followwall", "angler"): (False, "control", "wall_angle_right"),
+    ("motioncontrol", "drive", "refx"): (False, "control.reference", "x"),
+    ("motioncontrol", "drive", "refy"): (False, "control.reference", "y"),
+    ("motioncontrol", "drive", "refth"): (False, "control.reference", "th"),
+}
 _FUNCTIONS: Mapping[str, frozenset[str]] = {
     "motioncontrol": frozenset(("followwall", "drivetopoint", "drive", "movetoxyz")),
     "mrc": frozenset(("odoconnect", "motionconnect", "mrccontrol")),

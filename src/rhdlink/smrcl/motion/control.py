@@ -17,7 +17,7 @@ from ..arithmetic import NAN, normalize_angle, sign
 from ..odometry import Pose
 from ..profile import Profile
 
-__all__ = ["Drive", "Line", "LineKind", "Motion", "MotionControl", "MotionParameters", "limited", "ramped", "root"]
+__all__ = ["Drive", "Motion", "MotionControl", "MotionParameters", "Standing", "limited", "ramped", "root"]
 
 
 class Drive(enum.Enum):
@@ -25,31 +25,6 @@ class Drive(enum.Enum):
 
     DIFFERENTIAL = "differential"
     VELOMEGA = "velomega"
-
-
-class LineKind(enum.Enum):
-    """Which line `followline` follows, as the language names it."""
-
-    BLACK_MIDDLE = "bm"
-    BLACK_LEFT = "bl"
-    BLACK_RIGHT = "br"
-    WHITE_MIDDLE = "wm"
-    WHITE_LEFT = "wl"
-    WHITE_RIGHT = "wr"
-    CAMERA = "bmc"
-
-
-@dataclass(frozen=True)
-class Line:
-    """A line as it is seen.
-
-    Attributes:
-        position: of the line, cm to the left.
-        is_missing: none is seen.
-    """
-
-    position: float = 0.0
-    is_missing: bool = False
 
 
 @dataclass
@@ -135,7 +110,8 @@ class MotionControl:
         obstacle_front, obstacle_back: m to the next obstacle.
         ir_left, ir_right: m to the walls.
         wall_angle_left, wall_angle_right: rad, of the walls to the robot, where something measures them.
-        line: the line to be followed.
+        line_position: of the line to be followed, cm to the left; asked for when it is needed.
+        line_is_missing: no line is seen.
         reference: what `drive` follows: a point and a direction, in odometry or world coordinates.
         world: the pose of the world's origin in odometry coordinates, for `drivew`.
         distance: of the last `fwd`, m.
@@ -165,7 +141,8 @@ class MotionControl:
     ir_right: float = 0.0
     wall_angle_left: float = 0.0
     wall_angle_right: float = 0.0
-    line: Line = Line()
+    line_position: Callable[[], float] = float
+    line_is_missing: bool = False
     reference: Pose = field(default_factory=Pose)
     world: Pose = field(default_factory=Pose)
     distance: float = 0.0

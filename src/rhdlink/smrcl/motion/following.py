@@ -29,14 +29,14 @@ class FollowLine(Motion):
 
     def update(self, control: MotionControl) -> None:
         """Steer by the position of the line, damped by the turn since the last cycle."""
-        parameters, pose, line = control.parameters, control.pose, control.line
+        parameters, pose = control.parameters, control.pose
         turned = pose.th - control.target.th
         control.target = pose.copy()
         control.ramp()
         steering = self._steering
-        if not line.is_missing:
+        if not control.line_is_missing:
             self._seen = pose.copy()
-            steering = parameters.line_gain * line.position - parameters.line_tau * turned
+            steering = parameters.line_gain * control.line_position() - parameters.line_tau * turned
         elif math.dist((pose.x, pose.y), (self._seen.x, self._seen.y)) > parameters.no_line_distance:
             control.reached = steering = 0.0
         self._steering = steering = limited(steering, -self.LIMIT, self.LIMIT)

@@ -32,7 +32,7 @@ class Stop(Motion):
 
 
 class Align(Motion):
-    """`align`: press the robot against an obstacle. A wheel that has stopped is told 4 m/s, and its motor limits that."""
+    """`align`: press the robot against an obstacle. A wheel that has stopped is told 4 m/s; its motor limits that."""
 
     #: m/s below which a wheel has stopped, and what it is told then.
     STOPPED = 0.01

@@ -83,7 +83,7 @@ class DriveToPoint(Motion):
         if not self._is_begun:
             self._is_begun = True
             if isinstance(piece, FollowDirection):
-                control.reference = control.pose.copy()
+                control.reference.set(control.pose.x, control.pose.y, control.pose.th)
                 if profile.topoint_is_signed:
                     control.distance = 0.0
             piece.begin(control)
