@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 __all__ = ["POOL_SIZE", "Symbol", "Symbols", "split_index"]
 
@@ -21,6 +22,9 @@ __all__ = ["POOL_SIZE", "Symbol", "Symbols", "split_index"]
 POOL_SIZE = 10_000
 #: Variables that a script can make, as in MRC.
 MOST_SYMBOLS = 10_000
+
+#: Before the first cycle. A mapping that is filled when it is asked may be empty too.
+_NONE_YET: Mapping[str, Sequence[int]] = MappingProxyType({})
 
 _INDEX = re.compile(r"[ \t\n\v\f\r]*([+-]?[0-9]{1,9})")
 
@@ -54,12 +58,12 @@ class Symbols:
         system: the system variables by name. Of two with the same name the first counts: MRC finds its own ``$tick``
             before the robot's.
         inputs, outputs: the robot's read and write variables among them.
-        raw: the robot's read variables of this cycle.
+        raw: the robot's read variables of this cycle; empty before the first.
     """
 
     def __init__(self, built_in: Iterable[str], read: Mapping[str, int], write: Mapping[str, int]) -> None:
         self.pool = [0.0] * POOL_SIZE
-        self.raw: Mapping[str, Sequence[int]] = {}
+        self.raw: Mapping[str, Sequence[int]] = _NONE_YET
         self.user: dict[str, Symbol] = {}
         self.system: dict[str, Symbol] = {}
         self._used = 0
@@ -92,9 +96,9 @@ class Symbols:
             self._refresh(symbol)
 
     def _refresh(self, symbol: Symbol) -> None:
-        words = self.raw.get(symbol.name)
-        if words is None:
+        if self.raw is _NONE_YET:
             return
+        words = self.raw[symbol.name]
         pool, place, size = self.pool, symbol.place, symbol.size
         for index in range(size):
             here = place + index

@@ -152,6 +152,7 @@ class Vehicle:
         self._written = ("cmdtransvel", "cmdrotvel") if is_velomega else ("speedl", "speedr")
         self._words = {name: list(map(int, words)) for name, words in write.items()}
         self._changed: dict[str, list[int]] = {}
+        self._read = frozenset(read)
         self._has_ir = read.get("irsensor", 0) >= 5
         self._has_line = read.get("linesensor", 0) >= conf.line_size
         self._has_tick = "tick" in read
@@ -181,6 +182,10 @@ class Vehicle:
             if symbol is not None:
                 self.route_input(route.module, route.function, route.parameter, symbol.place + index)
 
+    def _counter(self, raw: Mapping[str, Sequence[int]], name: str) -> int:
+        """The first word of a read variable; 0 if the robot has none of that name, as in MRC."""
+        return raw[name][0] if name in self._read else 0
+
     # -- a cycle ---------------------------------------------------------------------------------
 
     def begin(self, raw: Mapping[str, Sequence[int]]) -> None:
@@ -188,8 +193,8 @@ class Vehicle:
         self.symbols.refresh(raw)
         if self.conf.drive is Drive.VELOMEGA:
             # Without offset and gain of the variable, which count from the first step on.
-            self.odometry.heading = _first(raw, "rotpos") * self.heading_gain
-        self.odometry.begin(_first(raw, self._left_counter), _first(raw, self._right_counter))
+            self.odometry.heading = self._counter(raw, "rotpos") * self.heading_gain
+        self.odometry.begin(self._counter(raw, self._left_counter), self._counter(raw, self._right_counter))
 
     def sense(self, raw: Mapping[str, Sequence[int]]) -> None:
         """Take the values of a cycle, as far as the script needs them."""
@@ -204,12 +209,12 @@ class Vehicle:
             setattr(owner, attribute, pool[place])
         odometry.heading = (self.heading + self.heading_offset) * self.heading_gain
         if odometry.heading_source == 2:
-            odometry.curvature = _first(raw, "curvature")
+            odometry.curvature = self._counter(raw, "curvature")
         if self._has_ir:
             self.infrared.update(raw["irsensor"])
         if self._has_line:
             self.line_sensor.update(raw["linesensor"])
-        odometry.update(_first(raw, self._left_counter), _first(raw, self._right_counter))
+        odometry.update(self._counter(raw, self._left_counter), self._counter(raw, self._right_counter))
         if odometry.left_step or odometry.right_step:
             self.covariance.update(odometry.left_step, odometry.right_step)
         control.pose = odometry.pose.copy()
@@ -480,11 +485,6 @@ _FUNCTIONS: Mapping[str, frozenset[str]] = {
     "motioncontrol": frozenset(("followwall", "drivetopoint", "drive", "movetoxyz")),
     "mrc": frozenset(("odoconnect", "motionconnect", "mrccontrol")),
 }
-
-
-def _first(raw: Mapping[str, Sequence[int]], name: str) -> int:
-    words = raw.get(name)
-    return 0 if words is None else words[0]
 
 
 def _truncated(value: float) -> int:

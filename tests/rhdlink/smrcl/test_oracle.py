@@ -63,7 +63,9 @@ def run_alone(source: str) -> tuple[int, str]:
         velocity, rate = request.get("cmdtransvel", [velocity])[0], request.get("cmdrotvel", [rate])[0]
         if controller.is_finished or tick > 1000:
             return tick, text
-        request = controller.step({"tick": [tick], "transpos": [round(travelled * 1e5)], "rotpos": [round(heading * 4e4)]})
+        request = controller.step(
+            {"tick": [tick], "transpos": [round(travelled * 1e5)], "rotpos": [round(heading * 4e4)]}
+        )
         text += "".join(said.printed for said in controller.take_said())
 
 

@@ -1,0 +1,233 @@
+"""How a mission reaches its robot: over the network, or in this process.
+
+A link exchanges values once per tick. What a mission does with them is the same for all links.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+
+from linkcore.errors import BadValue
+
+from ..client import Variables, connect
+from ..errors import AccessDenied
+from ..host.config import Element
+from ..host.plugin import Plugin
+from ..variables.database import Database
+from ..variables.declarations import bind, create_variables
+
+if TYPE_CHECKING:
+    from ..host.host import Host
+
+__all__ = ["ClientLink", "PluginLink", "RobotLink", "Words", "open_link"]
+
+#: The words of read variables, by name.
+Words = Mapping[str, Sequence[int]]
+
+
+class RobotLink(Protocol):
+    """A robot, as the loop of a mission needs it."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    @property
+    def read(self) -> Mapping[str, int]:
+        """Length of each read variable, by name."""
+
+    @property
+    def write(self) -> Words:
+        """Words of each write variable, by name, as they were at first."""
+
+    @property
+    def is_lockstep(self) -> bool:
+        """The robot's time stands still between two exchanges."""
+
+    def exchange(self, written: Words, timeout: float | None = None) -> Words:
+        """Write, and wait for the answer of the robot's next tick.
+
+        Raises:
+            LinkTimeout, ConnectionLost: there was none.
+        """
+
+    def close(self) -> None:
+        """Give the robot up; it is left as it is. Idempotent."""
+
+
+class ClientLink:
+    """A robot on the network, held by a client of it. For the attributes see `RobotLink`.
+
+    Args:
+        robot: connected, with write access.
+        is_lockstep: the host waits for each request; nothing tells so.
+        owns: `close` closes it.
+
+    Raises:
+        AccessDenied: it may not write.
+    """
+
+    def __init__(self, robot: Variables, *, is_lockstep: bool = False, owns: bool = False) -> None:
+        if robot.access != "w":
+            raise AccessDenied(f"{robot.address}: a mission has to write; connect with access='w'")
+        self.name = robot.address
+        self.is_lockstep = is_lockstep
+        self._robot = robot
+        self._owns = owns
+        self.read: dict[str, int] = {}
+        self.write: dict[str, Sequence[int]] = {}
+        for variable in robot.variables:
+            if variable.direction == "r":
+                self.read[variable.name] = variable.length
+            else:
+                self.write[variable.name] = _listed(robot[variable.name])
+
+    def exchange(self, written: Words, timeout: float | None = None) -> Words:
+        """Write, and wait for the answer of the robot's next tick."""
+        robot = self._robot
+        for name, words in written.items():
+            robot[name] = words[0] if len(words) == 1 else words
+        robot.sync(timeout)
+        return _Fetched(robot)
+
+    def close(self) -> None:
+        """Close the connection, if it is this link's own."""
+        if self._owns:
+            self._robot.close()
+
+
+class _Fetched(dict[str, Sequence[int]]):
+    """The read variables of a tick. A robot may have thousands, of which a mission looks at a few."""
+
+    def __init__(self, robot: Variables) -> None:
+        super().__init__()
+        self._robot = robot
+
+    def __missing__(self, name: str) -> Sequence[int]:
+        words = self[name] = _listed(self._robot[name])
+        return words
+
+
+def _listed(words: Any) -> list[int]:
+    return [words] if isinstance(words, int) else words.tolist()
+
+
+class PluginLink:
+    """A robot in this process: its plugins, without a host, a port or a thread. For the attributes see `RobotLink`.
+
+    The plugins are called as a host calls them; they stand in for `plugin.host` as far as plugins need it.
+
+    Args:
+        plugins: in the order in which they are initialised; they run in the reverse order.
+        period: of a tick, s.
+        is_realtime: a tick takes that time; otherwise it takes none, and the robot waits in between.
+
+    Attributes:
+        period: of a tick, s.
+        writers: who may write: 1 until it is closed.
+        database: the variables.
+        tick: exchanges so far.
+    """
+
+    def __init__(self, plugins: Iterable[Plugin], *, period: float = 0.01, is_realtime: bool = False) -> None:
+        self._plugins = list(plugins)
+        self.period = period
+        self.writers = 1
+        self.tick = 0
+        self.is_lockstep = not is_realtime
+        self.name = ", ".join(type(plugin).__name__ for plugin in self._plugins)
+        self.database = Database()
+        self.database.read.add("tick")
+        for plugin in self._plugins:
+            plugin.name = plugin.name or type(plugin).__name__.lower()
+            plugin.host = cast("Host", self)
+            create_variables(type(plugin), self.database)
+            bind(plugin, self.database)
+            plugin.init(Element(plugin.name))
+        self._running = list(reversed(self._plugins))
+        table = self.database.read
+        self.read = {row.name: row.length for row in table}
+        self._places = {row.name: (table.start(place), row.length) for place, row in enumerate(table)}
+        self.write: dict[str, Sequence[int]] = {
+            row.name: self.database.write.value(place).tolist() for place, row in enumerate(self.database.write)
+        }
+        self._due = time.monotonic()
+        self._is_closed = False
+        self._call_plugins()
+
+    def exchange(self, written: Words, timeout: float | None = None) -> Words:
+        """Write, and let a tick go by. The answer is what was known before the writing had its effect, as of a host."""
+        if self._is_closed:
+            raise BadValue(f"{self.name}: the link was closed")
+        if not self.is_lockstep:
+            self._due = max(self._due + self.period, time.monotonic() - self.period)
+            time.sleep(max(self._due - time.monotonic(), 0.0))
+        self.tick += 1
+        read, write = self.database.read, self.database.write
+        read.set(0, self.tick)
+        write.updated[:] = False
+        for name, words in written.items():
+            identity = write.find(name)
+            if identity is not None:
+                write.set(identity, words[0] if len(words) == 1 else np.asarray(words))
+                write.updated[identity] = True
+        answer = _Copied(read.values.copy(), self._places)
+        self._call_plugins()
+        return answer
+
+    def _call_plugins(self) -> None:
+        for plugin in self._running:
+            plugin.periodic(self.tick)
+
+    def close(self) -> None:
+        """Tell the plugins that nobody may write any more, and terminate them."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self.writers = 0
+        self.database.write.updated[:] = False
+        self._call_plugins()
+        for plugin in reversed(self._plugins):
+            plugin.terminate()
+
+
+class _Copied(dict[str, Sequence[int]]):
+    """The read variables of a tick, taken out of a copy when they are asked for."""
+
+    def __init__(self, values: np.ndarray[Any, np.dtype[np.int32]], places: Mapping[str, tuple[int, int]]) -> None:
+        super().__init__()
+        self._values = values
+        self._places = places
+
+    def __missing__(self, name: str) -> Sequence[int]:
+        start, length = self._places[name]
+        words: list[int] = self._values[start : start + length].tolist()
+        self[name] = words
+        return words
+
+
+def open_link(robot: RobotLink | Variables | Plugin | str) -> tuple[RobotLink, bool]:
+    """A link to a robot, and whether it has to be closed by whoever asked for it.
+
+    Args:
+        robot: one that is connected; a plugin such as `Turtle()`, which is run here, in lockstep; an address, which is
+            connected to; or a link.
+
+    Raises:
+        AccessDenied: it may not be written.
+        BadValue: it is nothing of that.
+        BadAddress, ConnectFailed, ...: as `rhdlink.connect`.
+    """
+    if isinstance(robot, Variables):
+        return ClientLink(robot), False
+    if isinstance(robot, Plugin):
+        return PluginLink([robot]), True
+    if isinstance(robot, str):
+        return ClientLink(connect(robot, access="w"), owns=True), True
+    if not hasattr(robot, "exchange"):
+        raise BadValue(f"robot is {robot!r}; expected a connected robot, an address, or a plugin such as Turtle()")
+    return robot, False
