@@ -8,6 +8,7 @@ Two kinds of mistake, two kinds of error::
     │   ├── BadAddress              an address nobody can read                    (ValueError)
     │   ├── BadVersion              a version that is not one                     (ValueError)
     │   ├── BadRecording            a file that is not a recording                (ValueError)
+    │   ├── Cancelled               a motion or program that was given up
     │   └── Closed                  used after close()
     └── RemoteError                 the peer sent nonsense, or went away
         ├── ConnectFailed           nobody answers, refused, no route             (ConnectionError)
@@ -24,6 +25,7 @@ __all__ = [
     "BadRecording",
     "BadValue",
     "BadVersion",
+    "Cancelled",
     "Closed",
     "ConnectFailed",
     "ConnectionLost",
@@ -50,6 +52,10 @@ class BadValue(LocalError, ValueError):
 
 class BadAddress(LocalError, ValueError):
     """An address that names no robot."""
+
+
+class Cancelled(LocalError):
+    """A motion or program was cancelled, or preempted by another one of the same robot object."""
 
 
 class BadVersion(LocalError, ValueError):

@@ -30,7 +30,7 @@ from linkcore.errors import BadValue
 
 from ..wire.schema import WIDTHS
 
-__all__ = ["BadConfiguration", "Configuration", "Element", "PluginEntry", "parse_config", "read_config"]
+__all__ = ["BadConfiguration", "Configuration", "Element", "PluginEntry", "parse_config", "parse_xml", "read_config"]
 
 #: Bytes of a file, levels and elements in it, that are read.
 LARGEST = 1 << 20
@@ -251,7 +251,7 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
     Raises:
         BadConfiguration: it is none, or beyond the limits of what is read.
     """
-    root = _Tree(source).parse(data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data)
+    root = parse_xml(data, source)
     if root.tag != "rhd":
         root.reject("the file has to begin with <rhd>")
     nothing = Element("rhd")
@@ -284,6 +284,19 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
         width=width.integer("value", default.width),
         plugins=tuple(map(_entry, plugins.children)),
     )
+
+
+def parse_xml(data: bytes | str, source: str) -> Element:
+    """The outermost element of a text.
+
+    Args:
+        data: XML.
+        source: what to call it in messages.
+
+    Raises:
+        BadConfiguration: it is none, or beyond the limits of what is read.
+    """
+    return _Tree(source).parse(data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data)
 
 
 def _entry(element: Element) -> PluginEntry:

@@ -60,19 +60,21 @@ class MissionFailed(LocalError):
 
     Attributes:
         line: of the file, from 1; 0 where no line is at fault.
+        column: from 1; 0 for the whole line.
         text: of the line.
         reason: what was wrong.
     """
 
-    def __init__(self, reason: str, line: int = 0, text: str = "") -> None:
+    def __init__(self, reason: str, line: int = 0, text: str = "", column: int = 0) -> None:
         self.reason = reason
         self.line = line
-        self.text = text
-        place = f"line {line} ({text.strip()}): " if line else ""
-        super().__init__(f"{place}{reason}")
+        self.column = column
+        self.text = text.strip()
+        where = f"line {line}, column {column}" if column else f"line {line}"
+        super().__init__(f"{where} ({self.text}): {reason}" if line else reason)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.reason, self.line, self.text))
+        return (type(self), (self.reason, self.line, self.text, self.column))
 
 
 class MissionLimit(MissionFailed):

@@ -145,7 +145,7 @@ class Run:
         self.failure: Failure | None = None
         self.stage = _Stage.FETCH
         self._entered: _Stage | None = None
-        self.cycles = -1
+        self.cycles = 0
         self.start_distance = 0.0
         self.calls: list[int] = []
         self._routine: Callable[[int], bool] | None = None
@@ -170,13 +170,14 @@ class Run:
         if self._routine is None or self._routine(self.cycles):
             self.stage = _Stage.FETCH
 
-    def enter(self, distance: float) -> None:
-        """Begin a cycle: way and time count from the first cycle of a stage."""
+    def enter(self, distance: float, cycles: int) -> None:
+        """Begin a cycle, `cycles` periods after the one before; way and time count from the first cycle of a stage."""
         if self.stage is not self._entered:
             self._entered = self.stage
-            self.cycles = -1
+            self.cycles = 0
             self.start_distance = distance
-        self.cycles += 1
+        else:
+            self.cycles += cycles
 
 
 def never() -> bool:
@@ -237,7 +238,7 @@ class Interpreter:
 
     def step(self, run: Run) -> bool:
         """One cycle of a run; whether it is over."""
-        run.enter(self._vehicle.odometry.distance)
+        run.enter(self._vehicle.odometry.distance, self._vehicle.cycles)
         if run.stage is _Stage.FETCH or run.stage is _Stage.HOLD:
             self._fetch(run)
         elif run.stage is _Stage.WAIT:
@@ -314,7 +315,8 @@ class Interpreter:
             self._output.message(f"line {number}: {fault}\n")
         else:
             self._output.message(f" syntax error in line : {number} \n")
-        run.failure = Failure(str(fault), line.number, fault.column, line.text, fault.is_limit)
+        column = fault.column + line.indent if fault.column else 0
+        run.failure = Failure(str(fault), line.number, column, line.text, fault.is_limit)
         run.result = ERROR
         run.stage = _Stage.DONE
 

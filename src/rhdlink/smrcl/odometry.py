@@ -97,19 +97,25 @@ class Odometry:
         self._left, self._right = left, right
         self._heading = self.heading
 
-    def update(self, left: int, right: int) -> None:
-        """One cycle, with the counters at its beginning."""
+    def update(self, left: int, right: int, cycles: int = 1) -> None:
+        """One cycle, with the counters at its beginning.
+
+        Args:
+            left, right: the counters.
+            cycles: periods since the last update; more than one where answers of the robot were missed.
+        """
+        most, seconds = self.max_tick * cycles, self.period * cycles
         self.right_step = steps_right = _step(right if self.is_relative else right - self._right)
         self.left_step = steps_left = _step(left if self.is_relative else left - self._left)
         self._left, self._right = left, right
-        if not (abs(steps_right) < self.max_tick and abs(steps_left) < self.max_tick):
+        if not (abs(steps_right) < most and abs(steps_left) < most):
             self.faults += 1
             return
         way_right, way_left = steps_right * self.right_scale, steps_left * self.left_scale
         way = (way_right + way_left) / 2
         self.left_distance += way_left
         self.right_distance += way_right
-        turn = self._turn(way, way_left, way_right)
+        turn = self._turn(way, way_left, way_right, seconds)
         self.distance += abs(way)
         pose = self.pose
         half_way = pose.th + turn * 0.5
@@ -120,16 +126,16 @@ class Odometry:
             pose.th += math.tau
         if pose.th > math.pi:
             pose.th -= math.tau
-        self.velocity = way / self.period
-        self.left_velocity = way_left / self.period
-        self.right_velocity = way_right / self.period
+        self.velocity = way / seconds
+        self.left_velocity = way_left / seconds
+        self.right_velocity = way_right / seconds
 
-    def _turn(self, way: float, way_left: float, way_right: float) -> float:
+    def _turn(self, way: float, way_left: float, way_right: float, seconds: float) -> float:
         if self.heading_source == 0:
             return (way_right - way_left) / self.width
         if self.heading_source == 1:
             if self.is_rate:
-                turn = self.heading * self.period
+                turn = self.heading * seconds
                 if self.left_step == 0 and self.right_step == 0:
                     self.heading = 0.0
                 return turn

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .arithmetic import BINARY_FUNCTIONS, UNARY_FUNCTIONS
+from .commands import COMMANDS
 from .lexer import LONGEST_NAME, Token, TokenType, tokenize
 from .syntax import (
     PRECEDENCE,
@@ -50,7 +51,7 @@ from .syntax import (
     WaitFor,
 )
 
-__all__ = ["DEEPEST", "FUNCTIONS", "KEYWORDS", "Parser"]
+__all__ = ["DEEPEST", "FUNCTIONS", "KEYWORDS", "RESERVED", "Parser"]
 
 #: Words that are statements rather than names.
 KEYWORDS = frozenset(("if", "eval", "switch", "case", "endswitch"))
@@ -62,6 +63,9 @@ FUNCTIONS: Mapping[str, int] = {
     "rem": 2,
     "ntrue": 2,
 }
+
+#: Names that a variable cannot have.
+RESERVED = KEYWORDS | COMMANDS.keys() | FUNCTIONS.keys()
 
 #: Brackets within brackets. A line of 255 characters can have 125, but nobody writes more than a few.
 DEEPEST = 60

@@ -25,12 +25,14 @@ class PlanLine:
     Attributes:
         text: without leading blanks; of a file with the line feed at its end.
         number: of the file, from 1.
+        indent: blanks that were before it there.
         tree: what it says, once it has been read.
         steps: that compiled, by the interpreter that executes it.
     """
 
     text: str
     number: int
+    indent: int = 0
     tree: Line | None = None
     steps: tuple[Callable[..., Any], ...] | None = field(default=None, repr=False)
 
@@ -87,4 +89,6 @@ def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:
     for number, text in enumerate(texts, start=1):
         size = LONGEST_LINE if cuts else len(text)
         for begin in range(0, len(text), size):
-            yield PlanLine(text[begin : begin + size].lstrip(" \t"), number)
+            whole = text[begin : begin + size]
+            stripped = whole.lstrip(" \t")
+            yield PlanLine(stripped, number, len(whole) - len(stripped))

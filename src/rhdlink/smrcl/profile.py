@@ -64,6 +64,11 @@ class Profile:
         'before its first motion the robot holds its heading, so that `set "$odoth"` has it turn',
         "it stands",
     )
+    counts_ticks: bool = _fixed(
+        "an answer of the robot counts as one period, so that a stall of n ticks is taken for n times the speed, and "
+        "for a fault beyond `maxtick`: then its way and its turn are lost",
+        "the robot's `tick` tells how many periods it was",
+    )
     velomega_steers: bool = _fixed(
         "`turnc`, `followline`, `followwall`, `motorcmds` and `align` set the speeds of wheels; a velocity-omega robot "
         "gets the left one as its speed and keeps its turn rate",

@@ -1,15 +1,22 @@
 """What MRC knows of a robot: its kind, its scales and its gains, as `robot.conf` has them.
 
-Defaults are MRC's own without a file, except where it has none.
+Defaults are MRC's own without a file, except where it has none. The elements of the file are found wherever they stand
+in it; those for hardware that missions here do not have (``<filter>``, ``<gpsmouse>``, ...) are passed over.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import os
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
+from ..host.config import LARGEST, BadConfiguration, Element, parse_xml
 from .motion.control import Drive, MotionParameters
 
-__all__ = ["SMR", "VELOMEGA", "RobotConf", "Route", "Scale", "Setting"]
+__all__ = ["SMR", "VELOMEGA", "RobotConf", "Route", "Scale", "Setting", "parse_robot_conf", "read_robot_conf"]
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,16 @@ class RobotConf:
     routes: tuple[Route, ...] = ()
     settings: tuple[Setting, ...] = ()
 
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The read variables without which such a robot does not know where it is."""
+        return ("transpos", "rotpos") if self.drive is Drive.VELOMEGA else ("encl", "encr")
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """The write variables by which such a robot is driven."""
+        return ("cmdtransvel", "cmdrotvel") if self.drive is Drive.VELOMEGA else ("speedl", "speedr")
+
 
 def _usual_motion() -> MotionParameters:
     """The gains that DTU's robots are shipped with."""
@@ -121,3 +138,166 @@ VELOMEGA = RobotConf(
     right_speed_scale=40000.0,
     motion=_usual_motion(),
 )
+
+
+def read_robot_conf(path: str | os.PathLike[str]) -> RobotConf:
+    """What a `robot.conf` says.
+
+    Args:
+        path: the file; or a folder with `robot.conf` in it, as `calib/` is. Then the calibrations of this computer
+            (``<hostname>_demo_odo_calib.dat``, ``..._ls_calib.dat``, ``..._ir_calib.dat``) and `wdssparam.dat` are
+            read as well, if they are there.
+
+    Raises:
+        BadConfiguration: it cannot be read, or says what cannot be.
+    """
+    place = Path(path)
+    if not place.is_dir():
+        return parse_robot_conf(_read(place), place.name)
+    conf = parse_robot_conf(_read(place / "robot.conf"), "robot.conf")
+    odometry, line, infrared = (place / f"{platform.node()}_demo_{kind}_calib.dat" for kind in ("odo", "ls", "ir"))
+    if odometry.is_file():
+        width, ratio, mean = _numbers(odometry, 3)
+        conf = replace(conf, width=width, right_scale=2 * ratio / (1 + ratio) * mean, left_scale=2 / (1 + ratio) * mean)
+    if line.is_file():
+        found = _numbers(line, 2 * conf.line_size)
+        conf = replace(conf, line_white=found[: conf.line_size], line_black=found[conf.line_size :])
+    if infrared.is_file():
+        found = _numbers(infrared, 12)
+        conf = replace(conf, ir_k1=found[::2], ir_k2=found[1::2])
+    if (table := place / "wdssparam.dat").is_file():
+        found = _numbers(table, None)
+        rows = tuple(zip(found[::3], found[1::3], found[2::3], strict=False))
+        conf = replace(conf, motion=replace(conf.motion, wall_table=rows))
+    return conf
+
+
+def parse_robot_conf(data: bytes | str, source: str = "robot.conf") -> RobotConf:
+    """What the text of a `robot.conf` says.
+
+    Raises:
+        BadConfiguration: it is none, or says what cannot be.
+    """
+    conf = RobotConf()
+    changes: dict[str, Any] = {}
+    motion: dict[str, Any] = {}
+    scales, routes, settings = [], [], []
+    for element in _all(parse_xml(data, source)):
+        if element.tag == "robotinfo":
+            changes |= _robot(element)
+        elif element.tag == "odometry":
+            changes |= _taken(element, _ODOMETRY)
+            for name, attribute in (("control", "heading_source"), ("gyrotype", "is_rate"), ("enctype", "is_relative")):
+                if name in element.attributes:
+                    value = element.integer(name, 0)
+                    changes[attribute] = value if attribute == "heading_source" else bool(value)
+        elif element.tag == "motioncontrol":
+            motion |= _taken(element, _MOTION)
+            changes |= _taken(element, _COMMANDS)
+        elif element.tag == "motorcontrol":
+            changes |= _taken(element, {"velscalel": "left_speed_scale", "velscaler": "right_speed_scale"})
+        elif element.tag == "linesensor":
+            changes |= _taken(element, {"k_filt": "line_smoothing"})
+            changes["line_size"] = element.integer("size", conf.line_size, least=5, most=30)
+        elif element.tag == "varscale":
+            scales.append(Scale(_text(element, "name"), element.number("offset", 0.0), element.number("gain", 1.0)))
+        elif element.tag == "routeinput":
+            routes.append(Route(*(_text(element, name) for name in ("module", "parlist", "par", "var"))))
+        elif element.tag == "setpar":
+            module, function, parameter = (_text(element, name) for name in ("module", "parlist", "par"))
+            settings.append(Setting(module, function, parameter, element.number("val", 0.0)))
+    return replace(
+        conf,
+        motion=replace(conf.motion, **motion),
+        scales=tuple(scales),
+        routes=tuple(routes),
+        settings=tuple(settings),
+        **changes,
+    )
+
+
+_ODOMETRY = {
+    "cl": "left_scale",
+    "cr": "right_scale",
+    "w": "width",
+    "ts": "period",
+    "maxtick": "max_tick",
+}
+_COMMANDS = {"velcmd": "speed", "acccmd": "acceleration"}
+_MOTION = {
+    "ts": "period",
+    "w": "width",
+    "kp": "kp",
+    "gain": "gain",
+    "lim": "limit",
+    "stopdist": "stop_distance",
+    "alarmdist": "alarm_distance",
+    "drive_kdist": "drive_kdist",
+    "drive_kangle": "drive_kangle",
+    "line_gain": "line_gain",
+    "line_tau": "line_tau",
+    "nolinedist": "no_line_distance",
+    "wall_gain": "wall_gain",
+    "wall_tau": "wall_tau",
+    "wall_alfa": "wall_alfa",
+}
+#: What has to be above zero, or nothing can be computed.
+_POSITIVE = frozenset(("w", "ts"))
+
+
+def _all(element: Element) -> Iterator[Element]:
+    yield element
+    for child in element.children:
+        yield from _all(child)
+
+
+def _taken(element: Element, names: Mapping[str, str]) -> dict[str, float]:
+    found = {attribute: element.number(name, 0.0) for name, attribute in names.items() if name in element.attributes}
+    for name in _POSITIVE & names.keys() & element.attributes.keys():
+        if not found[names[name]] > 0.0:
+            element.reject(f"{name} has to be above 0")
+    return found
+
+
+def _robot(element: Element) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    kind = element.attributes.get("type")
+    if kind is not None:
+        try:
+            found["drive"] = Drive(kind)
+        except ValueError:
+            element.reject(f"type={kind!r}: missions drive differential and velomega robots only")
+    if "name" in element.attributes:
+        found["name"] = element.attributes["name"]
+    return found
+
+
+def _text(element: Element, name: str) -> str:
+    text = element.attributes.get(name)
+    if not text:
+        element.reject(f'it needs {name}="..."')
+    return text
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(LARGEST + 1)
+    except OSError as error:
+        raise BadConfiguration(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _numbers(path: Path, count: int | None) -> tuple[float, ...]:
+    """The numbers that a file holds, those behind a semicolon left out.
+
+    Raises:
+        BadConfiguration: they are not so many, or no numbers.
+    """
+    try:
+        text = _read(path).decode("latin-1")
+        found = tuple(float(word) for line in text.splitlines() for word in line.partition(";")[0].split())
+    except ValueError as error:
+        raise BadConfiguration(f"{path.name}: {error}") from error
+    if count is not None and len(found) < count:
+        raise BadConfiguration(f"{path.name} has {len(found)} numbers; expected {count}")
+    return found if count is None else found[:count]

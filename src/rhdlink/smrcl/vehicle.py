@@ -70,6 +70,8 @@ _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 #: m to an obstacle where nothing measures it: ahead, and behind.
 _FREE_AHEAD, _FREE_BEHIND = 50.0, 1.0
+#: Ticks that can have been missed; more are a host that was started again.
+_MOST_MISSED = 1000
 
 
 def counted(value: float, *, rounds_alike: bool) -> int:
@@ -104,6 +106,7 @@ class Vehicle:
         heading_offset, heading_gain: of it; rad per count.
         uses_kalman: motions go by the pose of a filter outside.
         stop_input: not 0 ends the mission.
+        cycles: periods since the cycle before; more than 1 where answers of the robot were missed.
         generator_output: the output that `routeoutput` sends `funcgen` to: variable and index.
     """
 
@@ -153,9 +156,11 @@ class Vehicle:
         self._words = {name: list(map(int, words)) for name, words in write.items()}
         self._changed: dict[str, list[int]] = {}
         self._read = frozenset(read)
-        self._has_ir = read.get("irsensor", 0) >= 5
-        self._has_line = read.get("linesensor", 0) >= conf.line_size
+        self._has_raw_ir = self._has_ir = read.get("irsensor", 0) >= 5
+        self._has_raw_line = self._has_line = read.get("linesensor", 0) >= conf.line_size
         self._has_tick = "tick" in read
+        self._tick = 0
+        self.cycles = 1
         self._gps = tuple((_PLACES[name], *source) for name, source in _GPS.items() if source[0] in read)
         self._has_more = bool(self._gps) or (profile.knows_tick and self._has_tick)
         self._values = [_INITIAL.get(name, 0.0) for name in BUILT_IN]
@@ -210,11 +215,17 @@ class Vehicle:
         odometry.heading = (self.heading + self.heading_offset) * self.heading_gain
         if odometry.heading_source == 2:
             odometry.curvature = self._counter(raw, "curvature")
-        if self._has_ir:
+        if self._has_raw_ir:
             self.infrared.update(raw["irsensor"])
-        if self._has_line:
+        if self._has_raw_line:
             self.line_sensor.update(raw["linesensor"])
-        odometry.update(self._counter(raw, self._left_counter), self._counter(raw, self._right_counter))
+        if self.profile.counts_ticks and self._has_tick:
+            tick = raw["tick"][0]
+            missed = (tick - self._tick) % 2**32
+            self.cycles = missed if 0 < missed <= _MOST_MISSED and self._tick else 1
+            self._tick = tick
+        left, right = self._counter(raw, self._left_counter), self._counter(raw, self._right_counter)
+        odometry.update(left, right, self.cycles)
         if odometry.left_step or odometry.right_step:
             self.covariance.update(odometry.left_step, odometry.right_step)
         control.pose = odometry.pose.copy()
@@ -245,12 +256,13 @@ class Vehicle:
         values[22] = sensor.is_found
         values[23] = sensor.crosses_black(driven_all)
         values[25] = sensor.crosses_white(driven_all)
-        if self._has_ir:
+        if self._has_raw_ir:
             values[7:12] = self.symbols.raw["irsensor"][:5]
-        if self._has_line:
-            size = min(sensor.size, 8)
-            values[31 : 31 + size] = sensor.values[:size]
+        size = min(sensor.size, 8)
+        if self._has_raw_line:
             values[39 : 39 + size] = self.symbols.raw["linesensor"][:size]
+        if self._has_line:
+            values[31 : 31 + size] = sensor.values[:size]
             values[47:49] = self.line_position(), sensor.is_missing
         values[65:69] = distances[0], distances[4], control.wall_angle_left, control.wall_angle_right
         values[72:81] = (
@@ -342,7 +354,7 @@ class Vehicle:
     def _sees_obstacles(self) -> bool:
         if self.conf.drive is not Drive.DIFFERENTIAL or self.conf.name != "smr":
             return False
-        return self._has_ir or not self.profile.sees_without_ir or any(self.infrared.distances)
+        return self._has_ir or not self.profile.sees_without_ir
 
     # -- what the script changes ------------------------------------------------------------------
 
@@ -426,6 +438,28 @@ class Vehicle:
                 raise BadValue(f"${name} is no built-in system variable")
             self.external[name] = float(value)
             self._has_more = True
+
+    def see_line(self, values: Sequence[float]) -> None:
+        """Take the line from a user's program instead of the robot: of each sensor 0 for black, 1 for white.
+
+        Raises:
+            BadValue: they are not as many as there are sensors.
+        """
+        if len(values) != self.line_sensor.size:
+            raise BadValue(f"{len(values)} values for {self.line_sensor.size} line sensors")
+        self._has_raw_line, self._has_line = False, True
+        self.line_sensor.see([float(value) for value in values])
+
+    def see_distances(self, distances: Sequence[float]) -> None:
+        """Take infrared distances from a user's program, m: left, front left, front middle, front right, right.
+
+        Raises:
+            BadValue: they are not five.
+        """
+        if len(distances) != 5:
+            raise BadValue(f"{len(distances)} distances; expected 5, from the left to the right")
+        self._has_raw_ir, self._has_ir = False, True
+        self.infrared.distances[:5] = [float(distance) for distance in distances]
 
     def kalman_pose(self) -> Pose:
         """The pose of a filter outside, where there is one."""

@@ -1,0 +1,161 @@
+"""What is wrong with a script before it runs: every line is read, and what can be known is compared.
+
+Whether a system variable exists depends on the robot, so that is found only where a robot is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+
+from .commands import COMMANDS
+from .errors import Mistake
+from .parser import FUNCTIONS, Parser
+from .plan import LONGEST_LINE, Plan, PlanLine
+from .symbols import split_index
+from .syntax import (
+    Assign,
+    Binary,
+    Call,
+    Command,
+    Element,
+    Evaluate,
+    Expression,
+    If,
+    Line,
+    Negate,
+    Number,
+    Operand,
+    Statement,
+    Switch,
+    Text,
+    Variable,
+    WaitFor,
+)
+
+__all__ = ["check"]
+
+
+def check(
+    plan: Plan,
+    *,
+    functions: Collection[str] = (),
+    variables: Collection[str] = (),
+    system: Collection[str] | None = None,
+) -> list[Mistake]:
+    """Every mistake in a script, in the order of its lines.
+
+    Args:
+        plan: its lines.
+        functions: that the mission has beside those of the language.
+        variables: that exist before it begins.
+        system: the system variables of the robot; None if that is not known.
+    """
+    parser = Parser(frozenset(COMMANDS), {**FUNCTIONS, **dict.fromkeys(functions)})
+    trees = [parser.parse(line.text) for line in plan.lines]
+    made = {*variables, *_made(trees)}
+    found: list[Mistake] = []
+    for line, tree in zip(plan.lines, trees, strict=True):
+        found += _check_line(line, tree, plan, made, system)
+    return found
+
+
+def _check_line(
+    line: PlanLine, tree: Line, plan: Plan, made: Collection[str], system: Collection[str] | None
+) -> Iterator[Mistake]:
+    length = len(line.text.rstrip("\r\n"))
+    # The column counts in the file, where the line may be indented.
+    indent = line.indent
+
+    def mistake(column: int, message: str) -> Mistake:
+        return Mistake(line.number, column + indent if column else 0, message)
+
+    if length > LONGEST_LINE:
+        yield mistake(0, f"the line has {length} characters; {LONGEST_LINE} are allowed")
+    for statement in tree.statements:
+        for variable in _variables(statement):
+            if variable.is_system:
+                if system is not None and variable.name not in system:
+                    yield mistake(variable.column, f"the robot has no system variable ${variable.name}")
+            elif variable.name not in made:
+                yield mistake(variable.column, f"nothing in the script makes the variable {variable.name}")
+        if isinstance(statement, If) and plan.find_label(statement.label) is None:
+            yield mistake(0, f'there is no label "{statement.label}"')
+        if isinstance(statement, WaitFor) and not statement.conditions:
+            yield mistake(statement.column, "a line cannot begin with a character that is not ASCII")
+        if isinstance(statement, Command):
+            yield from (mistake(statement.column, text) for text in _command_mistakes(statement, plan))
+    if tree.problem is not None:
+        yield mistake(tree.problem.column, tree.problem.message)
+
+
+def _command_mistakes(command: Command, plan: Plan) -> Iterator[str]:
+    if command.is_broken:
+        return
+    signature, parameters = COMMANDS[command.name], command.parameters
+    if not signature.takes(len(parameters)):
+        yield f"{command.name} takes {signature.count}, not {len(parameters)}"
+        return
+    for number, operand in enumerate(parameters):
+        if text := signature.mistake(number, operand):
+            yield f"{command.name}: {text}"
+    if command.name in ("goto", "call") and isinstance(parameters[0], Text):
+        label = parameters[0].value
+        if plan.find_label(label) is None:
+            yield f'there is no label "{label}"'
+    if command.name == "addwatch" and not command.conditions:
+        yield 'addwatch needs a condition, as in addwatch "name" 1 : ($odox > 1)'
+    for setting in command.speeds:
+        if setting.letter == "a" and isinstance(setting.value, Number) and not setting.value.value > 0.0:
+            yield "an acceleration has to be above 0"
+
+
+def _made(trees: Iterable[Line]) -> Iterator[str]:
+    """The variables that a script makes: by an assignment, or by `array`."""
+    for tree in trees:
+        for statement in tree.statements:
+            if isinstance(statement, Assign) and isinstance(statement.target, Variable):
+                yield statement.target.name
+            elif isinstance(statement, Command) and statement.name == "array":
+                yield from (split_index(each.value)[0] for each in statement.parameters[:1] if isinstance(each, Text))
+
+
+def _variables(statement: Statement) -> Iterator[Variable]:
+    """The variables that a statement reads."""
+    if isinstance(statement, Command):
+        operands: Sequence[Operand] = [*statement.parameters, *(each.value for each in statement.speeds)]
+        yield from (each for each in operands if isinstance(each, Variable))
+        yield from _of_all(statement.conditions)
+    elif isinstance(statement, WaitFor):
+        yield from _of_all(statement.conditions)
+    elif isinstance(statement, Evaluate):
+        yield from _of_all(statement.values)
+    elif isinstance(statement, If):
+        yield from _of(statement.condition)
+    elif isinstance(statement, Switch):
+        yield from _of(statement.value)
+    elif isinstance(statement, Assign):
+        yield from _of(statement.value)
+        if isinstance(statement.target, Element):
+            yield from _of(statement.target)
+        elif statement.target.is_system:
+            yield statement.target
+
+
+def _of_all(expressions: Iterable[Expression]) -> Iterator[Variable]:
+    for expression in expressions:
+        yield from _of(expression)
+
+
+def _of(expression: Expression) -> Iterator[Variable]:
+    if isinstance(expression, Variable):
+        yield expression
+    elif isinstance(expression, Element):
+        yield expression.array
+        yield from _of(expression.index)
+    elif isinstance(expression, Call):
+        yield from _of_all(expression.arguments)
+    elif isinstance(expression, Negate):
+        yield from _of(expression.operand)
+    elif isinstance(expression, Binary):
+        yield from _of(expression.left)
+        yield from _of(expression.right)

@@ -1,0 +1,167 @@
+"""The loop of a mission on a robot: exchange, compute, and what a user's program sees of it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from linkcore.errors import BadValue, LinkError
+
+from .controller import Controller
+from .effects import Hook
+from .errors import MissionFailed, MissionLimit
+from .interpreter import Failure
+from .outbox import Said, SaidKind
+from .robot_link import RobotLink
+
+__all__ = ["Callbacks", "Execution", "Provider", "error_of"]
+
+_log = logging.getLogger(__name__)
+
+#: Gives a value in each cycle: a number, or for "line" and "ir" as many as there are sensors.
+Provider = Callable[[], "float | Sequence[float]"]
+
+#: Seconds for the last words to a robot that does not answer.
+_STAND_TIMEOUT = 0.5
+
+
+class Callbacks:
+    """What a user's program is asked and told. All of it is called between two ticks, so it has to be quick.
+
+    Attributes:
+        hooks: what fulfils commands that need hardware, by the name of the command.
+        observers: who is told, by what: "line", "values", "message", "text", "event".
+        providers: of sensors and system variables, by name.
+        functions: for expressions, by name.
+    """
+
+    #: Commands that a function can fulfil.
+    COMMANDS = frozenset(
+        ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest", "barcode", "movetoxyz")
+    )
+    OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
+
+    def __init__(self) -> None:
+        self.hooks: dict[str, Hook] = {}
+        self.observers: dict[str, list[Callable[[str], object]]] = {}
+        self.providers: dict[str, Provider] = {}
+        self.functions: dict[str, Callable[..., float]] = {}
+
+    def add(self, name: str, function: Callable[..., object]) -> None:
+        """Have a function fulfil a command, or be told what the mission says.
+
+        Raises:
+            BadValue: there is nothing of that name, or it cannot be called.
+        """
+        if not callable(function):
+            raise BadValue(f"{function!r} cannot be called")
+        if name in self.COMMANDS:
+            self.hooks[name] = function  # type: ignore[assignment]
+        elif name in self.OBSERVED:
+            self.observers.setdefault(name, []).append(function)
+        else:
+            names = ", ".join(sorted(self.COMMANDS | self.OBSERVED))
+            raise BadValue(f"a mission has no {name!r}; expected one of {names}")
+
+    def tell(self, said: Said) -> None:
+        """Tell who wants to know. What is raised is logged, and disturbs neither the mission nor others."""
+        for observer in self.observers.get(said.kind.value, ()):
+            try:
+                observer(said.text.rstrip("\n"))
+            except Exception:
+                _log.exception("%r raised", observer)
+
+
+class Execution:
+    """One execution of a mission.
+
+    Args:
+        link: to the robot.
+        controller: with what is to be executed.
+        callbacks: a user's program.
+        save_log: is given the name and the text of each log that the script saves.
+
+    Attributes:
+        controller: what executes.
+        cycles: exchanges with the robot so far.
+    """
+
+    def __init__(
+        self,
+        link: RobotLink,
+        controller: Controller,
+        callbacks: Callbacks,
+        save_log: Callable[[str, str], object] | None = None,
+    ) -> None:
+        self.controller = controller
+        self.cycles = 0
+        self._link = link
+        self._callbacks = callbacks
+        self._save_log = save_log
+        self._request: Mapping[str, Sequence[int]] = controller.first_request()
+        self._period = controller.vehicle.control.parameters.period
+
+    def cycle(self) -> bool:
+        """One exchange with the robot, and what follows from it; False when the mission is over and the robot stands.
+
+        Raises:
+            RemoteError: the robot is gone, or silent.
+            MissionFailed: a provider raised.
+        """
+        controller = self.controller
+        raw = self._link.exchange(self._request)
+        self.cycles += 1
+        if controller.is_finished:
+            return False
+        if self._callbacks.providers:
+            self._provide()
+        self._request = controller.step(raw, self._time())
+        for said in controller.take_said():
+            if said.kind is SaidKind.LOG:
+                self._save(said.text)
+            else:
+                self._callbacks.tell(said)
+        return True
+
+    def _time(self) -> float:
+        """``$time``: of a robot whose time stands still between two exchanges the time that it has lived."""
+        if not self._link.is_lockstep:
+            return time.time()
+        return self.cycles * self._period if self.controller.vehicle.profile.checks_first else 0.0
+
+    def _provide(self) -> None:
+        vehicle = self.controller.vehicle
+        for name, provider in self._callbacks.providers.items():
+            try:
+                value = provider()
+                if name == "line":
+                    vehicle.see_line(value)  # type: ignore[arg-type]
+                elif name == "ir":
+                    vehicle.see_distances(value)  # type: ignore[arg-type]
+                else:
+                    vehicle.provide({name: value})  # type: ignore[dict-item]
+            except Exception as error:
+                raise MissionFailed(f"what provides {name!r} raised {type(error).__name__}: {error}") from error
+
+    def _save(self, text: str) -> None:
+        name, _, rows = text.partition("\n")
+        if self._save_log is None:
+            _log.warning("the log %r is not saved: the mission has no folder for it", name)
+        else:
+            self._save_log(name, rows)
+
+    def stand(self) -> None:
+        """Have the robot stand, if it still can be told. Never raises."""
+        request = self.controller.vehicle.stand()
+        # The first exchange sends it, the second one shows that it was taken.
+        with contextlib.suppress(LinkError):
+            for _ in range(2):
+                self._link.exchange(request, _STAND_TIMEOUT)
+
+
+def error_of(failure: Failure) -> MissionFailed:
+    """The error that a user's program gets for a failure."""
+    kind = MissionLimit if failure.is_limit else MissionFailed
+    return kind(failure.reason, failure.line, failure.text, failure.column)

@@ -1,0 +1,506 @@
+"""A mission as a program holds it: a script and a robot, run here, in a thread, or step by step."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from linkcore.callbacks import CallbackThread
+from linkcore.errors import BadValue, LocalError
+from linkcore.handle import Handle, Lifecycle
+
+from ..client import Variables
+from ..errors import WrongVariables
+from ..host.plugin import Plugin
+from ..world import Pose
+from .checking import check
+from .controller import Controller
+from .errors import BadMission, MissionFailed, Mistake
+from .execution import Callbacks, Execution, Provider, error_of
+from .interpreter import Limits
+from .parser import RESERVED
+from .plan import Plan, PlanLine, split_lines
+from .profile import Profile, find_profile
+from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
+from .robot_link import RobotLink, open_link
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Debugger", "Mission", "MissionRun", "Robot", "read_script", "suitable_conf"]
+
+#: What a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
+Robot = Variables | Plugin | RobotLink | str
+
+#: Bytes of a script. MRC has room for 100000.
+LARGEST = 1 << 20
+
+
+def read_script(path: str | os.PathLike[str]) -> str:
+    """The text of a script in a file, as UTF-8 if it is that, else as Latin-1, which every file is.
+
+    Raises:
+        BadValue: it cannot be read, or is too large.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(LARGEST + 1)
+    except (OSError, ValueError) as error:
+        raise BadValue(f"cannot read {os.fspath(path)}: {getattr(error, 'strerror', None) or error}") from error
+    if len(data) > LARGEST:
+        raise BadValue(f"{os.fspath(path)} is larger than {LARGEST} bytes; that is no script")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLink) -> RobotConf:
+    """The configuration of a robot: as given, or the usual one for the variables that it has.
+
+    Raises:
+        BadConfiguration: the file cannot be read.
+        WrongVariables: the robot lacks what the configuration needs; all of it is listed.
+    """
+    if conf is None:
+        conf = VELOMEGA if "cmdtransvel" in link.write else SMR
+        period = getattr(link, "period", conf.period)
+        conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
+    elif not isinstance(conf, RobotConf):
+        conf = read_robot_conf(conf)
+    lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
+    lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
+    if lacking:
+        raise WrongVariables([f"a {conf.drive.value} robot is driven by others", *lacking])
+    return conf
+
+
+class Mission:
+    """A script, and the robot that it is for::
+
+        mission = Mission("square.smr", robot)
+        mission.on("text", print)
+        mission.run()
+
+    It can be run any number of times, each time from its beginning. When it ends, however it ends, the robot is told to
+    stand; if this process is killed, the host has to do that.
+
+    Args:
+        source: a script: a path, or the text itself if it has more than one line or does not end in ".smr".
+        robot: a robot that is connected with write access; an address; a plugin such as `Turtle()`, which is run in
+            this process, as fast as it goes; None to check the script only.
+        profile: "sound", or "mrc" for what the original does, see `Profile`.
+        conf: what the robot is: a `RobotConf`, or the path of a `robot.conf`, or of the folder it is in; by default
+            what a robot with such variables usually is.
+        variables: variables of the script that exist before it begins.
+        limits: bounds.
+        log_folder: where the logs go that the script saves; by default nowhere.
+
+    Raises:
+        BadValue: an argument that cannot be, or a script that cannot be read.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike[str],
+        robot: Robot | None = None,
+        *,
+        profile: Profile | str = "sound",
+        conf: RobotConf | str | os.PathLike[str] | None = None,
+        variables: Mapping[str, float] | None = None,
+        limits: Limits | None = None,
+        log_folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        is_path = not isinstance(source, str) or ("\n" not in source and source.endswith(".smr"))
+        self.name = Path(source).name if is_path else "script"
+        self.source = read_script(source) if is_path else str(source)
+        self.profile = find_profile(profile)
+        self._robot = robot
+        self._conf = conf
+        self._variables = dict(variables or {})
+        self._limits = limits
+        self._log_folder = None if log_folder is None else Path(log_folder)
+        self._callbacks = Callbacks()
+
+    # -- a user's program ----------------------------------------------------------------------------
+
+    def on(self, name: str, function: Callable[..., object]) -> Self:
+        """Have a function fulfil a command, or be told what the mission says. Returns the mission.
+
+        A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
+        "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
+        ``{"vis0": 1.0}``.
+
+        Who wants to know what the mission says is told each "line" that is executed, the "values" of `eval`, the "text"
+        of `print`, each "event" and "message".
+
+        All of it is called between two ticks of the robot and has to be quick.
+
+        Raises:
+            BadValue: there is nothing of that name, or it cannot be called.
+        """
+        self._callbacks.add(name, function)
+        return self
+
+    def provide(self, name: str, provider: Provider) -> Self:
+        """Have a function give a value in each cycle. Returns the mission.
+
+        Args:
+            name: "line" for the brightness under each line sensor, 0 for black and 1 for white; "ir" for the five
+                infrared distances in m, from left to right; or the name of a built-in system variable.
+            provider: is called between two ticks of the robot and has to be quick.
+
+        Raises:
+            BadValue: it cannot be called.
+        """
+        if not callable(provider):
+            raise BadValue(f"{provider!r} cannot be called")
+        self._callbacks.providers[name.removeprefix("$")] = provider
+        return self
+
+    def function(self, name: str, function: Callable[..., float]) -> Self:
+        """Have a function that expressions can call: ``mission.function("dist", math.dist)``. Returns the mission.
+
+        Raises:
+            BadValue: no name of the language, one that is taken, or nothing that can be called.
+        """
+        if not callable(function):
+            raise BadValue(f"{function!r} cannot be called")
+        if not (name.isascii() and name.isalnum() and name[:1].isalpha()) or name in RESERVED:
+            raise BadValue(f"a function cannot be called {name!r}: expected letters and digits, and no word of SMR-CL")
+        self._callbacks.functions[name] = function
+        return self
+
+    # -- checking ------------------------------------------------------------------------------------
+
+    def check(self) -> list[Mistake]:
+        """Every mistake in the script that can be known before it runs, in the order of its lines."""
+        return self._check(None)
+
+    def _check(self, system: Iterable[str] | None) -> list[Mistake]:
+        plan = Plan(list(split_lines(self.source, cuts=False)), self.name)
+        return check(
+            plan,
+            functions=self._callbacks.functions,
+            variables=self._variables,
+            system=None if system is None else frozenset(system),
+        )
+
+    # -- running -------------------------------------------------------------------------------------
+
+    def run(self) -> MissionRun:
+        """Run here, to the end.
+
+        Returns:
+            How it went.
+
+        Raises:
+            BadMission: the script cannot work, and has not begun.
+            MissionFailed: a line could not be executed.
+            AccessDenied, WrongVariables, ...: the robot cannot be driven.
+            ConnectionLost, LinkTimeout: it went away.
+        """
+        run = self._prepare()
+        run._run()
+        if run.error is not None:
+            raise run.error
+        return run
+
+    def start(self) -> MissionRun:
+        """Run in a thread.
+
+        Returns:
+            Its handle.
+
+        Raises:
+            as `run`, for what can be known before the first cycle.
+        """
+        run = self._prepare()
+        run._start()
+        return run
+
+    def debug(self, breakpoints: Iterable[int] = ()) -> Debugger:
+        """Run step by step, and to lines of the file. The robot stands whenever the mission does.
+
+        Raises:
+            as `start`.
+        """
+        return Debugger(self._prepare(), breakpoints)
+
+    def _prepare(self) -> MissionRun:
+        if self._robot is None:
+            raise BadValue("the mission has no robot; it can be checked, but not run")
+        link, owns = open_link(self._robot)
+        try:
+            controller = self._controller(link)
+        except BaseException:
+            if owns:
+                link.close()
+            raise
+        execution = Execution(link, controller, self._callbacks, self._save_log if self._log_folder else None)
+        return MissionRun(self.name, execution, link if owns else None)
+
+    def _controller(self, link: RobotLink) -> Controller:
+        controller = Controller(
+            suitable_conf(self._conf, link),
+            link.read,
+            link.write,
+            profile=self.profile,
+            functions={name: _as_float(function) for name, function in self._callbacks.functions.items()},
+            hooks=self._callbacks.hooks,
+            limits=self._limits,
+        )
+        symbols = controller.vehicle.symbols
+        if self.profile.checks_first and (mistakes := self._check(symbols.system)):
+            raise BadMission(self.name, mistakes)
+        for name, value in self._variables.items():
+            if (symbol := symbols.make(name)) is not None:
+                symbols.pool[symbol.place] = float(value)
+        controller.load(self.source, self.name)
+        return controller
+
+    def _save_log(self, name: str, text: str) -> None:
+        assert self._log_folder is not None
+        # A script, or whoever sent it, may name any file.
+        if not name or name in (".", "..") or Path(name).name != name or "\\" in name:
+            raise MissionFailed(f"a log cannot be saved as {name!r}; expected a name without a folder")
+        path = self._log_folder / name
+        try:
+            path.write_text(text, encoding="ascii")
+        except OSError as error:
+            raise MissionFailed(f"the log {path} cannot be written: {error.strerror or error}") from error
+
+    def __repr__(self) -> str:
+        return f"<Mission {self.name}, {self.source.count(chr(10)) + 1} lines, profile {self.profile.name}>"
+
+
+def _as_float(function: Callable[..., float]) -> Callable[..., float]:
+    def call(*arguments: float) -> float:
+        return float(function(*arguments))
+
+    return call
+
+
+class MissionRun(Handle):
+    """A run of a mission. Made by `Mission`."""
+
+    TIMEOUT: ClassVar[float] = 3600.0
+
+    def __init__(self, name: str, execution: Execution, owned: RobotLink | None) -> None:
+        self._callback_thread = CallbackThread(f"mission {name} callbacks")
+        super().__init__(Lifecycle(name, self._callback_thread))
+        self._execution = execution
+        self._owned = owned
+        self._is_cancelled = threading.Event()
+        self._is_begun = False
+
+    # -- what it is at -------------------------------------------------------------------------------
+
+    @property
+    def line(self) -> int:
+        """The line of the file that is executed, or was last; 0 before the first."""
+        return self._line.number if self._line is not None else 0
+
+    @property
+    def text(self) -> str:
+        """That line."""
+        return self._line.text.strip() if self._line is not None else ""
+
+    @property
+    def _line(self) -> PlanLine | None:
+        run = self._execution.controller.run
+        return None if run is None else run.line
+
+    @property
+    def progress(self) -> float:
+        """How far down the script it is, from 0 to 1; 1 only once it has come to its own end."""
+        if self.done and self.error is None:
+            return 1.0
+        run = self._execution.controller.run
+        lines = 0 if run is None else len(run.plan.lines)
+        return min(self.line / lines, 1.0) if lines else 0.0
+
+    @property
+    def cycles(self) -> int:
+        """Ticks of the robot so far."""
+        return self._execution.cycles
+
+    @property
+    def pose(self) -> Pose:
+        """Where the robot is by the mission's odometry: m, m, rad."""
+        pose = self._execution.controller.vehicle.odometry.pose
+        return Pose(pose.x, pose.y, pose.th)
+
+    @property
+    def variables(self) -> Mapping[str, float | tuple[float, ...]]:
+        """The variables of the script; arrays as tuples."""
+        symbols = self._execution.controller.vehicle.symbols
+        found: dict[str, float | tuple[float, ...]] = {}
+        for name, symbol in list(symbols.user.items()):
+            values = tuple(symbols.pool[symbol.place : symbol.place + symbol.size])
+            found[name] = values[0] if symbol.size == 1 else values
+        return found
+
+    def system(self, name: str) -> float:
+        """A system variable, as it was last computed: ``run.system("$targetdist")``.
+
+        Raises:
+            BadValue: there is none of that name.
+        """
+        symbols = self._execution.controller.vehicle.symbols
+        symbol = symbols.system.get(name.removeprefix("$"))
+        if symbol is None:
+            raise BadValue(f"the robot has no system variable {name}")
+        return symbols.pool[symbol.place]
+
+    # -- its life ------------------------------------------------------------------------------------
+
+    def cancel(self) -> None:
+        """End it at the robot's next tick, and have the robot stand. Returns at once; `wait` returns when it stands."""
+        self._is_cancelled.set()
+        if not self._is_begun:
+            self._close()
+            self._life.cancel("cancelled")
+
+    def _start(self) -> None:
+        self._is_begun = True
+        thread = threading.Thread(target=self._run, name=f"mission {self.name}", daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as error:
+            self._close()
+            raise LocalError(f"{self.name} cannot be started: {error}") from error
+
+    def _run(self) -> None:
+        self._is_begun = True
+        self._life.begin()
+        try:
+            while not self._is_cancelled.is_set():
+                if not self._execution.cycle():
+                    break
+        except BaseException as error:
+            self._execution.stand()
+            self._end(error if isinstance(error, Exception) else MissionFailed(f"interrupted by {error!r}"))
+            if not isinstance(error, Exception):
+                raise
+            return
+        if not self._execution.controller.is_finished:
+            self._execution.stand()
+        failure = self._execution.controller.failure
+        self._end(None if failure is None else error_of(failure))
+
+    def _end(self, error: Exception | None) -> None:
+        self._close()
+        if error is not None:
+            self._life.fail(error)
+        elif self._is_cancelled.is_set() and not self._execution.controller.is_finished:
+            self._life.cancel("cancelled")
+        else:
+            self._life.finish()
+
+    def _close(self) -> None:
+        owned, self._owned = self._owned, None
+        if owned is not None:
+            owned.close()
+
+
+class Debugger:
+    """A mission that is executed line by line. A context manager that closes itself. Made by `Mission.debug`.
+
+    Attributes:
+        breakpoints: numbers of lines before which `resume` stops.
+        run: the run: its variables, pose and so on.
+    """
+
+    def __init__(self, run: MissionRun, breakpoints: Iterable[int]) -> None:
+        self.run = run
+        self.breakpoints = set(breakpoints)
+        self._execution = run._execution
+        self._steps = True
+        self._passes = False
+        self._next: PlanLine | None = None
+        self._is_over = False
+        run._is_begun = True
+        run._life.begin()
+        self._execution.controller.interpreter.holds = self._holds
+
+    def _holds(self, line: PlanLine) -> bool:
+        if self._passes:
+            self._passes = False
+            return False
+        self._next = line
+        return self._steps or line.number in self.breakpoints
+
+    @property
+    def line(self) -> int | None:
+        """The line of the file that comes next; None when the mission is over."""
+        return None if self._is_over or self._next is None else self._next.number
+
+    @property
+    def text(self) -> str:
+        """That line."""
+        return "" if self._is_over or self._next is None else self._next.text.strip()
+
+    def step(self) -> int | None:
+        """Execute the next line, until the one after it is to begin; its number, or None when the mission is over.
+
+        Raises:
+            MissionFailed: the line could not be executed.
+            ConnectionLost, LinkTimeout: the robot went away.
+        """
+        self._steps = True
+        return self._go_on()
+
+    def resume(self) -> int | None:
+        """Execute until the next breakpoint; the number of that line, or None when the mission is over.
+
+        Raises:
+            as `step`.
+        """
+        self._steps = False
+        return self._go_on()
+
+    def _go_on(self) -> int | None:
+        if self._is_over:
+            return None
+        controller = self._execution.controller
+        self._passes = self._next is not None
+        try:
+            while True:
+                if not self._execution.cycle():
+                    self._finish()
+                    break
+                if controller.is_held:
+                    # One more exchange, which tells the robot to stand.
+                    self._execution.cycle()
+                    break
+        except Exception:
+            self.close()
+            raise
+        return self.line
+
+    def _finish(self) -> None:
+        self._is_over = True
+        failure = self._execution.controller.failure
+        error = None if failure is None else error_of(failure)
+        self.run._end(error)
+        if error is not None:
+            raise error
+
+    def close(self) -> None:
+        """Have the robot stand, and end the mission. Idempotent."""
+        if not self._is_over:
+            self._is_over = True
+            self._execution.stand()
+            self.run._is_cancelled.set()
+            self.run._end(None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
