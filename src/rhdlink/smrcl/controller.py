@@ -34,7 +34,7 @@ from .vehicle import Vehicle
 
 __all__ = ["Controller", "Program", "Script"]
 
-#: Cycles before the first line: the sensors' filters settle, and MRC's clients count on it.
+#: As many as MRC has.
 _WARM_UP = 20
 
 
@@ -81,6 +81,7 @@ class Controller:
         functions: further functions for expressions.
         hooks: what fulfils commands that need hardware.
         limits: bounds.
+        warm_up: cycles before the first line, in which the filters of the sensors settle.
 
     Attributes:
         vehicle: the robot.
@@ -101,7 +102,9 @@ class Controller:
         functions: Mapping[str, Callable[..., float]] | None = None,
         hooks: Mapping[str, Hook] | None = None,
         limits: Limits | None = None,
+        warm_up: int = _WARM_UP,
     ) -> None:
+        self._warm_up = warm_up
         self.vehicle = Vehicle(conf, read, write, profile)
         self._outbox = Outbox()
         self.vehicle.control.say = self._say_of_motion
@@ -134,6 +137,10 @@ class Controller:
         dialogue = Dialogue(self.vehicle, self.interpreter, self.effects, self._outbox, exit_ends=ends)
         self._program = dialogue
         return dialogue
+
+    def execute(self, program: Program) -> None:
+        """Execute a program of one's own."""
+        self._program = program
 
     @property
     def run(self) -> Run | None:
@@ -170,7 +177,7 @@ class Controller:
         self.interpreter.time = time
         vehicle.sense(raw)
         is_over = False
-        if self.cycle > _WARM_UP:
+        if self.cycle > self._warm_up:
             is_over = self._program is None or self._program.step()
             run = self.run
             if run is not None and run.failure is not None and isinstance(self._program, Script):

@@ -30,8 +30,10 @@ MOST_COMMANDS, MOST_EVENTS, MOST_PLANS = 400, 100, 10
 MOST_PLAN_LINES = 5000
 #: Variables in a stream, as in MRC.
 MOST_STREAMED = 20
-#: Bytes that wait to be sent to a client before it is given up, and lines that are taken in one cycle.
-_MOST_WAITING, _MOST_LINES = 1 << 20, 400
+#: Bytes that wait to be sent to a client before it is given up, and lines that are taken from it in one cycle.
+_MOST_WAITING, _MOST_LINES = 1 << 20, 100
+#: Lines that may wait to be taken before nothing more should be read from the client.
+MOST_BACKLOG = 1000
 
 
 class Session:
@@ -90,6 +92,11 @@ class Session:
         self._answers += text.encode("latin-1", "replace")
         if len(self._answers) > _MOST_WAITING:
             self.is_closed = True
+
+    @property
+    def backlog(self) -> int:
+        """Lines that wait to be taken."""
+        return len(self._lines)
 
     def next_line(self) -> str | None:
         """The next line, or None."""

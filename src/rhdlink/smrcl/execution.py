@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from linkcore.errors import BadValue, LinkError
 
@@ -16,7 +19,7 @@ from .interpreter import Failure
 from .outbox import Said, SaidKind
 from .robot_link import RobotLink
 
-__all__ = ["Callbacks", "Execution", "Provider", "error_of"]
+__all__ = ["Callbacks", "Execution", "Provider", "error_of", "log_saver"]
 
 _log = logging.getLogger(__name__)
 
@@ -33,6 +36,7 @@ class Callbacks:
     Attributes:
         hooks: what fulfils commands that need hardware, by the name of the command.
         observers: who is told, by what: "line", "values", "message", "text", "event".
+        readers: who is told everything.
         providers: of sensors and system variables, by name.
         functions: for expressions, by name.
     """
@@ -46,6 +50,7 @@ class Callbacks:
     def __init__(self) -> None:
         self.hooks: dict[str, Hook] = {}
         self.observers: dict[str, list[Callable[[str], object]]] = {}
+        self.readers: list[Callable[[Said], object]] = []
         self.providers: dict[str, Provider] = {}
         self.functions: dict[str, Callable[..., float]] = {}
 
@@ -67,11 +72,17 @@ class Callbacks:
 
     def tell(self, said: Said) -> None:
         """Tell who wants to know. What is raised is logged, and disturbs neither the mission nor others."""
+        for reader in self.readers:
+            self._call(reader, said)
         for observer in self.observers.get(said.kind.value, ()):
-            try:
-                observer(said.text.rstrip("\n"))
-            except Exception:
-                _log.exception("%r raised", observer)
+            self._call(observer, said.text.rstrip("\n"))
+
+    @staticmethod
+    def _call(function: Callable[[Any], object], what: Any) -> None:
+        try:
+            function(what)
+        except Exception:
+            _log.exception("%r raised", function)
 
 
 class Execution:
@@ -82,6 +93,7 @@ class Execution:
         controller: with what is to be executed.
         callbacks: a user's program.
         save_log: is given the name and the text of each log that the script saves.
+        before_step: is called when the robot has answered, before anything is computed.
 
     Attributes:
         controller: what executes.
@@ -94,7 +106,9 @@ class Execution:
         controller: Controller,
         callbacks: Callbacks,
         save_log: Callable[[str, str], object] | None = None,
+        before_step: Callable[[], object] | None = None,
     ) -> None:
+        self._before_step = before_step
         self.controller = controller
         self.cycles = 0
         self._link = link
@@ -117,6 +131,8 @@ class Execution:
             return False
         if self._callbacks.providers:
             self._provide()
+        if self._before_step is not None:
+            self._before_step()
         self._request = controller.step(raw, self._time())
         for said in controller.take_said():
             if said.kind is SaidKind.LOG:
@@ -165,3 +181,22 @@ def error_of(failure: Failure) -> MissionFailed:
     """The error that a user's program gets for a failure."""
     kind = MissionLimit if failure.is_limit else MissionFailed
     return kind(failure.reason, failure.line, failure.text, failure.column)
+
+
+def log_saver(folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:
+    """What saves logs in a folder, and nowhere else; None for no folder."""
+    if folder is None:
+        return None
+    place = Path(folder)
+
+    def save(name: str, text: str) -> None:
+        # A script, or whoever sent it, may name any file.
+        if not name or name in (".", "..") or Path(name).name != name or "\\" in name:
+            raise MissionFailed(f"a log cannot be saved as {name!r}; expected a name without a folder")
+        try:
+            (place / name).write_text(text, encoding="ascii")
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise MissionFailed(f"the log {place / name} cannot be written: {reason}") from error
+
+    return save

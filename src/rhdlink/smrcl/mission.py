@@ -20,8 +20,9 @@ from ..world import Pose
 from .checking import check
 from .controller import Controller
 from .errors import BadMission, MissionFailed, Mistake
-from .execution import Callbacks, Execution, Provider, error_of
+from .execution import Callbacks, Execution, Provider, error_of, log_saver
 from .interpreter import Limits
+from .outbox import Said
 from .parser import RESERVED
 from .plan import Plan, PlanLine, split_lines
 from .profile import Profile, find_profile
@@ -123,7 +124,7 @@ class Mission:
         self._conf = conf
         self._variables = dict(variables or {})
         self._limits = limits
-        self._log_folder = None if log_folder is None else Path(log_folder)
+        self._log_folder = log_folder
         self._callbacks = Callbacks()
 
     # -- a user's program ----------------------------------------------------------------------------
@@ -144,6 +145,17 @@ class Mission:
             BadValue: there is nothing of that name, or it cannot be called.
         """
         self._callbacks.add(name, function)
+        return self
+
+    def on_said(self, function: Callable[[Said], object]) -> Self:
+        """Tell a function everything that the mission says, in its order and with its kind. Returns the mission.
+
+        Raises:
+            BadValue: it cannot be called.
+        """
+        if not callable(function):
+            raise BadValue(f"{function!r} cannot be called")
+        self._callbacks.readers.append(function)
         return self
 
     def provide(self, name: str, provider: Provider) -> Self:
@@ -241,7 +253,7 @@ class Mission:
             if owns:
                 link.close()
             raise
-        execution = Execution(link, controller, self._callbacks, self._save_log if self._log_folder else None)
+        execution = Execution(link, controller, self._callbacks, log_saver(self._log_folder))
         return MissionRun(self.name, execution, link if owns else None)
 
     def _controller(self, link: RobotLink) -> Controller:
@@ -262,17 +274,6 @@ class Mission:
                 symbols.pool[symbol.place] = float(value)
         controller.load(self.source, self.name)
         return controller
-
-    def _save_log(self, name: str, text: str) -> None:
-        assert self._log_folder is not None
-        # A script, or whoever sent it, may name any file.
-        if not name or name in (".", "..") or Path(name).name != name or "\\" in name:
-            raise MissionFailed(f"a log cannot be saved as {name!r}; expected a name without a folder")
-        path = self._log_folder / name
-        try:
-            path.write_text(text, encoding="ascii")
-        except OSError as error:
-            raise MissionFailed(f"the log {path} cannot be written: {error.strerror or error}") from error
 
     def __repr__(self) -> str:
         return f"<Mission {self.name}, {self.source.count(chr(10)) + 1} lines, profile {self.profile.name}>"

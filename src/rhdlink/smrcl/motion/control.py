@@ -82,6 +82,10 @@ class Motion:
         """Whether the line of the script ends by itself: the default end. False for what goes on until it is told."""
         return False
 
+    def progress(self, control: MotionControl) -> float:
+        """How much of it is behind the robot, 0 to 1; 0 for what has no end."""
+        return 0.0
+
 
 class Standing(Motion):
     """The motors at zero: `idle`, and what a robot does before its first command."""

@@ -56,6 +56,10 @@ class Forward(Motion):
         """5 mm before the target, or beyond it."""
         return sign(control.distance) * control.remaining < self.TOLERANCE
 
+    def progress(self, control: MotionControl) -> float:
+        """By the way that remains."""
+        return 1.0 - control.remaining / self._distance if self._distance else 1.0
+
 
 class FollowDirection(Motion):
     """`drive` and its kin: along the line through the reference, in its direction, without an end.

@@ -110,3 +110,19 @@ class DriveToPoint(Motion):
     def is_done(self, control: MotionControl) -> bool:
         """When all three are driven."""
         return not self._pieces
+
+    def progress(self, control: MotionControl) -> float:
+        """By the lengths of the pieces."""
+        path = self._path
+        lengths = [self._radius * abs(path.first), path.straight, self._radius * abs(path.last)]
+        whole = sum(lengths)
+        if not self._pieces or not whole:
+            return 1.0
+        present = 3 - len(self._pieces)
+        piece = self._pieces[0][0]
+        part = 0.0
+        if self._is_begun and isinstance(piece, FollowDirection):
+            part = abs(control.remaining) / lengths[1]
+        elif self._is_begun and piece is not None:
+            part = piece.progress(control)
+        return (sum(lengths[:present]) + part * lengths[present]) / whole

@@ -94,6 +94,10 @@ class Turn(Motion):
         """Within 0.01 rad."""
         return abs(control.heading_error) < self.TOLERANCE
 
+    def progress(self, control: MotionControl) -> float:
+        """By the angle that remains."""
+        return 1.0 - abs(control.heading_error / self._angle) if self._angle else 1.0
+
 
 class Arc(Motion):
     """`turnr`: along a circle round a centre beside the target pose, until the robot has turned by the angle.
@@ -176,6 +180,10 @@ class Arc(Motion):
         """When it has turned far enough."""
         return abs(control.remaining) < 0.005
 
+    def progress(self, control: MotionControl) -> float:
+        """By the angle that it has turned."""
+        return abs(self._turned / self._angle) if self._angle else 1.0
+
 
 class Clothoid(Motion):
     """`turnc`: an arc whose curvature grows up to its middle and shrinks again; ends by the way driven.
@@ -252,6 +260,10 @@ class Clothoid(Motion):
     def is_done(self, control: MotionControl) -> bool:
         """When it has driven the whole way."""
         return abs(control.remaining) < 0.005
+
+    def progress(self, control: MotionControl) -> float:
+        """By the way driven."""
+        return self._driven / (2 * self._half) if self._half > 0.0 else 1.0
 
 
 def _fresnel(x: float) -> tuple[float, float]:

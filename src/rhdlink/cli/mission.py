@@ -1,0 +1,229 @@
+"""`rhdlink mission`: run a script in SMR-CL on a robot or a turtle, check it, or serve clients of MRC."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import sys
+import time
+from pathlib import Path
+
+from linkcore.cli.interruption import Interruption
+from linkcore.cli.options import Subparsers, add_command, seconds
+from linkcore.cli.terminal import safe
+from linkcore.errors import LinkError
+
+from ..client import connect
+from ..drawing import save
+from ..plugins.turtle import SmrTurtle, Turtle
+from ..smrcl.mission import Mission, MissionRun
+from ..smrcl.outbox import Said
+from ..smrcl.profile import PROFILES
+from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
+from ..smrcl.server import PORT, MissionServer
+from ..world import World
+from .options import port, tell
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle in
+this process. The script is checked before it begins; one that fails says on which line, and the robot stands.
+
+Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as it is
+executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
+
+With --check the script is only checked, with --serve clients of MRC can connect and send commands."""
+
+_EXAMPLES = (
+    "rhdlink mission square.smr --turtle",
+    "rhdlink mission square.smr --robot smr12 --trace",
+    "rhdlink mission spiral.smr --turtle --profile mrc --svg spiral.svg",
+    "rhdlink mission --check square.smr",
+    "rhdlink mission --serve --robot smr12",
+)
+
+#: Seconds between two pictures of the live view.
+_VIEW = 0.2
+#: The size of the turtle's world, m.
+_WORLD = 11.0
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "mission", "run a script in SMR-CL", _DESCRIPTION, _EXAMPLES)
+    parser.add_argument("file", metavar="FILE", nargs="?", help="the script")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--robot", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named")
+    where.add_argument(
+        "--turtle",
+        nargs="?",
+        const="velocity",
+        choices=("velocity", "smr"),
+        help="a robot in a walled square of 11 x 11 m in this process, driven by its velocity (default) or by wheels",
+    )
+    parser.add_argument("--profile", choices=sorted(PROFILES), default="sound", help="as MRC does it, or sound (sound)")
+    parser.add_argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in")
+    parser.add_argument("--trace", action="store_true", help="show each line as it is executed")
+    parser.add_argument("--svg", metavar="FILE", help="draw the turtle's way into FILE at the end: .svg or .png")
+    parser.add_argument("--realtime", action="store_true", help="let the turtle take its time; otherwise it hurries")
+    parser.add_argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)")
+    parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="seconds of a silent robot (5)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--check", action="store_true", help="only check the script")
+    what.add_argument("--serve", action="store_true", help="serve clients of MRC until Ctrl-C, SIGTERM or --duration")
+    parser.add_argument("--port", type=port, default=PORT, metavar="P", help=f"of --serve, 0 for a free one ({PORT})")
+    parser.add_argument("--listen", default="127.0.0.1", metavar="H", help="address of --serve (127.0.0.1)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end --serve after S seconds (never)")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Do what was asked for.
+
+    Raises:
+        LinkError: the script, the robot or a file is at fault.
+    """
+    if args.serve:
+        return _serve(args)
+    if args.file is None:
+        args.usage_error("a script is needed, unless there is --serve")
+    if args.check:
+        return _check(args)
+    return _execute(args)
+
+
+def _check(args: argparse.Namespace) -> int:
+    mission = Mission(Path(args.file))
+    mistakes = mission.check()
+    for mistake in mistakes:
+        print(f"{safe(mission.name)}: {safe(str(mistake))}")
+    if not mistakes:
+        tell(f"{mission.name}: no mistake found")
+    return 1 if mistakes else 0
+
+
+def _execute(args: argparse.Namespace) -> int:
+    link, world = _link(args, is_realtime=args.realtime)
+    try:
+        mission = Mission(Path(args.file), link, profile=args.profile, conf=args.conf, log_folder=args.log_folder)
+        _listen(mission, args)
+        with Interruption() as interruption:
+            run = mission.start()
+            _watch(run, interruption, args)
+        error = run.error
+        if world is not None:
+            pose = world.pose
+            tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
+            if args.svg is not None:
+                save(world, args.svg, mission.name)
+        interruption.raise_if_any()
+        if error is not None:
+            raise error
+    finally:
+        link.close()
+    return 0
+
+
+def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
+    """Wait for the end, and show how it goes where somebody looks."""
+    is_seen = sys.stderr.isatty() and not args.trace and args.profile != "mrc"
+    due = time.monotonic() + _VIEW
+    while not run.done:
+        if interruption.wait(0.02):
+            run.cancel()
+            break
+        if is_seen and time.monotonic() >= due:
+            due = time.monotonic() + _VIEW
+            print(f"\r\x1b[K{_view(run)}", end="", file=sys.stderr, flush=True)
+    # The robot is told to stand, and gets its time to answer.
+    with contextlib.suppress(LinkError):
+        run.wait(args.timeout + 1.0)
+    if is_seen:
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _view(run: MissionRun) -> str:
+    x, y, theta = run.pose
+    parts = [
+        f"line {run.line}: {safe(run.text)[:40]}",
+        f"x {x:.3f} m  y {y:.3f} m  heading {math.degrees(theta):.1f} deg",
+        f"$drivendist {run.system('drivendist'):.3f}  $cmdtime {run.system('cmdtime'):.2f}",
+    ]
+    return "  |  ".join(parts)
+
+
+def _listen(mission: Mission, args: argparse.Namespace) -> None:
+    if args.profile == "mrc":
+        mission.on_said(_print_as_mrc)
+        return
+    mission.on("values", _print).on("text", _print)
+    mission.on("event", lambda text: tell(text)).on("message", lambda text: tell(text.strip()))
+    if args.trace:
+        mission.on_said(_trace)
+
+
+def _print(text: str) -> None:
+    print(safe(text), flush=True)
+
+
+def _print_as_mrc(said: Said) -> None:
+    # As it is: the lines are those of the user's own script.
+    print(said.printed, end="", flush=True)
+
+
+def _trace(said: Said) -> None:
+    if said.line:
+        tell(f"line {said.line}: {said.text.strip()}")
+
+
+def _serve(args: argparse.Namespace) -> int:
+    if args.file is not None:
+        args.usage_error("--serve takes its commands from clients, not from a script")
+    link, world = _link(args, is_realtime=True)
+    server = MissionServer(
+        link,
+        port=args.port,
+        address=args.listen,
+        profile=args.profile,
+        conf=args.conf,
+        log_folder=args.log_folder,
+        waits=False,
+    )
+    if args.profile == "mrc":
+        server.on_said(_print_as_mrc)
+    try:
+        with Interruption() as interruption:
+            with server:
+                tell("clients of MRC can connect; Ctrl-C ends it; connect to")
+                print(
+                    f"[{args.listen}]:{server.port}" if ":" in args.listen else f"{args.listen}:{server.port}",
+                    flush=True,
+                )
+                until = math.inf if args.duration is None else time.monotonic() + args.duration
+                while time.monotonic() < until and not server.wait(0.0):
+                    if interruption.wait(min(0.1, max(until - time.monotonic(), 0.0))):
+                        break
+            if world is not None and args.svg is not None:
+                save(world, args.svg, "served")
+            interruption.raise_if_any()
+    finally:
+        link.close()
+    return 0
+
+
+def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, World | None]:
+    """The robot, and the world that it is in if that is known.
+
+    Raises:
+        BadValue: there is none, or the picture cannot be written.
+    """
+    if args.turtle is None:
+        if args.svg is not None:
+            args.usage_error("--svg draws the way of a --turtle")
+        return ClientLink(connect(args.robot or "localhost", access="w", timeout=args.timeout), owns=True), None
+    turtle = Turtle(World(_WORLD)) if args.turtle == "velocity" else SmrTurtle(World(_WORLD))
+    if args.svg is not None:
+        save(turtle.world, args.svg)  # says at once whether it can be written
+    return PluginLink([turtle], is_realtime=is_realtime), turtle.world

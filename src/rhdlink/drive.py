@@ -1,0 +1,384 @@
+"""Motions of a mobile robot without any script: forward, turn, arc, to a pose."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from linkcore.callbacks import CallbackThread
+from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.handle import Handle, Lifecycle
+
+from .smrcl.controller import Controller
+from .smrcl.execution import Callbacks, Execution, error_of
+from .smrcl.interpreter import Run
+from .smrcl.mission import Robot, suitable_conf
+from .smrcl.motion.control import Motion, MotionControl
+from .smrcl.motion.following import FollowLine, FollowWall
+from .smrcl.motion.standing import Stop
+from .smrcl.motion.straight import FollowDirection, Forward, Wheels
+from .smrcl.motion.topoint import DriveToPoint
+from .smrcl.motion.turning import Arc, Turn
+from .smrcl.odometry import Pose as Place
+from .smrcl.profile import Profile, find_profile
+from .smrcl.robot_conf import RobotConf
+from .smrcl.robot_link import open_link
+from .smrcl.sensors import LineKind
+from .smrcl.vehicle import Vehicle
+from .world import Pose
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Drive", "DriveMotion"]
+
+#: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
+_MOST = 1e6
+#: Cycles that a simulated robot is given to come to rest after a motion.
+_SETTLING = 300
+#: Seconds that other threads wait for the one that drives.
+_CLOSE_TIMEOUT = 5.0
+
+
+class DriveMotion(Handle):
+    """A motion under way. Made by `Drive`."""
+
+    def __init__(self, life: Lifecycle, measure: Callable[[], float]) -> None:
+        super().__init__(life)
+        self._measure = measure
+
+    @property
+    def progress(self) -> float:
+        """How much of it is behind the robot, from 0 to 1; 1 only once it has come to its own end."""
+        if self.done and self.error is None:
+            return 1.0
+        return min(max(self._measure(), 0.0), 1.0)
+
+
+class _Command:
+    """A motion that was asked for.
+
+    Args:
+        begin: is called in the thread that drives, before the motion begins.
+    """
+
+    def __init__(self, motion: Motion, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
+        self.motion = motion
+        self.life = life
+        self.begin = begin
+
+
+class _Motions:
+    """The program of a `Drive`: the motion that was asked for last."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._lock = threading.Lock()
+        self._next: _Command | None = None
+        self._current: _Command | None = None
+        self.is_over = False
+
+    @property
+    def run(self) -> Run | None:
+        """There is no script."""
+        return None
+
+    @property
+    def is_idle(self) -> bool:
+        """Nothing is asked for, and nothing is under way."""
+        return self._next is None and self._current is None
+
+    def put(self, command: _Command) -> None:
+        """Begin a motion in the next cycle; it preempts the present one."""
+        with self._lock:
+            before, self._next = self._next, command
+        if before is not None:
+            before.life.cancel("preempted by another motion")
+
+    def step(self) -> bool:
+        """One cycle."""
+        with self._lock:
+            new, self._next = self._next, None
+        if new is not None:
+            before, self._current = self._current, None
+            if before is not None:
+                before.life.cancel("preempted by another motion")
+            if not new.life.is_over:
+                self._current = new
+                new.begin(self._vehicle)
+                self._vehicle.control.start(new.motion)
+                new.life.begin()
+            return self.is_over
+        current = self._current
+        if current is not None:
+            if current.life.is_over:  # cancelled
+                self._current = None
+                self._vehicle.control.start(Stop())
+            elif current.motion.is_done(self._vehicle.control):
+                self._current = None
+                current.life.finish()
+        return self.is_over
+
+    def end(self, error: Exception) -> None:
+        """Nothing is driven any more."""
+        with self._lock:
+            ended, self._next, self._current = [self._next, self._current], None, None
+        for command in ended:
+            if command is not None:
+                command.life.fail(error)
+
+
+class Drive:
+    """Drives a robot by motions; a context manager that closes itself::
+
+        with rhdlink.Drive(robot) as drive:
+            drive.forward(0.5).wait()
+            drive.turn(90).wait()
+            drive.to(0.0, 0.0, 180.0).wait()
+
+    Each motion is a handle: wait for it, await it, cancel it. A motion that is begun while another one is under way
+    preempts it, at the speed that the robot has. Lengths are m, angles degrees, positive ones to the left; poses are
+    those of the robot's odometry, which begins at 0, 0, 0.
+
+    A thread exchanges values with the robot at each of its ticks. A simulated robot whose time stands still in between
+    (a plugin such as `Turtle()`) moves while there is a motion and until it rests, and then waits.
+
+    Args:
+        robot: connected with write access; an address; or a plugin such as `Turtle()`.
+        speed: m/s, for motions that do not say.
+        acceleration: m/s2.
+        conf: what the robot is, see `Mission`.
+        profile: "sound", or "mrc" for motions that end as MRC's do.
+
+    Raises:
+        BadValue: an argument that cannot be.
+        AccessDenied, WrongVariables, ...: the robot cannot be driven.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        speed: float = 0.3,
+        acceleration: float = 0.3,
+        conf: RobotConf | str | os.PathLike[str] | None = None,
+        profile: Profile | str = "sound",
+    ) -> None:
+        self._speed = _number("speed", speed)
+        self._acceleration = _positive("acceleration", acceleration)
+        chosen = find_profile(profile)
+        link, owns = open_link(robot)
+        try:
+            controller = Controller(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)
+        except BaseException:
+            if owns:
+                link.close()
+            raise
+        self._link, self._owns = link, owns
+        self._controller = controller
+        self._vehicle = controller.vehicle
+        self._motions = _Motions(self._vehicle)
+        controller.execute(self._motions)
+        self._execution = Execution(link, controller, Callbacks())
+        self._callbacks = CallbackThread(f"drive {link.name} callbacks")
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name=f"drive {link.name}", daemon=True)
+        try:
+            self._thread.start()
+        except RuntimeError as error:
+            if owns:
+                link.close()
+            raise LocalError(f"{link.name} cannot be driven: {error}") from error
+
+    # -- motions -------------------------------------------------------------------------------------
+
+    def forward(self, distance: float, *, speed: float | None = None) -> DriveMotion:
+        """Straight on for `distance` m, backward if it is negative; slows down before obstacles and before the end.
+
+        The way is measured from the place that the motion before aimed at, so that errors do not add up.
+        """
+        return self._begin("forward", Forward(_number("distance", distance)), speed)
+
+    def turn(self, angle: float, *, speed: float | None = None) -> DriveMotion:
+        """On the spot by `angle` degrees, also beyond 180. `speed` is that of a wheel."""
+        return self._begin("turn", Turn(math.radians(_number("angle", angle))), speed)
+
+    def arc(self, radius: float, angle: float, *, speed: float | None = None) -> DriveMotion:
+        """Along a circle of `radius` m until the robot has turned by `angle` degrees; it stands behind its end."""
+        return self._begin("arc", Arc(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
+
+    def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> DriveMotion:
+        """To a pose, by the shortest way of an arc, a straight line and an arc, forward or backward.
+
+        It ends a few centimetres and degrees off, since nothing corrects it on the way.
+        """
+        goal = Place(_number("x", x), _number("y", y), math.radians(_number("heading", heading)))
+        return self._begin("to", DriveToPoint(goal, _positive("radius", radius), is_absolute=True), speed)
+
+    def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> DriveMotion:
+        """Along the line through (x, y) in `direction`, until another motion begins or it is cancelled."""
+        place = _number("x", x), _number("y", y), math.radians(_number("direction", direction))
+
+        def begin(vehicle: Vehicle) -> None:
+            vehicle.control.distance = 0.0
+            vehicle.control.reference.set(*place)
+
+        return self._begin("along", FollowDirection(), speed, begin)
+
+    def follow_line(self, kind: str = "bm", *, speed: float | None = None) -> DriveMotion:
+        """Along a line on the floor, "bm" a black one by its middle, "br" and "bl" by its edges, "wm" a white one.
+
+        It goes on until another motion begins or it is cancelled, and stands where there is no line for 0.2 m.
+        """
+        try:
+            wanted = LineKind(kind)
+        except ValueError:
+            raise BadValue(f"kind is {kind!r}; expected one of {', '.join(each.value for each in LineKind)}") from None
+
+        def begin(vehicle: Vehicle) -> None:
+            vehicle.line_kind = wanted
+
+        return self._begin("follow_line", FollowLine(), speed, begin)
+
+    def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> DriveMotion:
+        """Beside a wall on the "left" or "right", in `distance` m, until another motion begins or it is cancelled."""
+        if side not in ("left", "right"):
+            raise BadValue(f"side is {side!r}; expected 'left' or 'right'")
+        return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
+
+    def wheels(self, left: float, right: float) -> DriveMotion:
+        """The speeds of the wheels, m/s, until another motion begins. It is over at once."""
+        return self._begin("wheels", Wheels(_number("left", left), _number("right", right)), None)
+
+    def stop(self) -> DriveMotion:
+        """Stand, and hold the heading."""
+        return self._begin("stop", Stop(), None)
+
+    def _begin(
+        self, name: str, motion: Motion, speed: float | None, begin: Callable[[Vehicle], object] = lambda vehicle: None
+    ) -> DriveMotion:
+        if self._closing.is_set() or self._error is not None:
+            raise Closed(f"{self._link.name} is not driven any more") from self._error
+        wanted = self._speed if speed is None else _number("speed", speed)
+        control = self._vehicle.control
+
+        def prepare(vehicle: Vehicle) -> None:
+            control.speed, control.acceleration = wanted, self._acceleration
+            begin(vehicle)
+
+        life = Lifecycle(name, self._callbacks)
+        life.brake = self._wake.set
+        handle = DriveMotion(life, lambda: _progress(motion, control))
+        self._motions.put(_Command(motion, life, prepare))
+        self._wake.set()
+        return handle
+
+    # -- what is known -------------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> Pose:
+        """Where the robot is by its odometry: m, m, rad."""
+        pose = self._vehicle.odometry.pose
+        return Pose(pose.x, pose.y, pose.th)
+
+    @property
+    def velocity(self) -> float:
+        """m/s, by its odometry."""
+        return self._vehicle.odometry.velocity
+
+    @property
+    def line_position(self) -> float:
+        """Where the line is that is followed, cm to the left; nan where no sensor sees a difference."""
+        return self._vehicle.line_position()
+
+    @property
+    def distances(self) -> tuple[float, ...]:
+        """The infrared distances, m: left, front left, front middle, front right, right; zeros without sensors."""
+        return tuple(self._vehicle.infrared.distances[:5])
+
+    @property
+    def error(self) -> Exception | None:
+        """What ended it, unless it was closed; None while it goes on."""
+        return self._error
+
+    # -- its thread ----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        settling = 0
+        try:
+            while not self._closing.is_set():
+                if self._link.is_lockstep and self._motions.is_idle:
+                    settling = 0 if self._stands else settling - 1
+                    if settling <= 0:
+                        self._wake.wait(0.1)
+                        self._wake.clear()
+                        if self._motions.is_idle:
+                            continue
+                settling = _SETTLING if not self._motions.is_idle else settling
+                self._execution.cycle()
+                self._controller.take_said()
+                failure = self._controller.failure
+                if failure is not None:
+                    raise error_of(failure)
+        except Exception as error:
+            self._error = error
+            self._motions.end(error)
+        finally:
+            self._execution.stand()
+            self._motions.end(Closed(f"{self._link.name} is not driven any more"))
+
+    @property
+    def _stands(self) -> bool:
+        control = self._vehicle.control
+        return control.left == control.right == control.omega == 0.0
+
+    def close(self) -> None:
+        """Have the robot stand, and drive it no more. Idempotent.
+
+        Raises:
+            LinkTimeout: the robot does not answer.
+        """
+        self._closing.set()
+        self._wake.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join(_CLOSE_TIMEOUT)
+            if self._thread.is_alive():
+                raise LinkTimeout(f"{self._link.name} has not answered within {_CLOSE_TIMEOUT:g} s")
+        if self._owns:
+            self._link.close()
+        self._callbacks.close(max(_CLOSE_TIMEOUT, time.get_clock_info("monotonic").resolution))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        x, y, theta = self.pose
+        state = "closed" if self._closing.is_set() else "failed" if self._error else "idle"
+        if not self._motions.is_idle:
+            state = "moving"
+        return f"<Drive {self._link.name} {state} at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(theta):.1f} deg>"
+
+
+def _progress(motion: Motion, control: MotionControl) -> float:
+    return motion.progress(control) if control.motion is motion else 0.0
+
+
+def _number(name: str, value: float) -> float:
+    if not isinstance(value, (int, float)) or not abs(value) <= _MOST:
+        raise BadValue(f"{name} is {value!r}; expected a number")
+    return float(value)
+
+
+def _positive(name: str, value: float) -> float:
+    if not _number(name, value) > 0.0:
+        raise BadValue(f"{name} is {value!r}; expected a number above 0")
+    return float(value)

@@ -1,0 +1,345 @@
+"""The server of a mission: a port to which programs connect that were written for MRC.
+
+MRC listens on port 31001, or with its option `-t N` on 31000 + N. What clients say is for `dialogue`; here are the
+sockets, served between the answer of the robot and the script of the same cycle, by the one thread that drives.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from linkcore.errors import BadValue, Closed, LinkTimeout
+from linkcore.net.loop import Connection, Handler, SelectorLoop
+
+from ..host.plugin import Plugin
+from .controller import Controller
+from .dialogue import MOST_BACKLOG, Dialogue, Session
+from .execution import Callbacks, Execution, Provider, error_of, log_saver
+from .interpreter import Failure
+from .mission import Robot, suitable_conf
+from .outbox import Said
+from .profile import Profile, find_profile
+from .robot_conf import RobotConf
+from .robot_link import PluginLink, RobotLink, open_link
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["PORT", "MissionServer"]
+
+_log = logging.getLogger(__name__)
+
+#: The port that MRC listens on unless it is told another.
+PORT = 31001
+
+#: Seconds that a client gets to take the last answers, and that other threads wait for the one that drives.
+_FINISH, _CLOSE_TIMEOUT = 1.0, 5.0
+
+
+class MissionServer:
+    """Executes what clients send, on one robot. A context manager that starts and closes itself.
+
+    ``run()`` does it here until `stop`; ``start()``, or a ``with`` block, in a thread of its own. It runs once.
+
+    The robot is told to stand when the server ends, and under the sound profile when the client goes whose command is
+    executed. There is no password: whoever can connect can drive the robot, so by default only this machine can.
+
+    Args:
+        robot: see `Mission`; a plugin such as `Turtle()` is run in this process, at its own pace.
+        port: TCP port, 0 for a free one.
+        address: to listen on.
+        profile: "sound", or "mrc", under which a client's `exit` ends the server as it ends MRC.
+        conf: what the robot is, see `Mission`.
+        clients: how many may be connected.
+        waits: whether to connect to the robot only when the first client has come, as MRC does; by default under its
+            profile.
+        log_folder: where the logs go that clients save; by default nowhere.
+
+    Attributes:
+        failure: what ended it, if it was no `stop`; None while it goes on.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        port: int = PORT,
+        address: str = "127.0.0.1",
+        profile: Profile | str = "sound",
+        conf: RobotConf | str | os.PathLike[str] | None = None,
+        clients: int = 8,
+        waits: bool | None = None,
+        log_folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        if clients < 1:
+            raise BadValue(f"clients is {clients}; expected at least 1")
+        self.failure: Exception | None = None
+        self._robot = robot
+        self._place = address, port
+        self._profile = find_profile(profile)
+        self._conf = conf
+        self._clients = clients
+        self._waits = not self._profile.client_loss_stops if waits is None else waits
+        self._save_log = log_saver(log_folder)
+        self._callbacks = Callbacks()
+        self._loop: SelectorLoop | None = None
+        self._dialogue: Dialogue | None = None
+        # Who came before there was a robot.
+        self._early: list[_ClientHandler] = []
+        self._handlers: list[_ClientHandler] = []
+        self._link: RobotLink | None = None
+        self._owns = False
+        self._port = 0
+        self._is_stopping = False
+        self._is_used = False
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def on(self, name: str, function: Callable[..., object]) -> Self:
+        """As `Mission.on`."""
+        self._callbacks.add(name, function)
+        return self
+
+    def on_said(self, function: Callable[[Said], object]) -> Self:
+        """Tell a function everything that the mission says, in its order and with its kind. Returns the mission.
+
+        Raises:
+            BadValue: it cannot be called.
+        """
+        if not callable(function):
+            raise BadValue(f"{function!r} cannot be called")
+        self._callbacks.readers.append(function)
+        return self
+
+    def provide(self, name: str, provider: Provider) -> Self:
+        """As `Mission.provide`."""
+        self._callbacks.providers[name.removeprefix("$")] = provider
+        return self
+
+    @property
+    def port(self) -> int:
+        """The port that it listens on.
+
+        Raises:
+            Closed: it does not run.
+        """
+        if self._loop is None:
+            raise Closed("the server does not run")
+        return self._port
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """Why commands have failed, the newest last."""
+        return () if self._dialogue is None else tuple(self._dialogue.failures)
+
+    # -- life ------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Serve in this thread until `stop`, or under MRC's profile until a client's `exit`.
+
+        Raises:
+            BadAddress: the port cannot be listened on.
+            AccessDenied, WrongVariables, ...: the robot cannot be driven.
+            ConnectionLost, LinkTimeout: it went away.
+            MissionFailed: a provider or a watch failed.
+        """
+        self._begin()
+        self._serve()
+        if self.failure is not None:
+            raise self.failure
+
+    def start(self) -> Self:
+        """Serve in a thread; the port is open, and unless it `waits` the robot connected, when this returns.
+
+        Raises:
+            as `run`, for what goes wrong until then; later, `failure` says what did.
+        """
+        self._begin()
+        self._thread = threading.Thread(target=self._serve, name="mission server", daemon=True)
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """Have it end after this cycle; from any thread, and from signal handlers."""
+        self._is_stopping = True
+        loop = self._loop
+        if loop is not None:
+            loop.wake()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until a started server has ended; False when time is up.
+
+        Raises:
+            LinkError: what ended it.
+        """
+        if not self._ended.wait(timeout):
+            return False
+        if self.failure is not None:
+            raise self.failure
+        return True
+
+    def close(self) -> None:
+        """Stop, and wait until the robot stands and the port is closed; idempotent.
+
+        Raises:
+            LinkTimeout: the robot does not answer.
+        """
+        self.stop()
+        thread = self._thread
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(_CLOSE_TIMEOUT)
+            if thread.is_alive():
+                raise LinkTimeout(f"the server has not ended within {_CLOSE_TIMEOUT:g} s: the robot does not answer")
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = "ended" if self._ended.is_set() else "serving" if self._is_used else "not started"
+        return f"<MissionServer {self._place[0]}:{self._port or self._place[1]} {state}, profile {self._profile.name}>"
+
+    # -- begin and end ---------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        if self._is_used:
+            raise Closed("a server runs once; make another")
+        self._is_used = True
+        loop = SelectorLoop()
+        try:
+            listening = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf)
+            self._port = listening.number
+            self._loop = loop
+            if not self._waits:
+                self._connect()
+        except BaseException:
+            loop.close()
+            self._ended.set()
+            raise
+
+    def _connect(self) -> Execution:
+        """Connect to the robot, and hand over to its dialogue who has come already."""
+        if isinstance(self._robot, Plugin):
+            link: RobotLink = PluginLink([self._robot], is_realtime=True)
+            self._owns = True
+        else:
+            link, self._owns = open_link(self._robot)
+        self._link = link
+        controller = Controller(
+            suitable_conf(self._conf, link), link.read, link.write, profile=self._profile, hooks=self._callbacks.hooks
+        )
+        self._dialogue = controller.serve()
+        for handler in self._early:
+            handler.begin(self._dialogue.connect())
+        self._early.clear()
+        self._execution = Execution(link, controller, self._callbacks, self._save_log, self._listen)
+        return self._execution
+
+    def _serve(self) -> None:
+        loop = self._loop
+        assert loop is not None
+        execution: Execution | None = None if self._waits else self._execution
+        try:
+            while execution is None and not self._is_stopping:
+                loop.serve_once()
+                if self._early:
+                    execution = self._connect()
+            while execution is not None and not self._is_stopping and execution.cycle():
+                self._answer()
+            failure = None if execution is None else execution.controller.failure
+            if failure is not None:
+                raise error_of(failure)
+        except Exception as error:
+            _log.info("the mission server has ended: %s", error)
+            self.failure = error
+        finally:
+            if execution is not None and not execution.controller.is_finished:
+                execution.stand()
+            if self._link is not None and self._owns:
+                self._link.close()
+            self._answer()
+            loop.close(within=_FINISH)
+            self._ended.set()
+
+    # -- clients ---------------------------------------------------------------------------------------
+
+    def _accept(self, connection: Connection) -> Handler:
+        handler = _ClientHandler(self, connection)
+        self._handlers.append(handler)
+        if self._dialogue is None:
+            self._early.append(handler)
+        else:
+            handler.begin(self._dialogue.connect())
+        return handler
+
+    def _listen(self) -> None:
+        """Take what has come from all clients."""
+        assert self._loop is not None
+        self._loop.serve_once(self._loop.time())
+
+    def _answer(self) -> None:
+        """Send what they are told."""
+        for handler in list(self._handlers):
+            handler.answer()
+
+    def _lost(self, handler: _ClientHandler) -> None:
+        self._handlers.remove(handler)
+        if handler in self._early:
+            self._early.remove(handler)
+        if self._dialogue is not None and handler.session is not None:
+            self._dialogue.disconnect(handler.session)
+
+
+class _ClientHandler(Handler):
+    """One client.
+
+    Attributes:
+        session: its part of the dialogue; None while there is none.
+    """
+
+    def __init__(self, server: MissionServer, connection: Connection) -> None:
+        self.session: Session | None = None
+        self._server = server
+        self._connection = connection
+        self._waiting = bytearray()
+
+    def begin(self, session: Session) -> None:
+        """The dialogue has begun."""
+        self.session = session
+        session.receive(bytes(self._waiting))
+        self._waiting.clear()
+
+    def data_received(self, data: bytes) -> None:
+        """Hand over what has come, or keep it until there is a dialogue."""
+        if self.session is not None:
+            self.session.receive(data)
+            if self.session.backlog > MOST_BACKLOG:
+                self._connection.pause_reading()
+        else:
+            self._waiting += data
+            if len(self._waiting) > self._connection.port.output_limit:
+                self._connection.close(reset=True, reason="sent too much before the robot was there")
+
+    def answer(self) -> None:
+        """Send what the client is told, and end the connection of one that has left."""
+        session = self.session
+        if session is None:
+            return
+        answers = session.take()
+        if answers:
+            self._connection.write(answers)
+        if session.is_closed:
+            self._connection.finish(_FINISH)
+        elif session.backlog <= MOST_BACKLOG:
+            self._connection.resume_reading()
+
+    def connection_lost(self, reason: str, *, by_peer: bool) -> None:
+        """Its commands are no longer wanted."""
+        self._server._lost(self)
