@@ -39,7 +39,8 @@ class Profile:
         "it stands, and holds its heading",
     )
     turn_ramps: bool = _fixed(
-        "`turn` at a negative speed starts and goes on at full rate", "the sign of the speed does not matter to `turn`"
+        "`turn` at a negative speed ramps from the robot's speed through 0 to it, and turns by its amount",
+        "the sign of the speed does not matter to `turn`",
     )
     full_turns: bool = _fixed(
         "`turn` normalises its angle, so that 270 is -90, and never ends if the heading passes 180 degrees between two "

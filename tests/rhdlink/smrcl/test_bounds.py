@@ -1,0 +1,194 @@
+"""No script and no client makes a mission run away."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rhdlink.smrcl.commands import COMMANDS
+from rhdlink.smrcl.controller import Controller
+from rhdlink.smrcl.interpreter import Limits
+from rhdlink.smrcl.profile import MRC, SOUND, Profile
+from rhdlink.smrcl.robot_conf import SMR, VELOMEGA
+from tests.rhdlink.smrcl.bench import Bench
+
+PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: profile.name)
+
+
+@PROFILES
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ('label "a"\ngoto "a"\n', "a loop that takes no time: 2000 lines in one cycle"),
+        ('n=0\nlabel "a"\nn=n+1\nif (1) "a"\n', "a loop that takes no time: 2000 lines in one cycle"),
+        ("\n" * 3000, "a loop that takes no time: 2000 lines in one cycle"),
+        ('label "a"\ncall "a"\n', "more than 500 calls within each other"),
+        ('array "q" 10000\n', "there is no room for an array of 10000.000000 values; "),
+        ('array "q" -1\n', "there is no room for an array of -1.000000 values; "),
+        ('label "a"\narray "q" 1000\ngoto "a"\n', "there is no room for an array of 1000.000000 values; "),
+        ("return\n", "return without a call"),
+        ("x = 1/0\nfwd x\n", "inf is no length or angle"),
+        ("turn 1e300\n", f"{1e300:.6f} is no length or angle"),
+    ],
+)
+def test_what_has_no_end_is_ended(profile: Profile, source: str, reason: str) -> None:
+    bench = Bench("velomega", profile, options={"limits": Limits(lines=2000, calls=500)}).run(source)
+    assert bench.reason.startswith(reason)
+    assert tuple(bench.written["cmdtransvel"]) == tuple(bench.written["cmdrotvel"]) == (0,)
+
+
+@PROFILES
+def test_variables_have_an_end(profile: Profile) -> None:
+    names = [f"v{number}x" for number in range(10_001)]
+    bench = Bench("velomega", profile, options={"limits": Limits(lines=30_000)})
+    bench.run("".join(f"{name} = 1\n" for name in names))
+    assert bench.reason == "there is no room for further variables"
+
+
+def test_a_limit_says_that_it_is_one() -> None:
+    bench = Bench().run('label "a"\ngoto "a"\n')
+    assert bench.controller.failure is not None
+    assert bench.controller.failure.is_limit
+
+
+@PROFILES
+@pytest.mark.parametrize("speed", ["1e300", "x"])
+def test_no_speed_is_written_that_is_no_number(profile: Profile, speed: str) -> None:
+    bench = Bench("velomega", profile).run(f"x = 0/0\nmotorcmds {speed} {speed}\nwait 0.1\n", cycles=40)
+    assert all(abs(word) <= 2**31 for words in bench.written.values() for word in words)
+
+
+@PROFILES
+def test_a_line_of_a_script_is_read_within_its_time(profile: Profile) -> None:
+    """However deep it is nested, and however huge its numbers are."""
+    lines = ["eval " + "-" * 240 + "1", "eval " + "(" * 120 + "1" + ")" * 120, "eval rem(1e300,1) ; sin(1e300)"]
+    lines += ["eval normalizeangledeg(1e200) ; 2^2^2^2^2^2^2 ; exp(exp(exp(10)))", "eval " + "1+" * 120 + "1"]
+    for line in lines:
+        began = time.process_time()
+        Bench("velomega", profile).run(f"{line}\n", cycles=30)
+        assert time.process_time() - began < 2.0
+
+
+# -- random programs ------------------------------------------------------------------------------------------
+
+numbers = st.one_of(
+    st.sampled_from(["0", "1", "-1", "0.02", "90", "1e9", "-0.5", "x", "$odox", "q"]),
+    st.floats(min_value=-2, max_value=2).map(lambda value: f"{value:.3f}"),
+)
+values = st.sampled_from(
+    ["x", "q[x]", "$odox", "1/0", "rem(x,2)", "x+1", "ntrue(1,x)", "$condition", "sqrt(-1)", "q[9]", "(x>1) & (x<9)"]
+)
+texts = st.sampled_from(
+    ['"a"', '"b"', '"x"', '"q[1]"', '"$odox"', '"abs"', '"rad"', '"cmdrotvel"', '"bm"', '"l"', '"r"']
+)
+conditions = st.one_of(st.just(""), st.just(" : ($cmdtime > 0.05)"), values.map(lambda value: f" : ({value})"))
+commands = st.builds(
+    lambda name, parameters, condition: f"{name} {' '.join(parameters)}{condition}",
+    st.sampled_from(sorted(COMMANDS)),
+    st.lists(st.one_of(numbers, texts), max_size=4),
+    conditions,
+)
+free = st.one_of(
+    values.map(lambda value: f"x = {value}"),
+    st.builds(lambda index, value: f"q[{index}] = {value}", values, values),
+    values.map(lambda value: f'if ({value}) "a"'),
+    values.map(lambda value: f"eval {value}"),
+    values.map(lambda value: f"switch ({value})"),
+    st.sampled_from(["case 1", "case 2", "endswitch", 'label "a"', 'label "b"', 'goto "b"', 'call "a"', "return", ""]),
+    st.sampled_from([": (x > 3)", ": (1)", "% nothing", "fwd 0.02", "wait 0.02", "turn 3", "idle", "stop"]),
+    st.text(st.characters(codec="latin-1"), max_size=20),
+)
+programs = st.lists(st.one_of(free, commands), max_size=12).map(
+    lambda lines: "\n".join(["x = 1", 'array "q" 3', *lines])
+)
+
+
+@PROFILES
+@pytest.mark.parametrize("robot", ["velomega", "differential"])
+@pytest.mark.property
+@settings(deadline=None, max_examples=40)
+@given(source=programs)
+def test_random_programs_stay_within_their_bounds(robot: str, profile: Profile, source: str) -> None:
+    bench = Bench(robot, profile, options={"limits": Limits(lines=300, calls=20)})
+    began = time.process_time()
+    bench.run(source, cycles=120)
+    assert time.process_time() - began < 10.0
+    for words in bench.written.values():
+        assert all(-(2**31) <= word < 2**31 for word in words)
+    assert len(bench.controller.vehicle.symbols.pool) == 10_000
+    if bench.controller.is_finished:
+        assert all(bench.written[name][0] == 0 for name in bench.controller.vehicle.conf.writes)
+
+
+hostile = st.lists(
+    st.one_of(
+        free,
+        commands,
+        st.sampled_from(
+            [
+                "eval x",
+                "eval 1;2",
+                "eval",
+                "getevent",
+                "getevent 1e9",
+                "getevent -1",
+                "flushcmds",
+                "beginplan p",
+                "endplan",
+            ]
+        ),
+        st.sampled_from(
+            ["plan fwd 1", "runplan p", "deleteplan p", 'set "xmlon" 1', 'setvar "x" 2', "stream 0", "logoff"]
+        ),
+        st.sampled_from(['stream 1 "$odox"', "stream -1", "laserscan", "exitx", 'addwatch "w" 1 : (x)', 'goto "a"']),
+    ),
+    max_size=20,
+)
+
+
+@PROFILES
+@pytest.mark.property
+@settings(deadline=None, max_examples=40)
+@given(
+    chunks=st.lists(
+        st.one_of(st.binary(max_size=60), hostile.map(lambda lines: "\n".join(lines).encode("latin-1"))), max_size=8
+    )
+)
+def test_random_clients_stay_within_their_bounds(profile: Profile, chunks: list[bytes]) -> None:
+    bench = Bench("velomega", profile, options={"limits": Limits(lines=300, calls=20)})
+    dialogue = bench.controller.serve()
+    bench.run(cycles=23)
+    sessions = [dialogue.connect(), dialogue.connect()]
+    for number, chunk in enumerate(chunks):
+        session = sessions[number % 2]
+        session.receive(chunk + b"\n")
+        if not bench.cycle():
+            break
+        assert isinstance(session.take(), bytes)
+        assert dialogue.waiting <= 400
+    for session in sessions:
+        dialogue.disconnect(session)
+    bench.run(cycles=5)
+    assert dialogue.sessions == []
+
+
+@pytest.mark.property
+@given(
+    counters=st.lists(st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**31), 2**31 - 1)), max_size=30),
+    is_smr=st.booleans(),
+)
+def test_whatever_the_counters_do_the_pose_stays_a_number(counters: list[tuple[int, int]], is_smr: bool) -> None:
+    conf = SMR if is_smr else VELOMEGA
+    names = conf.reads
+    controller = Controller(conf, {"tick": 1, **dict.fromkeys(names, 1)}, {name: [0] for name in conf.writes})
+    controller.load("drive\n")
+    for tick, pair in enumerate(counters):
+        written = controller.step({"tick": [tick], **{name: [count] for name, count in zip(names, pair, strict=True)}})
+        assert all(isinstance(word, int) for words in written.values() for word in words)
+    pose = controller.vehicle.odometry.pose
+    assert all(map(math.isfinite, (pose.x, pose.y, pose.th)))
+    assert abs(pose.th) <= math.pi + 1e-9
