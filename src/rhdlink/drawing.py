@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -51,10 +52,27 @@ def svg(world: World, title: str = "") -> str:
         f'<path d="{lines}" stroke="{_GRID}" fill="none"/>\n'
         f'<rect x="{_MARGIN:g}" y="{_MARGIN:g}" width="{_PIXELS:g}" height="{_PIXELS:g}" fill="none" '
         f'stroke="{_WALL}" stroke-width="3"/>\n'
+        f"{_scene(world, place, scale)}"
         f'<polyline points="{points}" fill="none" stroke="{_PATH}" stroke-width="2" stroke-linejoin="round"/>\n'
         f'<polygon points="{corners}" fill="{_ROBOT}"/>\n'
         "</svg>\n"
     )
+
+
+def _scene(world: World, place: Callable[[float, float], str], scale: float) -> str:
+    """The tape and the walls, if there are any."""
+    if world.scene is None:
+        return ""
+    lines = []
+    for tape in world.scene.tapes:
+        points = " ".join(place(x, y) for x, y in tape.points)
+        shade = "#" + 3 * f"{round(255 * tape.brightness):02x}"
+        width = max(tape.width * scale, 0.5)
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{shade}" stroke-width="{width:.1f}"/>\n')
+    for wall in world.scene.walls:
+        points = " ".join(place(x, y) for x, y in wall)
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{_WALL}" stroke-width="3"/>\n')
+    return "".join(lines)
 
 
 def save(world: World, path: str | os.PathLike[str], title: str = "") -> None:
@@ -88,6 +106,10 @@ def _save_png(world: World, path: Path, title: str) -> None:
     axes = figure.add_subplot()
     axes.set(xlim=(0, world.size), ylim=(0, world.size), aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title)
     axes.grid(color=_GRID)
+    for tape in world.scene.tapes if world.scene is not None else ():
+        axes.plot(*zip(*tape.points, strict=True), color=str(tape.brightness), linewidth=2.0)
+    for wall in world.scene.walls if world.scene is not None else ():
+        axes.plot(*zip(*wall, strict=True), color=_WALL, linewidth=2.0)
     axes.plot(*world.path.T, color=_PATH)
     x, y, theta = world.pose
     axes.plot(x, y, marker=(3, 0, math.degrees(theta) - 90.0), markersize=14, color=_ROBOT)

@@ -6,6 +6,7 @@ x points to the right, y up, theta is counter-clockwise, and all are metres and 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,12 @@ import numpy.typing as npt
 
 from linkcore.errors import BadValue
 
+from .scene import Scene
+
 __all__ = ["Moved", "Pose", "World"]
 
+#: m that a robot keeps from a wall within the square.
+_GAP = 1e-4
 #: Points of the path that are kept; beyond it every other one is forgotten.
 _MOST_POINTS = 1 << 15
 
@@ -50,9 +55,11 @@ class World:
     Args:
         size: length of a wall, m.
         start: where the robot stands; the middle, heading along x, by default.
+        scene: what lies and stands in it; nothing by default.
 
     Attributes:
         size: length of a wall, m.
+        scene: what lies and stands in it.
         start: where the robot stood.
         odometry: where it is, seen from its start but not turned: m, m, rad; exactly zero there.
         blocked: steps in which a wall was in the way.
@@ -61,10 +68,13 @@ class World:
         BadValue: no such square, or a start outside it.
     """
 
-    def __init__(self, size: float = 11.0, start: tuple[float, float, float] | None = None) -> None:
+    def __init__(
+        self, size: float = 11.0, start: tuple[float, float, float] | None = None, scene: Scene | None = None
+    ) -> None:
         if not isinstance(size, (int, float)) or not 0.0 < size < math.inf:
             raise BadValue(f"size={size!r}; expected a positive number of metres")
         self.size = size
+        self.scene = scene
         try:
             self.start = Pose(size / 2, size / 2, 0.0) if start is None else Pose(*map(float, start))
         except (TypeError, ValueError):
@@ -109,12 +119,31 @@ class World:
         """Metres from the robot to the wall in `direction`, rad to the left of its heading."""
         here = self.pose
         angle = here.theta + direction
-        return min(_until(here.x, math.cos(angle), self.size), _until(here.y, math.sin(angle), self.size))
+        free = min(_until(here.x, math.cos(angle), self.size), _until(here.y, math.sin(angle), self.size))
+        return free if self.scene is None else min(free, self.scene.wall(here.x, here.y, angle))
+
+    def brightness(self, ahead: float, aside: Sequence[float]) -> npt.NDArray[np.float64]:
+        """The brightness of the floor `ahead` m before the robot, at each of some places `aside` m to its left.
+
+        0 for black, 1 for white, as a line sensor sees it.
+        """
+        if self.scene is None:
+            return np.ones(len(aside))
+        x, y, theta = self.pose
+        c, s = math.cos(theta), math.sin(theta)
+        offset = np.asarray(aside, dtype=np.float64)
+        places = np.stack((x + ahead * c - offset * s, y + ahead * s + offset * c), axis=1)
+        return self.scene.brightness(places)
 
     def _free(self, dx: float, dy: float) -> float:
         """The part of a way that is free of walls, 0..1."""
         here = self.pose
-        return min(1.0, _until(here.x, dx, self.size), _until(here.y, dy, self.size))
+        free = min(1.0, _until(here.x, dx, self.size), _until(here.y, dy, self.size))
+        if self.scene is None or not (dx or dy):
+            return free
+        # It stops short of a wall: who stood on one would be through it with the next step.
+        until_wall = self.scene.blocked(here.x, here.y, dx, dy) - _GAP / math.hypot(dx, dy)
+        return min(free, max(until_wall, 0.0))
 
     def _remember(self) -> None:
         here = self.pose

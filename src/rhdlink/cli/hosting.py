@@ -18,7 +18,7 @@ from ..host.config import read_config
 from ..host.host import Host
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.schema import WIDTHS
-from .options import port, tell
+from .options import add_world, port, tell, world
 
 __all__ = ["add_parser"]
 
@@ -73,6 +73,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (0.01)")
     parser.add_argument("--lockstep", action="store_true", help="one tick with each request of the master")
     _add_width(parser, "2")
+    add_world(parser)
     parser.add_argument("--picture", metavar="FILE", help="draw the way into FILE at the end: .svg or .png")
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=_turtle)
@@ -117,7 +118,7 @@ def _turtle(args: argparse.Namespace) -> int:
         BadAddress: the port is taken.
         BadValue: the picture cannot be written.
     """
-    robot = Turtle() if args.drive == "velocity" else SmrTurtle()
+    robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
         save(robot.world, args.picture)  # says at once whether it can be written
     host = Host(

@@ -23,7 +23,7 @@ from ..smrcl.profile import PROFILES
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
 from ..world import World
-from .options import port, tell
+from .options import add_world, port, tell, world
 
 __all__ = ["add_parser"]
 
@@ -40,14 +40,13 @@ _EXAMPLES = (
     "rhdlink mission square.smr --turtle",
     "rhdlink mission square.smr --robot smr12 --trace",
     "rhdlink mission spiral.smr --turtle --profile mrc --svg spiral.svg",
+    "rhdlink mission dock.smr --turtle smr --floor floor.svg --start 1.5,2,0 --svg way.svg",
     "rhdlink mission --check square.smr",
     "rhdlink mission --serve --robot smr12",
 )
 
 #: Seconds between two pictures of the live view.
 _VIEW = 0.2
-#: The size of the turtle's world, m.
-_WORLD = 11.0
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -67,6 +66,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in")
     parser.add_argument("--trace", action="store_true", help="show each line as it is executed")
     parser.add_argument("--svg", metavar="FILE", help="draw the turtle's way into FILE at the end: .svg or .png")
+    add_world(parser)
     parser.add_argument("--realtime", action="store_true", help="let the turtle take its time; otherwise it hurries")
     parser.add_argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)")
     parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="seconds of a silent robot (5)")
@@ -105,7 +105,7 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _execute(args: argparse.Namespace) -> int:
-    link, world = _link(args, is_realtime=args.realtime)
+    link, driven = _link(args, is_realtime=args.realtime)
     try:
         mission = Mission(Path(args.file), link, profile=args.profile, conf=args.conf, log_folder=args.log_folder)
         _listen(mission, args)
@@ -113,11 +113,11 @@ def _execute(args: argparse.Namespace) -> int:
             run = mission.start()
             _watch(run, interruption, args)
         error = run.error
-        if world is not None:
-            pose = world.pose
+        if driven is not None:
+            pose = driven.pose
             tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
             if args.svg is not None:
-                save(world, args.svg, mission.name)
+                save(driven, args.svg, mission.name)
         interruption.raise_if_any()
         if error is not None:
             raise error
@@ -181,7 +181,7 @@ def _trace(said: Said) -> None:
 def _serve(args: argparse.Namespace) -> int:
     if args.file is not None:
         args.usage_error("--serve takes its commands from clients, not from a script")
-    link, world = _link(args, is_realtime=True)
+    link, driven = _link(args, is_realtime=True)
     server = MissionServer(
         link,
         port=args.port,
@@ -205,8 +205,8 @@ def _serve(args: argparse.Namespace) -> int:
                 while time.monotonic() < until and not server.wait(0.0):
                     if interruption.wait(min(0.1, max(until - time.monotonic(), 0.0))):
                         break
-            if world is not None and args.svg is not None:
-                save(world, args.svg, "served")
+            if driven is not None and args.svg is not None:
+                save(driven, args.svg, "served")
             interruption.raise_if_any()
     finally:
         link.close()
@@ -220,10 +220,10 @@ def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, Wo
         BadValue: there is none, or the picture cannot be written.
     """
     if args.turtle is None:
-        if args.svg is not None:
-            args.usage_error("--svg draws the way of a --turtle")
+        if not (args.svg is None and args.floor is None and args.start is None):
+            args.usage_error("--svg, --floor and --start are for a --turtle")
         return ClientLink(connect(args.robot or "localhost", access="w", timeout=args.timeout), owns=True), None
-    turtle = Turtle(World(_WORLD)) if args.turtle == "velocity" else SmrTurtle(World(_WORLD))
+    turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:
         save(turtle.world, args.svg)  # says at once whether it can be written
     return PluginLink([turtle], is_realtime=is_realtime), turtle.world

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 
 from linkcore.cli.options import seconds
 from linkcore.text import printable
 
-__all__ = ["add_address", "port", "tell"]
+from ..scene import Scene
+from ..world import World
+
+__all__ = ["add_address", "add_world", "port", "tell", "world"]
+
+#: The size of a turtle's world, m.
+_SIZE = 11.0
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +24,37 @@ def add_address(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=seconds, default=5.0, metavar="S", help="give up when the robot is silent for S seconds (5)"
     )
+
+
+def add_world(parser: argparse.ArgumentParser) -> None:
+    """What lies and stands in a turtle's world, and where the turtle is in it."""
+    parser.add_argument(
+        "--floor", metavar="FILE.svg", help="tape and walls of the turtle's world: lines of the drawing, walls by class"
+    )
+    parser.add_argument(
+        "--start", type=pose, metavar="X,Y,DEG", help="where the turtle begins, m and degrees (the middle, 0)"
+    )
+
+
+def world(args: argparse.Namespace) -> World:
+    """The world that was asked for.
+
+    Raises:
+        BadValue: the drawing cannot be read, or the start is outside.
+    """
+    scene = None if args.floor is None else Scene.from_svg(args.floor, _SIZE)
+    return World(_SIZE, args.start, scene)
+
+
+def pose(text: str) -> tuple[float, float, float]:
+    """``X,Y,DEG``: m, m, and the heading in rad."""
+    try:
+        x, y, degrees = (float(word) for word in text.split(","))
+    except ValueError:
+        x = y = degrees = math.nan
+    if not all(map(math.isfinite, (x, y, degrees))):
+        raise argparse.ArgumentTypeError(f"{text!r} is no pose; expected X,Y,DEG")
+    return x, y, math.radians(degrees)
 
 
 def port(text: str) -> int:

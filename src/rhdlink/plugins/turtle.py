@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from linkcore.errors import BadValue
 
 from ..host.config import Element
@@ -19,6 +21,13 @@ from ..world import World
 from .odometer import wrapped
 
 __all__ = ["SmrTurtle", "Turtle"]
+
+#: The SMR's line sensors: m before the robot's middle, and m to the left of it, of each. How far apart they are follows
+#: from MRC, which takes 2 cm for each (linesensor.c); that they are 21 cm ahead from its test of `followline`.
+_LINE_AHEAD = 0.21
+_LINE_ASIDE = tuple(0.02 * (number - 3.5) for number in range(8))
+#: Their raw values on black and on white.
+_BLACK, _WHITE = 25.0, 230.0
 
 #: Directions of the SMR's distance sensors, rad: left, front left, front middle, front right, right.
 _DIRECTIONS = tuple(map(math.radians, (90.0, 22.5, 0.0, -22.5, -90.0)))
@@ -127,7 +136,7 @@ class SmrTurtle(_InWorld):
     resetmotorr = Write(Int32, doc="accepted, and without effect")
     encl = Read(Int32, unit="ticks", doc="left encoder")
     encr = Read(Int32, unit="ticks", doc="right encoder")
-    linesensor = Read(Int32, 8, doc="raw brightness, always the same: there is no line on this floor")
+    linesensor = Read(Int32, 8, doc="raw brightness, 25 on black and 230 on white; 128 where the floor is not known")
     irsensor = Read(Int32, 6, doc="raw distances: left, front left, front middle, front right, right, unused")
 
     def __init__(
@@ -173,6 +182,9 @@ class SmrTurtle(_InWorld):
             self._right += right * seconds
         self.encl = self._counted(self._left)
         self.encr = self._counted(self._right)
+        if self.world.scene is not None:
+            seen = self.world.brightness(_LINE_AHEAD, _LINE_ASIDE)
+            self.linesensor = np.rint(_BLACK + (_WHITE - _BLACK) * seen).astype(np.int32)
         self.irsensor = [*(_raw(self.world.wall(direction)) for direction in _DIRECTIONS), 0]
 
     def _counted(self, way: float) -> int:

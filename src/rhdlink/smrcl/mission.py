@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from linkcore.callbacks import CallbackThread
-from linkcore.errors import BadValue, LocalError
+from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle
 
 from ..client import Variables
@@ -204,20 +206,24 @@ class Mission:
 
     # -- running -------------------------------------------------------------------------------------
 
-    def run(self) -> MissionRun:
+    def run(self, timeout: float | None = None) -> MissionRun:
         """Run here, to the end.
+
+        Args:
+            timeout: seconds after which it is cancelled; None for as long as it takes.
 
         Returns:
             How it went.
 
         Raises:
+            LinkTimeout: it was not over in time; the robot stands.
             BadMission: the script cannot work, and has not begun.
             MissionFailed: a line could not be executed.
             AccessDenied, WrongVariables, ...: the robot cannot be driven.
             ConnectionLost, LinkTimeout: it went away.
         """
         run = self._prepare()
-        run._run()
+        run._run(math.inf if timeout is None else time.monotonic() + timeout)
         if run.error is not None:
             raise run.error
         return run
@@ -376,13 +382,15 @@ class MissionRun(Handle):
             self._close()
             raise LocalError(f"{self.name} cannot be started: {error}") from error
 
-    def _run(self) -> None:
+    def _run(self, until: float = math.inf) -> None:
         self._is_begun = True
         self._life.begin()
         try:
             while not self._is_cancelled.is_set():
                 if not self._execution.cycle():
                     break
+                if until < math.inf and time.monotonic() > until:
+                    raise LinkTimeout(f"{self.name} was not over in time")
         except BaseException as error:
             self._execution.stand()
             self._end(error if isinstance(error, Exception) else MissionFailed(f"interrupted by {error!r}"))

@@ -80,6 +80,9 @@ class Profile:
         "velocity-omega robot are truncated",
         "all are rounded to the nearest number, halves away from zero",
     )
+    reads_uncalibrated: bool = _fixed(
+        "line sensors without a calibration read 0: black everywhere", "they read their raw value over 255"
+    )
     sees_without_ir: bool = _fixed(
         "an SMR without infrared sensors has an obstacle at 0 m and never moves",
         "who has no such sensors knows of no obstacle",

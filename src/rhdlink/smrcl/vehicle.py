@@ -130,7 +130,10 @@ class Vehicle:
         )
         self.covariance = Covariance(conf.left_scale, conf.right_scale, conf.width)
         self.infrared = InfraredSensors(conf.ir_k1, conf.ir_k2)
-        self.line_sensor = LineSensor(conf.line_size, conf.line_smoothing, conf.line_white, conf.line_black)
+        white, black = conf.line_white, conf.line_black
+        if white is None and profile.reads_uncalibrated:
+            white, black = (255.0,) * conf.line_size, (0.0,) * conf.line_size
+        self.line_sensor = LineSensor(conf.line_size, conf.line_smoothing, white, black)
         self.control = MotionControl(
             copy.copy(conf.motion),
             conf.drive,
