@@ -158,7 +158,6 @@ class _Segments:
         met = times[(times >= 0.0) & (along >= 0.0) & (along <= 1.0)]
         return float(met.min()) if len(met) else math.inf
 
-
     def _hit_few(self, x: float, y: float, dx: float, dy: float) -> float:
         """As `hit`. Up to a score of pieces this is quicker than arrays."""
         nearest = math.inf

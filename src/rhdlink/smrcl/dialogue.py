@@ -163,6 +163,11 @@ class Session:
 
     # -- what a script says to its client (effects.Client) ----------------------------------------------
 
+    @property
+    def can_answer(self) -> bool:
+        """It can send a line."""
+        return not self.is_closed
+
     def text(self, text: str) -> None:
         """`print`, `read`."""
         self.send(text)
@@ -357,6 +362,8 @@ class Dialogue:
             session.send(self._laser_scan())
         elif line.startswith("flushcmds"):
             self._flush(session)
+        elif self._effects.is_reading and self._current is not None and self._current.session is session:
+            self._effects.take_input(line)
         else:
             self._enqueue(session, line)
 

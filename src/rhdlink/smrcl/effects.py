@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
+
+from linkcore.errors import BadValue
 
 from .arithmetic import divide, format_number, truncate
 from .data_log import DataLog
@@ -27,8 +29,9 @@ from .vehicle import Vehicle
 
 __all__ = ["Client", "Hook", "MissionEffects", "Watch", "always"]
 
-#: What fulfils a command that needs hardware: it is given the parameters, and may return system variables by name.
-Hook = Callable[..., Mapping[str, float] | None]
+#: What fulfils a command that needs hardware: it is given the parameters, and may return system variables by name. The
+#: one for `read` returns a text.
+Hook = Callable[..., Mapping[str, float] | str | None]
 
 #: m, or rad, beyond which no motion is meant.
 _FARTHEST = 1e6
@@ -49,6 +52,10 @@ _WRITTEN = {"hakomanual": "hakomanual", "hakoenginespeed": "enginespeedref"}
 
 class Client(Protocol):
     """Who is told what a script says to its client: the one that sent the command, or nobody."""
+
+    @property
+    def can_answer(self) -> bool:
+        """It can send a line for `read`."""
 
     def text(self, text: str) -> None:
         """`print`, `read`."""
@@ -108,7 +115,7 @@ class MissionEffects:
         log: of the variables.
         watches: of conditions.
         text_buffer: what `stringcat` has made.
-        has_input: a line for `read` has come.
+        is_reading: `read` waits for a line from its client.
     """
 
     #: Watches under the sound profile; MRC has two.
@@ -127,7 +134,7 @@ class MissionEffects:
         self.log = DataLog(vehicle.symbols.pool)
         self.watches: list[Watch] = []
         self.text_buffer = ""
-        self.has_input = False
+        self.is_reading = False
         self._routine_result = 0.0
         self._command_time = vehicle.symbols.system["cmdtime"].place
         self._side_is_left = True
@@ -504,13 +511,25 @@ class MissionEffects:
         return self._at_once()
 
     def _read(self, prompt: str) -> Outcome:
+        hook = self._hooks.get("read")
+        if hook is not None:
+            answer = self._call_hook("read", hook, prompt)
+            self.text_buffer = str(answer)[:_BUFFER]
+            return self._at_once()
         self.client.text(prompt)
-        self._interpreter.default_end = self._take_input
+        if not self._profile.reads_input:
+            self._interpreter.default_end = never
+            return Outcome.WAIT
+        if not self.client.can_answer:
+            raise Fault('read needs somebody to ask: give the mission a function for it, mission.on("read", function)')
+        self.is_reading = True
+        self._interpreter.default_end = lambda: not self.is_reading
         return Outcome.WAIT
 
-    def _take_input(self) -> bool:
-        has_input, self.has_input = self.has_input, False
-        return has_input
+    def take_input(self, text: str) -> None:
+        """A line for `read` has come; it becomes the text buffer."""
+        self.is_reading = False
+        self.text_buffer = text[:_BUFFER]
 
     # -- strings --------------------------------------------------------------------------------------
 
@@ -585,17 +604,22 @@ class MissionEffects:
         """
         hook = self._hooks.get(name)
         if hook is not None:
+            found = self._call_hook(name, hook, *parameters)
             try:
-                found = hook(*parameters)
                 self._vehicle.provide(found or {})
-            except Fault:
-                raise
-            except Exception as error:
-                raise Fault(f"the function for {name} raised {type(error).__name__}: {error}") from error
+            except (BadValue, TypeError, AttributeError) as error:
+                raise Fault(f"the function for {name} returned no system variables: {error}") from error
         elif self._profile.needs_are_checked:
             raise Fault(f'{name} needs hardware: give the mission a function for it, mission.on("{name}", function)')
         elif mrc:
             self._output.message(mrc)
+
+    @staticmethod
+    def _call_hook(name: str, hook: Hook, *parameters: float | str) -> Any:
+        try:
+            return hook(*parameters)
+        except Exception as error:
+            raise Fault(f"the function for {name} raised {type(error).__name__}: {error}") from error
 
     # -- what is not there ------------------------------------------------------------------------------
 

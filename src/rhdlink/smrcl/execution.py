@@ -43,7 +43,7 @@ class Callbacks:
 
     #: Commands that a function can fulfil.
     COMMANDS = frozenset(
-        ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest", "barcode", "movetoxyz")
+        ("vision", "laser", "get", "play", "speak", "read", "open", "writewifi", "wallest", "barcode", "movetoxyz")
     )
     OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
 

@@ -136,7 +136,7 @@ class Mission:
 
         A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
         "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
-        ``{"vis0": 1.0}``.
+        ``{"vis0": 1.0}``. The one for "read" returns the text that was asked for.
 
         Who wants to know what the mission says is told each "line" that is executed, the "values" of `eval`, the "text"
         of `print`, each "event" and "message".

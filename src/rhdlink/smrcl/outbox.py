@@ -89,6 +89,11 @@ class Outbox:
 
     # -- effects.Client ---------------------------------------------------------------------------------
 
+    @property
+    def can_answer(self) -> bool:
+        """There is nobody."""
+        return False
+
     def text(self, text: str) -> None:
         """`print`, `read`."""
         self._add(SaidKind.TEXT, text)

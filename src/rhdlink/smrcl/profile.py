@@ -129,6 +129,10 @@ class Profile:
     )
 
     # -- the server
+    reads_input: bool = _fixed(
+        "`read` waits for its conditions: nothing that a client sends ends it",
+        "it ends with the next line of its client that is no immediate word; the line becomes the text `$str`",
+    )
     client_loss_stops: bool = _fixed(
         "a client that vanishes leaves its commands running",
         "they are flushed, and the robot stops",

@@ -17,7 +17,7 @@ from ..client import Variables, connect
 from ..errors import AccessDenied
 from ..host.config import Element
 from ..host.plugin import Plugin
-from ..variables.database import Database
+from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 
 if TYPE_CHECKING:
@@ -142,6 +142,9 @@ class PluginLink:
         self.name = ", ".join(type(plugin).__name__ for plugin in self._plugins)
         self.database = Database()
         self.database.read.add("tick")
+        # Values carry the time of the ticks, and reading a clock for each of them would take longer than the plugins.
+        self._now = TimeStamp(0, 0)
+        self.database.read.clock = self.database.write.clock = lambda: self._now
         for plugin in self._plugins:
             plugin.name = plugin.name or type(plugin).__name__.lower()
             plugin.host = cast("Host", self)
@@ -167,6 +170,8 @@ class PluginLink:
             self._due = max(self._due + self.period, time.monotonic() - self.period)
             time.sleep(max(self._due - time.monotonic(), 0.0))
         self.tick += 1
+        micros = round(self.tick * self.period * 1e6)
+        self._now = TimeStamp(micros // 1_000_000, micros % 1_000_000)
         read, write = self.database.read, self.database.write
         read.set(0, self.tick)
         write.updated[:] = False
