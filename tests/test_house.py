@@ -20,15 +20,19 @@ SOCKETS = {
 }
 
 #: The only modules that may import `asyncio`.
-AWAITED = {"urlink.motion.handle"}
+AWAITED = {"linkcore.handle", "urlink.motion.handle"}
 
 #: The only modules that may start threads.
 THREADS = {
+    "linkcore.callbacks",  # calls back what users handed over, one for each robot that has something to call
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
+    "rhdlink.drive",  # drives a robot between the motions that are asked for
+    "rhdlink.smrcl.mission",  # for a mission that is started rather than run
+    "rhdlink.smrcl.server",  # for a server that is started rather than run
     "rhdlink.host.host",  # one for each host that does not run in its caller's
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         BadAddress as BadAddress,
         BadRecording as BadRecording,
         BadValue as BadValue,
+        Cancelled as Cancelled,
         Closed as Closed,
         ConnectFailed as ConnectFailed,
         ConnectionLost as ConnectionLost,
@@ -36,12 +37,14 @@ if TYPE_CHECKING:
         RemoteError as RemoteError,
         WrongPeer as WrongPeer,
     )
+    from linkcore.handle import Handle as Handle, Phase as Phase
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
     from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
     from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
     from linkcore.streaming.subscription import Subscription as Subscription
     from .client import Variables as Variables, connect as connect
+    from .drive import Drive as Drive, DriveMotion as DriveMotion
     from .errors import AccessDenied as AccessDenied, NotThere as NotThere, WrongVariables as WrongVariables
     from .host.config import (
         BadConfiguration as BadConfiguration,
@@ -57,6 +60,14 @@ if TYPE_CHECKING:
     )
     from .host.plugin import Plugin as Plugin
     from .robots import Ackerman as Ackerman, Gps as Gps, Smr as Smr, VelocityOmega as VelocityOmega
+    from .smrcl.errors import (
+        BadMission as BadMission,
+        MissionFailed as MissionFailed,
+        MissionLimit as MissionLimit,
+        Mistake as Mistake,
+    )
+    from .smrcl.mission import Debugger as Debugger, Mission as Mission, MissionRun as MissionRun
+    from .smrcl.server import MissionServer as MissionServer
     from .sync_thread import SyncThread as SyncThread
     from .variables.database import Database as Database, TimeStamp as TimeStamp
     from .variables.declarations import Read as Read, Write as Write
@@ -81,20 +92,25 @@ else:
         __name__,
         {
             "linkcore.errors": """
-                BadAddress BadRecording BadValue Closed ConnectFailed ConnectionLost LinkError LinkTimeout
+                BadAddress BadRecording BadValue Cancelled Closed ConnectFailed ConnectionLost LinkError LinkTimeout
                 LocalError PacketError RemoteError WrongPeer
             """,
+            "linkcore.handle": "Handle Phase",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "ConnectionEvent ConnectionState",
             "linkcore.streaming.policy": "Policy block drop_oldest latest",
             "linkcore.streaming.subscription": "Subscription",
             ".client": "Variables connect",
+            ".drive": "Drive DriveMotion",
             ".errors": "AccessDenied NotThere WrongVariables",
             ".host.config": "BadConfiguration Configuration Element read_config",
             ".host.host": "Host HostFailed HostStatistics PluginFailed",
             ".host.plugin": "Plugin",
             ".robots": "Ackerman Gps Smr VelocityOmega",
+            ".smrcl.errors": "BadMission MissionFailed MissionLimit Mistake",
+            ".smrcl.mission": "Debugger Mission MissionRun",
+            ".smrcl.server": "MissionServer",
             ".sync_thread": "SyncThread",
             ".variables.database": "Database TimeStamp",
             ".variables.declarations": "Read Write",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import threading
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle
 
 from .smrcl.controller import Controller
-from .smrcl.execution import Callbacks, Execution, error_of
+from .smrcl.execution import Callbacks, Execution, error_of, leaving_at_exit
 from .smrcl.interpreter import Run
 from .smrcl.mission import Robot, suitable_conf
 from .smrcl.motion.control import Motion, MotionControl
@@ -38,8 +37,9 @@ __all__ = ["Drive", "DriveMotion"]
 
 #: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
-#: Cycles that a simulated robot is given to come to rest after a motion.
-_SETTLING = 300
+#: Cycles that a simulated robot is given to come to rest after a motion: 20 s, in which the error of the heading, which
+#: falls to 1/e in 1 s, has become less than what can be written.
+_SETTLING = 2000
 #: Seconds that other threads wait for the one that drives.
 _CLOSE_TIMEOUT = 5.0
 
@@ -80,7 +80,7 @@ class _Motions:
         self._lock = threading.Lock()
         self._next: _Command | None = None
         self._current: _Command | None = None
-        self.is_over = False
+        self._error: Exception | None = None
 
     @property
     def run(self) -> Run | None:
@@ -94,38 +94,51 @@ class _Motions:
 
     def put(self, command: _Command) -> None:
         """Begin a motion in the next cycle; it preempts the present one."""
+        before: _Command | None = None
         with self._lock:
-            before, self._next = self._next, command
+            error = self._error
+            if error is None:
+                before, self._next = self._next, command
+        if error is not None:
+            command.life.fail(error)
         if before is not None:
             before.life.cancel("preempted by another motion")
 
     def step(self) -> bool:
-        """One cycle."""
+        """One cycle; False, since there is always another motion to come."""
         with self._lock:
             new, self._next = self._next, None
         if new is not None:
             before, self._current = self._current, None
             if before is not None:
+                self._give_up()
                 before.life.cancel("preempted by another motion")
             if not new.life.is_over:
                 self._current = new
                 new.begin(self._vehicle)
                 self._vehicle.control.start(new.motion)
                 new.life.begin()
-            return self.is_over
+            return False
         current = self._current
         if current is not None:
             if current.life.is_over:  # cancelled
                 self._current = None
+                self._give_up()
                 self._vehicle.control.start(Stop())
             elif current.motion.is_done(self._vehicle.control):
                 self._current = None
                 current.life.finish()
-        return self.is_over
+        return False
+
+    def _give_up(self) -> None:
+        """Have the next motion begin here, rather than where the present one was to end."""
+        control = self._vehicle.control
+        control.target = control.pose.copy()
 
     def end(self, error: Exception) -> None:
-        """Nothing is driven any more."""
+        """Nothing is driven any more: not what was asked for, and not what will be."""
         with self._lock:
+            self._error = self._error or error
             ended, self._next, self._current = [self._next, self._current], None, None
         for command in ended:
             if command is not None:
@@ -188,7 +201,7 @@ class Drive:
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name=f"drive {link.name}", daemon=True)
+        self._thread = threading.Thread(target=self._run_in_thread, name=f"drive {link.name}", daemon=True)
         try:
             self._thread.start()
         except RuntimeError as error:
@@ -309,6 +322,15 @@ class Drive:
 
     # -- its thread ----------------------------------------------------------------------------------
 
+    def _run_in_thread(self) -> None:
+        with leaving_at_exit(self._leave):
+            self._run()
+
+    def _leave(self) -> None:
+        self._closing.set()
+        self._wake.set()
+        self._thread.join(_CLOSE_TIMEOUT)
+
     def _run(self) -> None:
         settling = 0
         try:
@@ -335,8 +357,8 @@ class Drive:
 
     @property
     def _stands(self) -> bool:
-        control = self._vehicle.control
-        return control.left == control.right == control.omega == 0.0
+        """It has no speed, and the robot was told so."""
+        return not self._vehicle.has_speed and self._execution.is_told
 
     def close(self) -> None:
         """Have the robot stand, and drive it no more. Idempotent.
@@ -344,15 +366,12 @@ class Drive:
         Raises:
             LinkTimeout: the robot does not answer.
         """
-        self._closing.set()
-        self._wake.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(_CLOSE_TIMEOUT)
-            if self._thread.is_alive():
-                raise LinkTimeout(f"{self._link.name} has not answered within {_CLOSE_TIMEOUT:g} s")
+        self._leave()
+        if self._thread.is_alive():
+            raise LinkTimeout(f"{self._link.name} has not answered within {_CLOSE_TIMEOUT:g} s")
         if self._owns:
             self._link.close()
-        self._callbacks.close(max(_CLOSE_TIMEOUT, time.get_clock_info("monotonic").resolution))
+        self._callbacks.close(_CLOSE_TIMEOUT)
 
     def __enter__(self) -> Self:
         return self

@@ -21,9 +21,11 @@ NAMES = [
     "Backoff",
     "BadAddress",
     "BadConfiguration",
+    "BadMission",
     "BadRecording",
     "BadValue",
     "Bool",
+    "Cancelled",
     "Change",
     "Closed",
     "Configuration",
@@ -32,10 +34,14 @@ NAMES = [
     "ConnectionLost",
     "ConnectionState",
     "Database",
+    "Debugger",
+    "Drive",
+    "DriveMotion",
     "Element",
     "Float32",
     "Float64",
     "Gps",
+    "Handle",
     "Host",
     "HostFailed",
     "HostStatistics",
@@ -46,8 +52,15 @@ NAMES = [
     "LinkTimeout",
     "LocalError",
     "Millionths",
+    "Mission",
+    "MissionFailed",
+    "MissionLimit",
+    "MissionRun",
+    "MissionServer",
+    "Mistake",
     "NotThere",
     "PacketError",
+    "Phase",
     "Plugin",
     "PluginFailed",
     "Policy",
@@ -115,7 +128,7 @@ SURFACES: list[tuple[object, str]] = [
     (rhdlink.Read(rhdlink.Int32), "attribute count direction doc is_optional length name order type unit unpack"),
     (rhdlink.Int32, VALUE_TYPE),
     (rhdlink.Scaled(0.1), f"{VALUE_TYPE} scale"),
-    (World(), "blocked odometry path pose size start step wall"),
+    (World(), "blocked brightness odometry path pose scene size start step wall"),
 ]
 
 
@@ -141,7 +154,10 @@ def test_importing_it_starts_nothing_and_brings_in_nothing_that_is_not_needed() 
     done = subprocess.run([sys.executable, "-W", "error", "-c", PROGRAM], capture_output=True, text=True, check=True)
     told = json.loads(done.stdout)
     assert (told["threads"], told["events"]) == (1, [])
-    for name in ("rich", "matplotlib", "construct", "asyncio", "rhdlink.cli", "linkcore.cli", "urlink"):
+    for name in (
+        *("rich", "matplotlib", "construct", "asyncio", "rhdlink.cli", "linkcore.cli", "urlink"),
+        *("rhdlink.drive", "rhdlink.smrcl"),
+    ):
         assert name not in told["modules"], name
 
 

@@ -28,11 +28,11 @@ from .options import add_world, port, tell, world
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle in
-this process. The script is checked before it begins; one that fails says on which line, and the robot stands.
+Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle
+in this process. The script is checked before it begins; one that fails says on which line, and the robot stands.
 
-Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as it is
-executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
+Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as
+it is executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
 
 With --check the script is only checked, with --serve clients of MRC can connect and send commands."""
 

@@ -81,7 +81,7 @@ def _check_line(
         if isinstance(statement, If) and plan.find_label(statement.label) is None:
             yield mistake(0, f'there is no label "{statement.label}"')
         if isinstance(statement, WaitFor) and not statement.conditions:
-            yield mistake(statement.column, "a line cannot begin with a character that is not ASCII")
+            yield mistake(statement.column, "a character that is not ASCII can stand in texts and comments only")
         if isinstance(statement, Command):
             yield from (mistake(statement.column, text) for text in _command_mistakes(statement, plan))
     if tree.problem is not None:

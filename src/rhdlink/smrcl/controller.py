@@ -120,7 +120,7 @@ class Controller:
         self._was_blocked = False
 
     def _say_of_motion(self, text: str) -> None:
-        if not self._profile.checks_first:
+        if not self._profile.says_why:
             self._outbox.message(text)
 
     # -- what is executed -------------------------------------------------------------------------------

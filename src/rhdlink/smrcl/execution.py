@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import logging
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from .interpreter import Failure
 from .outbox import Said, SaidKind
 from .robot_link import RobotLink
 
-__all__ = ["Callbacks", "Execution", "Provider", "error_of", "log_saver"]
+__all__ = ["Callbacks", "Execution", "Provider", "error_of", "leaving_at_exit", "log_saver"]
 
 _log = logging.getLogger(__name__)
 
@@ -145,7 +146,7 @@ class Execution:
         """``$time``: of a robot whose time stands still between two exchanges the time that it has lived."""
         if not self._link.is_lockstep:
             return time.time()
-        return self.cycles * self._period if self.controller.vehicle.profile.checks_first else 0.0
+        return self.cycles * self._period if self.controller.vehicle.profile.knows_time else 0.0
 
     def _provide(self) -> None:
         vehicle = self.controller.vehicle
@@ -175,6 +176,19 @@ class Execution:
         with contextlib.suppress(LinkError):
             for _ in range(2):
                 self._link.exchange(request, _STAND_TIMEOUT)
+
+
+@contextlib.contextmanager
+def leaving_at_exit(leave: Callable[[], object]) -> Iterator[None]:
+    """While the block lasts, a process that comes to its end calls `leave` first.
+
+    A daemon thread would otherwise be frozen between two ticks, with the robot at its last speeds.
+    """
+    atexit.register(leave)
+    try:
+        yield
+    finally:
+        atexit.unregister(leave)
 
 
 def error_of(failure: Failure) -> MissionFailed:

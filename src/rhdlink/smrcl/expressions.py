@@ -84,7 +84,7 @@ class Compiler:
             "rem": remainder_modulo if profile.rem_excludes_divisor else remainder_inclusive,
             "ntrue": self._count_true,
         }
-        self._functions.update(functions)
+        self._user_functions = functions
 
     def reset_counter(self, number: int) -> bool:
         """Set a counter of `ntrue` to 0; False if there is no such counter."""
@@ -170,7 +170,7 @@ class Compiler:
         return Fault(f"index {index} is beyond {name}, which has {what}", array.column)
 
     def _call(self, call: Call) -> Value:
-        function = self._functions[call.name]
+        function = self._guarded(call) if call.name in self._user_functions else self._functions[call.name]
         arguments = [self.compile(each) for each in call.arguments]
         if len(arguments) == 1:
             only = arguments[0]
@@ -179,6 +179,18 @@ class Compiler:
             first, second = arguments
             return lambda: function(first(), second())
         return lambda: function(*[each() for each in arguments])
+
+    def _guarded(self, call: Call) -> Callable[..., float]:
+        """A function of the user, of which nothing is known."""
+        function = self._user_functions[call.name]
+
+        def guarded(*arguments: float) -> float:
+            try:
+                return float(function(*arguments))
+            except Exception as error:
+                raise Fault(f"{call.name}() raised {type(error).__name__}: {error}", call.column) from error
+
+        return guarded
 
     def _count_true(self, number: float, condition: float) -> float:
         if not 0 <= number <= self.COUNTERS - 1:

@@ -311,7 +311,7 @@ class Interpreter:
         line = run.line
         assert line is not None
         number = line.number if self._profile.file_lines else self.executed
-        if self._profile.checks_first:
+        if self._profile.says_why:
             self._output.message(f"line {number}: {fault}\n")
         else:
             self._output.message(f" syntax error in line : {number} \n")
@@ -384,7 +384,7 @@ class Interpreter:
             if (problem := line.tree.problem) is not None:
                 raise Fault(problem.message, problem.column)
         except Fault as fault:
-            if self._profile.checks_first or not fault.column:
+            if self._profile.ascii_only or not fault.column:
                 raise
             if self._reads_on(line.text, fault.column):
                 return Outcome.NEXT
@@ -441,7 +441,7 @@ class Interpreter:
                     return None
                 values = [self.compiler.compile(each)() for each in statement.values]
             except Fault as fault:
-                if not self._profile.checks_first and fault.column:
+                if not self._profile.says_why and fault.column:
                     self._reads_on(text, fault.column)
                 return None
         self._print(values)
@@ -484,7 +484,7 @@ class Interpreter:
             self._test(conditions)
             self._tests = conditions
             if not signature.takes(len(values)):
-                if not self._profile.checks_first:
+                if not self._profile.says_why:
                     most = "9" if signature.most == 9 else str(signature.most)
                     self._output.message(f"Expecting between {signature.least}  and {most} parameters\n")
                 raise Fault(f"{name} takes {signature.count}, not {len(values)}")
@@ -517,8 +517,8 @@ class Interpreter:
         conditions = tuple(map(self.compiler.compile, statement.conditions))
 
         def step(run: Run) -> Outcome:
-            if not conditions and self._profile.checks_first:
-                raise Fault("a line cannot begin with a character that is not ASCII", statement.column)
+            if not conditions and self._profile.ascii_only:
+                raise Fault("a character that is not ASCII can stand in texts and comments only", statement.column)
             self._test(conditions)
             self._tests = conditions
             return Outcome.WAIT

@@ -22,7 +22,7 @@ from ..world import Pose
 from .checking import check
 from .controller import Controller
 from .errors import BadMission, MissionFailed, Mistake
-from .execution import Callbacks, Execution, Provider, error_of, log_saver
+from .execution import Callbacks, Execution, Provider, error_of, leaving_at_exit, log_saver
 from .interpreter import Limits
 from .outbox import Said
 from .parser import RESERVED
@@ -39,6 +39,8 @@ __all__ = ["Debugger", "Mission", "MissionRun", "Robot", "read_script", "suitabl
 #: What a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
 Robot = Variables | Plugin | RobotLink | str
 
+#: Seconds that a process which ends gives a robot to stand.
+_LEAVE_TIMEOUT = 1.0
 #: Bytes of a script. MRC has room for 100000.
 LARGEST = 1 << 20
 
@@ -268,7 +270,7 @@ class Mission:
             link.read,
             link.write,
             profile=self.profile,
-            functions={name: _as_float(function) for name, function in self._callbacks.functions.items()},
+            functions=self._callbacks.functions,
             hooks=self._callbacks.hooks,
             limits=self._limits,
         )
@@ -283,13 +285,6 @@ class Mission:
 
     def __repr__(self) -> str:
         return f"<Mission {self.name}, {self.source.count(chr(10)) + 1} lines, profile {self.profile.name}>"
-
-
-def _as_float(function: Callable[..., float]) -> Callable[..., float]:
-    def call(*arguments: float) -> float:
-        return float(function(*arguments))
-
-    return call
 
 
 class MissionRun(Handle):
@@ -375,12 +370,20 @@ class MissionRun(Handle):
 
     def _start(self) -> None:
         self._is_begun = True
-        thread = threading.Thread(target=self._run, name=f"mission {self.name}", daemon=True)
+        thread = threading.Thread(target=self._run_in_thread, name=f"mission {self.name}", daemon=True)
         try:
             thread.start()
         except RuntimeError as error:
             self._close()
             raise LocalError(f"{self.name} cannot be started: {error}") from error
+
+    def _run_in_thread(self) -> None:
+        with leaving_at_exit(self._leave):
+            self._run()
+
+    def _leave(self) -> None:
+        self.cancel()
+        self._life.wait(_LEAVE_TIMEOUT)
 
     def _run(self, until: float = math.inf) -> None:
         self._is_begun = True

@@ -98,6 +98,14 @@ class Profile:
         "an error in a script is found when its line is reached",
         "a script with an error in it does not begin; all of them are told, with line and column",
     )
+    says_why: bool = _fixed(
+        "an error reads `syntax error in line : 3`; motions tell what they plan",
+        "an error says what was wrong and what was expected; motions are silent",
+    )
+    ascii_only: bool = _fixed(
+        "a character beyond ASCII ends its line, and has an error before it forgotten",
+        "it is an error, but in texts and comments",
+    )
     new_variables_read_on: bool = _fixed(
         "after the first assignment to a new variable the rest of the line is ignored, and if it begins with another "
         "new name, that one is made instead",
@@ -123,6 +131,10 @@ class Profile:
         "the mission fails and says which value it was",
     )
     knows_tick: bool = _fixed("`$tick` is 0", "`$tick` is the robot's count of ticks")
+    knows_time: bool = _fixed(
+        "`$time` is 0 on a robot whose time stands still between two exchanges (MRC's option `-s`)",
+        "`$time` is the time that it has lived, s",
+    )
     watches_apart: bool = _fixed(
         "there are two watches, further ones are ignored; a watch overwrites what `$condition` is made of",
         "there are up to 100, and they leave `$condition` alone",

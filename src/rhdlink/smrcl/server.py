@@ -19,7 +19,7 @@ from linkcore.net.loop import Connection, Handler, SelectorLoop
 from ..host.plugin import Plugin
 from .controller import Controller
 from .dialogue import MOST_BACKLOG, Dialogue, Session
-from .execution import Callbacks, Execution, Provider, error_of, log_saver
+from .execution import Callbacks, Execution, Provider, error_of, leaving_at_exit, log_saver
 from .interpreter import Failure
 from .mission import Robot, suitable_conf
 from .outbox import Said
@@ -160,7 +160,7 @@ class MissionServer:
             as `run`, for what goes wrong until then; later, `failure` says what did.
         """
         self._begin()
-        self._thread = threading.Thread(target=self._serve, name="mission server", daemon=True)
+        self._thread = threading.Thread(target=self._serve_in_thread, name="mission server", daemon=True)
         self._thread.start()
         return self
 
@@ -241,6 +241,14 @@ class MissionServer:
         self._early.clear()
         self._execution = Execution(link, controller, self._callbacks, self._save_log, self._listen)
         return self._execution
+
+    def _serve_in_thread(self) -> None:
+        with leaving_at_exit(self._leave):
+            self._serve()
+
+    def _leave(self) -> None:
+        self.stop()
+        self._ended.wait(_CLOSE_TIMEOUT)
 
     def _serve(self) -> None:
         loop = self._loop

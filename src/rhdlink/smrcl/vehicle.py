@@ -327,6 +327,11 @@ class Vehicle:
         self._write_speeds(0.0, 0.0, 0.0)
         return self.take_changed()
 
+    @property
+    def has_speed(self) -> bool:
+        """Whether the speeds that are written are not all 0."""
+        return any(self._words[name][0] for name in self._written)
+
     def _write_speeds(self, left: float, right: float, omega: float) -> None:
         conf, alike = self.conf, self.profile.outputs_round_alike
         first, second = left * conf.left_speed_scale, right * conf.right_speed_scale

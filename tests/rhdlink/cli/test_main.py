@@ -9,7 +9,7 @@ from rhdlink import Host
 
 from .conftest import Run, Spawn
 
-COMMANDS = ("serve", "turtle", "vars", "get", "set", "watch", "record", "replay", "dissect")
+COMMANDS = ("serve", "turtle", "mission", "vars", "get", "set", "watch", "record", "replay", "dissect")
 
 
 def test_help_names_every_command_and_the_exit_status(run: Run) -> None:

@@ -1,0 +1,249 @@
+"""Motions without a script, on a turtle in this process."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from linkcore.errors import LinkError
+from rhdlink import BadValue, Cancelled, Closed, Drive, LinkTimeout, Phase
+from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.scene import Scene, Tape
+from rhdlink.smrcl.robot_link import PluginLink
+from rhdlink.world import World
+from tests.waiting import until
+
+#: Simulated time is quick, but a loaded machine is not.
+SECONDS = 30.0
+
+
+@pytest.fixture(params=["velomega", "differential"])
+def robot(request: pytest.FixtureRequest) -> Turtle | SmrTurtle:
+    world = World(1000.0)
+    return Turtle(world) if request.param == "velomega" else SmrTurtle(world)
+
+
+@pytest.fixture
+def drive(robot: Turtle | SmrTurtle) -> Iterator[Drive]:
+    with Drive(robot) as drive:
+        yield drive
+
+
+def pose(robot: Turtle | SmrTurtle) -> tuple[float, float, float]:
+    """m, m, degrees."""
+    x, y, theta = robot.world.odometry
+    return x, y, math.degrees(theta)
+
+
+def stands(robot: Turtle | SmrTurtle) -> bool:
+    if isinstance(robot, Turtle):
+        return robot.cmdtransvel == robot.cmdrotvel == 0
+    return robot.speedl == robot.speedr == 0
+
+
+@pytest.mark.parametrize(
+    ("motion", "end"),
+    [
+        (lambda drive: drive.forward(0.5), (0.5, 0.0, 0.0)),
+        (lambda drive: drive.forward(-0.3), (-0.3, 0.0, 0.0)),
+        (lambda drive: drive.turn(90), (0.0, 0.0, 90.0)),
+        (lambda drive: drive.turn(-270), (0.0, 0.0, -270.0)),
+        (lambda drive: drive.arc(0.5, 90), (0.5, 0.5, 90.0)),
+        (lambda drive: drive.arc(0.5, -90), (0.5, -0.5, -90.0)),
+        (lambda drive: drive.to(1.0, 1.0, 90.0), (1.0, 1.0, 90.0)),
+        (lambda drive: drive.stop(), (0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_motion_ends_where_it_was_to(
+    robot: Turtle | SmrTurtle, motion: Callable[[Drive], object], end: tuple[float, float, float]
+) -> None:
+    with Drive(robot) as drive:
+        handle = motion(drive)
+        handle.wait(SECONDS)  # type: ignore[attr-defined]
+        assert handle.phase is Phase.DONE  # type: ignore[attr-defined]
+        assert handle.progress == 1.0  # type: ignore[attr-defined]
+    # It comes to rest after the end of its last motion.
+    assert pose(robot) == pytest.approx(end, abs=0.03, rel=0.05)
+    assert stands(robot)
+
+
+def test_lengths_and_headings_do_not_add_up_their_errors(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    for _ in range(4):
+        drive.forward(0.4).wait(SECONDS)
+        drive.turn(90).wait(SECONDS)
+    until(lambda: stands(robot))
+    x, y, theta = pose(robot)
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=0.02)
+    assert theta == pytest.approx(360.0, abs=2.0)
+    assert (drive.pose.x, drive.pose.y) == pytest.approx((x, y), abs=0.005)
+
+
+def test_a_motion_preempts_the_one_under_way_at_the_speed_it_has(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    first = drive.forward(50.0)
+    until(lambda: drive.velocity > 0.2)
+    assert 0.0 < first.progress < 0.5
+    second = drive.along(0.0, 0.0, 0.0)
+    with pytest.raises(Cancelled, match="preempted by another motion"):
+        first.wait(SECONDS)
+    until(lambda: second.phase is Phase.RUNNING)
+    assert drive.velocity > 0.2
+    drive.stop().wait(SECONDS)
+    assert second.phase is Phase.CANCELLED
+    until(lambda: stands(robot))
+
+
+def test_a_motion_begins_where_one_was_given_up(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    drive.forward(50.0)
+    until(lambda: drive.pose.x > 0.3)
+    drive.arc(10.0, 90.0)
+    drive.stop().wait(SECONDS)
+    until(lambda: stands(robot))
+    x = drive.pose.x
+    drive.forward(0.2).wait(SECONDS)
+    assert drive.pose.x == pytest.approx(x + 0.2, abs=0.03)
+
+
+def test_a_cancelled_motion_stands(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    motion = drive.wheels(0.2, 0.2)
+    motion.wait(SECONDS)
+    motion = drive.forward(50.0)
+    until(lambda: motion.phase is Phase.RUNNING)
+    motion.cancel()
+    assert motion.phase is Phase.CANCELLED
+    with pytest.raises(Cancelled):
+        motion.wait(SECONDS)
+    until(lambda: stands(robot))
+
+
+def test_a_motion_that_is_left_is_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    with drive.along(0.0, 0.0, 45.0) as motion:
+        until(lambda: drive.pose.x > 0.3)
+        assert motion.progress == 0.0
+        assert drive.pose.y > 0.0
+        assert "moving" in repr(drive)
+    until(lambda: stands(robot))
+    until(lambda: "idle" in repr(drive))
+
+
+def test_a_motion_can_be_awaited_and_calls_back(drive: Drive) -> None:
+    called = threading.Event()
+
+    async def both() -> None:
+        await drive.forward(0.1)
+        motion = drive.turn(30)
+        motion.add_done_callback(lambda motion: drive.forward(0.1).add_done_callback(lambda _: called.set()))
+        await motion
+
+    asyncio.run(both())
+    assert called.wait(SECONDS)
+
+
+def test_wheels_turn_as_told(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    drive.wheels(-0.1, 0.1).wait(SECONDS)
+    until(lambda: abs(math.degrees(robot.world.odometry.theta)) > 45.0)
+    drive.stop().wait(SECONDS)
+    assert math.hypot(*robot.world.odometry[:2]) < 0.02
+    assert robot.world.odometry.theta > 0.0
+
+
+def test_speeds_and_accelerations_are_kept() -> None:
+    robot = Turtle(World(1000.0))
+    with Drive(robot, speed=0.1, acceleration=0.5) as drive:
+        drive.forward(0.3).wait(SECONDS)
+        slow = robot.host.tick
+        drive.forward(0.3, speed=0.4).wait(SECONDS)
+        assert slow > 300
+        assert robot.host.tick - slow < 200
+
+
+def test_a_line_is_followed() -> None:
+    world = World(11.0, (1.0, 5.0, 0.0), Scene([Tape(((1.0, 5.0), (3.0, 5.0), (6.0, 6.0)))]))
+    with Drive(SmrTurtle(world)) as drive:
+        motion = drive.follow_line("bm")
+        until(lambda: drive.pose.x > 3.0, SECONDS)
+        assert abs(drive.line_position) < 5.0
+        assert not motion.done
+        motion.cancel()
+    # The tape rises by 1 m over 3 m.
+    assert world.pose.y == pytest.approx(5.0 + (world.pose.x - 3.0) / 3.0, abs=0.12)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_wall_is_followed(side: str) -> None:
+    y = 5.4 if side == "left" else 4.6
+    world = World(11.0, (1.0, 5.0, 0.0), Scene(walls=[((0.5, y), (10.0, y))]))
+    with Drive(SmrTurtle(world)) as drive:
+        drive.forward(0.1).wait(SECONDS)
+        assert drive.distances[0 if side == "left" else 4] == pytest.approx(0.4, abs=0.03)
+        drive.follow_wall(side, 0.3)
+        until(lambda: drive.pose.x > 4.0, SECONDS)
+        drive.stop().wait(SECONDS)
+    assert abs(world.pose.y - y) == pytest.approx(0.3, abs=0.05)
+
+
+def test_an_obstacle_stops_a_motion_before_it() -> None:
+    world = World(4.0, (1.0, 2.0, 0.0), Scene(walls=[((2.0, 1.0), (2.0, 3.0))]))
+    with Drive(SmrTurtle(world)) as drive:
+        motion = drive.forward(2.0)
+        until(lambda: world.pose.x > 1.7, SECONDS)
+        with pytest.raises(LinkTimeout, match="it goes on"):
+            motion.wait(0.2)
+    assert world.pose.x < 1.9
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        lambda drive: drive.forward(math.nan),
+        lambda drive: drive.forward(math.inf),
+        lambda drive: drive.forward("far"),
+        lambda drive: drive.turn(1e9),
+        lambda drive: drive.arc(0.0, 90),
+        lambda drive: drive.arc(-0.5, 90),
+        lambda drive: drive.to(1.0, 1.0, 0.0, radius=0.0),
+        lambda drive: drive.follow_line("green"),
+        lambda drive: drive.follow_wall("front", 0.3),
+        lambda drive: drive.follow_wall("left", -0.3),
+        lambda drive: drive.wheels(0.1, None),
+        lambda drive: drive.forward(1.0, speed=math.nan),
+    ],
+)
+def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) -> None:
+    with Drive(Turtle()) as drive:
+        with pytest.raises(BadValue, match="expected"):
+            refused(drive)
+        assert drive.error is None
+
+
+def test_a_drive_that_cannot_be_is_refused() -> None:
+    for arguments in ({"speed": math.nan}, {"acceleration": 0.0}, {"profile": "loud"}):
+        with pytest.raises(BadValue):
+            Drive(Turtle(), **arguments)  # type: ignore[arg-type]
+    with pytest.raises(LinkError):
+        Drive("localhost:1")
+
+
+def test_a_closed_drive_drives_no_more() -> None:
+    robot = Turtle(World(1000.0))
+    link = PluginLink([robot])
+    drive = Drive(link)
+    motion = drive.forward(100.0)
+    until(lambda: drive.pose.x > 0.2)
+    drive.close()
+    drive.close()
+    assert stands(robot)
+    with pytest.raises(Closed):
+        motion.wait(SECONDS)
+    with pytest.raises(Closed):
+        drive.forward(1.0)
+    assert "closed" in repr(drive)
+    assert link.writers == 1
+    # Whoever comes next drives it from where it stands.
+    with Drive(link) as again:
+        again.forward(0.2).wait(SECONDS)
+        assert again.pose.x == pytest.approx(0.2, abs=0.02)
+    link.close()

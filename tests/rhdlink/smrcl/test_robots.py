@@ -1,0 +1,214 @@
+"""Missions and drives on a robot behind a port: the same commands as in this process, and a robot that stands at the
+end, whatever the end was."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout
+from rhdlink import AccessDenied, Cancelled, Drive, Host, Mission, Phase, connect
+from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.smrcl.robot_link import ClientLink
+from rhdlink.world import World
+from tests.waiting import until
+
+SCRIPT = "fwd 0.3\nturn -90\nturnr 0.2 60\nfwd -0.1 @v -0.2\n"
+#: Goes on until somebody ends it.
+ENDLESS = 'drive\nlabel "on"\nwait 1\ngoto "on"\n'
+
+
+class Told(Turtle):
+    """A turtle that remembers what it was told, tick by tick."""
+
+    def __init__(self) -> None:
+        super().__init__(World(1000.0))
+        self.told: list[tuple[int, int]] = []
+
+    def periodic(self, tick: int) -> None:
+        super().periodic(tick)
+        self.told.append((self.cmdtransvel, self.cmdrotvel))
+
+    @property
+    def stands(self) -> bool:
+        return self.told[-1] == (0, 0)
+
+
+class ToldSmr(SmrTurtle):
+    """The same of an SMR."""
+
+    def __init__(self) -> None:
+        super().__init__(World(1000.0))
+        self.told: list[tuple[int, int]] = []
+
+    def periodic(self, tick: int) -> None:
+        super().periodic(tick)
+        self.told.append((self.speedl, self.speedr))
+
+
+class Held(Told):
+    """One whose plugin does not return while it is held."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+
+    def periodic(self, tick: int) -> None:
+        self.goes_on.wait(20.0)
+        super().periodic(tick)
+
+
+@pytest.fixture
+def robot() -> Told:
+    return Told()
+
+
+@pytest.fixture
+def host(robot: Told) -> Iterator[Host]:
+    with Host([robot], port=0) as host:
+        yield host
+
+
+@pytest.mark.parametrize("kind", [Told, ToldSmr])
+def test_a_host_in_lockstep_is_told_the_same_as_a_plugin_in_this_process(kind: type[Told | ToldSmr]) -> None:
+    here, there = kind(), kind()
+    Mission(SCRIPT, here).run()
+    with Host([there], port=0, pacing="lockstep") as host, connect(host.address, access="w") as client:
+        link = ClientLink(client, is_lockstep=True)
+        run = Mission(SCRIPT, link).run()
+        assert run.phase is Phase.DONE
+    moved = [told for told in here.told if told != (0, 0)]
+    assert [told for told in there.told if told != (0, 0)] == moved
+    assert len(moved) > 300
+    # A host runs a tick before it is asked for the first time.
+    first = next(place for place, told in enumerate(here.told) if told != (0, 0))
+    assert there.told[first : first + 100] == here.told[first : first + 100]
+
+
+def test_a_robot_in_real_time(host: Host, robot: Told) -> None:
+    run = Mission("fwd 0.2\nturn 45\n", host.address).run(30.0)
+    assert run.phase is Phase.DONE
+    x, _, theta = robot.world.odometry
+    assert (x, theta) == pytest.approx((0.2, 0.785), abs=0.03)
+    assert robot.stands
+    until(lambda: host.writers == 0)
+
+
+def test_a_connection_that_was_given_is_left_open(host: Host) -> None:
+    with connect(host.address, access="w") as robot:
+        Mission("fwd 0.1\n", robot).run(30.0)
+        robot.sync()
+        assert robot.connection.name == "CONNECTED"
+    with connect(host.address) as reader, pytest.raises(AccessDenied, match="connect with access='w'"):
+        Mission("fwd 0.1\n", reader).run()
+
+
+def test_a_robot_that_is_not_there() -> None:
+    with Host([Turtle()], port=0) as gone:
+        address = gone.address
+    with pytest.raises(ConnectFailed):
+        Mission("fwd 0.1\n", address).start()
+
+
+def test_a_cancelled_mission_has_told_the_robot_to_stand(host: Host, robot: Told) -> None:
+    run = Mission(ENDLESS, host.address).start()
+    until(lambda: robot.world.odometry.x > 0.05)
+    run.cancel()
+    with pytest.raises(Cancelled):
+        run.wait(20.0)
+    until(lambda: robot.stands)
+
+
+def test_a_host_that_goes_away_ends_the_mission(robot: Told) -> None:
+    with Host([robot], port=0) as host:
+        run = Mission(ENDLESS, host.address).start()
+        until(lambda: robot.world.odometry.x > 0.05)
+    with pytest.raises(ConnectionLost):
+        run.wait(20.0)
+    assert run.phase is Phase.FAILED
+
+
+def test_a_host_that_is_silent_ends_the_mission_and_is_told_to_stand_when_it_comes_back() -> None:
+    robot = Held()
+    with Host([robot], port=0) as host:
+        try:
+            with connect(host.address, access="w", timeout=0.3) as client:
+                run = Mission(ENDLESS, client).start()
+                until(lambda: robot.world.odometry.x > 0.05)
+                robot.goes_on.clear()
+                with pytest.raises((LinkTimeout, ConnectionLost)):
+                    run.wait(20.0)
+        finally:
+            robot.goes_on.set()
+        where = len(robot.told)
+        until(lambda: len(robot.told) > where + 20)
+        before = robot.world.odometry
+        where = len(robot.told)
+        until(lambda: len(robot.told) > where + 20)
+        assert robot.world.odometry == before
+
+
+PROGRAM = """
+import sys, time, rhdlink
+what, address, how = sys.argv[1:]
+if what == "mission":
+    run = rhdlink.Mission('drive\\nlabel "on"\\nwait 1\\ngoto "on"\\n', address).start()
+else:
+    drive = rhdlink.Drive(address)
+    drive.forward(100)
+if how == "end":
+    sys.stdin.readline()
+else:
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(("what", "how"), [("mission", "end"), ("drive", "end"), ("mission", "killed")])
+def test_a_process_that_ends_leaves_a_robot_that_stands(host: Host, robot: Told, what: str, how: str) -> None:
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM, what, host.address, how], stdin=subprocess.PIPE)
+    try:
+        until(lambda: robot.world.odometry.x > 0.05, 30.0)
+        if how == "killed":
+            process.kill()
+        process.communicate(b"\n", timeout=30.0)
+    finally:
+        process.kill()
+        process.communicate()
+    until(lambda: host.writers == 0)
+    # Who comes to an end has told the robot to stand; for who is killed the host has to see to it.
+    if how == "end":
+        assert process.returncode == 0
+        assert robot.stands
+    where = len(robot.told)
+    until(lambda: len(robot.told) > where + 3)
+    before = robot.world.odometry
+    where = len(robot.told)
+    until(lambda: len(robot.told) > where + 20)
+    assert robot.world.odometry == before
+
+
+def test_a_drive_on_a_host(host: Host, robot: Told) -> None:
+    with Drive(host.address) as drive:
+        drive.forward(0.2).wait(30.0)
+        drive.turn(45).wait(30.0)
+        pose = drive.pose
+    assert (pose.x, pose.theta) == pytest.approx((0.2, 0.785), abs=0.03)
+    assert robot.stands
+
+
+def test_a_drive_whose_host_goes_away(robot: Told) -> None:
+    with Host([robot], port=0) as host:
+        drive = Drive(host.address)
+        motion = drive.forward(100.0)
+        until(lambda: robot.world.odometry.x > 0.05)
+    with pytest.raises(ConnectionLost):
+        motion.wait(20.0)
+    until(lambda: drive.error is not None)
+    with pytest.raises(LinkError):
+        drive.turn(90)
+    drive.close()
