@@ -13,6 +13,9 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
 
+from .errors import LocalError
+from .threads import started
+
 __all__ = ["CallbackThread"]
 
 _log = logging.getLogger(__name__)
@@ -43,8 +46,8 @@ class CallbackThread:
             thread = threading.Thread(target=_run, args=(self._calls,), name=self._name, daemon=True)
             if self._thread.setdefault(_ONE, thread) is thread:
                 try:
-                    thread.start()
-                except RuntimeError:
+                    started(thread)
+                except LocalError:
                     self._thread.pop(_ONE, None)
                     _log.exception("%r is not called", function)
                     return

@@ -25,8 +25,9 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from .arguments import check_callable, check_seconds
 from .callbacks import CallbackThread
-from .errors import BadValue, Cancelled, LinkTimeout
+from .errors import Cancelled, LinkTimeout
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -229,9 +230,7 @@ class Handle:
             Cancelled: it was cancelled, or preempted by another.
             LinkError: what else ended it.
         """
-        seconds = self.TIMEOUT if timeout is None else timeout
-        if not 0.0 <= seconds <= 1e9:
-            raise BadValue(f"timeout is {timeout!r}; expected 0 or more seconds")
+        seconds = check_seconds(self.TIMEOUT if timeout is None else timeout, "timeout", finite=True)
         if not self._life.wait(seconds):
             raise LinkTimeout(f"{self.name} is {self.phase.value}, and not over within {seconds:g} s; it goes on")
         error = self._life.error
@@ -250,8 +249,7 @@ class Handle:
         Raises:
             BadValue: nothing that can be called.
         """
-        if not callable(callback):
-            raise BadValue(f"{callback!r} cannot be called back; expected a function that takes the handle")
+        check_callable(callback, "callback")
         self._life.call_back(lambda: callback(self))
 
     def __await__(self) -> Generator[Any, None, None]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle
+from linkcore.threads import started
 
 from .smrcl.controller import Controller
 from .smrcl.execution import Callbacks, Execution, error_of, leaving_at_exit
@@ -37,9 +38,9 @@ __all__ = ["Drive", "DriveMotion"]
 
 #: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
-#: Cycles that a simulated robot is given to come to rest after a motion: 20 s, in which the error of the heading, which
-#: falls to 1/e in 1 s, has become less than what can be written.
-_SETTLING = 2000
+#: Cycles in which a simulated robot comes to rest after a motion, before it is told to stand: 5 s, in which the heading
+#: error, which falls to 1/e in 1 s, becomes less than 0.01 degrees. A heading counter may hunt by one count for ever.
+_SETTLING = 500
 #: Seconds that other threads wait for the one that drives.
 _CLOSE_TIMEOUT = 5.0
 
@@ -203,11 +204,11 @@ class Drive:
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run_in_thread, name=f"drive {link.name}", daemon=True)
         try:
-            self._thread.start()
-        except RuntimeError as error:
+            started(self._thread)
+        except LocalError:
             if owns:
                 link.close()
-            raise LocalError(f"{link.name} cannot be driven: {error}") from error
+            raise
 
     # -- motions -------------------------------------------------------------------------------------
 
@@ -335,14 +336,15 @@ class Drive:
         settling = 0
         try:
             while not self._closing.is_set():
-                if self._link.is_lockstep and self._motions.is_idle:
-                    settling = 0 if self._stands else settling - 1
-                    if settling <= 0:
-                        self._wake.wait(0.1)
-                        self._wake.clear()
-                        if self._motions.is_idle:
-                            continue
-                settling = _SETTLING if not self._motions.is_idle else settling
+                if not self._motions.is_idle:
+                    settling = _SETTLING
+                elif self._link.is_lockstep:
+                    settling -= 1
+                    if settling <= 0 or self._stands:
+                        if not self._stands:
+                            self._execution.stand()
+                        self._rest()
+                        continue
                 self._execution.cycle()
                 self._controller.take_said()
                 failure = self._controller.failure
@@ -354,6 +356,12 @@ class Drive:
         finally:
             self._execution.stand()
             self._motions.end(Closed(f"{self._link.name} is not driven any more"))
+
+    def _rest(self) -> None:
+        """Let the robot's time stand still until there is a motion."""
+        while self._motions.is_idle and not self._closing.is_set():
+            self._wake.wait()
+            self._wake.clear()
 
     @property
     def _stands(self) -> bool:

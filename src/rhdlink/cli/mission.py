@@ -11,8 +11,8 @@ from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, seconds
-from linkcore.cli.terminal import safe
 from linkcore.errors import LinkError
+from linkcore.text import printable
 
 from ..client import connect
 from ..drawing import save
@@ -98,7 +98,7 @@ def _check(args: argparse.Namespace) -> int:
     mission = Mission(Path(args.file))
     mistakes = mission.check()
     for mistake in mistakes:
-        print(f"{safe(mission.name)}: {safe(str(mistake))}")
+        print(f"{printable(mission.name)}: {printable(str(mistake))}")
     if not mistakes:
         tell(f"{mission.name}: no mistake found")
     return 1 if mistakes else 0
@@ -147,7 +147,7 @@ def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace
 def _view(run: MissionRun) -> str:
     x, y, theta = run.pose
     parts = [
-        f"line {run.line}: {safe(run.text)[:40]}",
+        f"line {run.line}: {printable(run.text)[:40]}",
         f"x {x:.3f} m  y {y:.3f} m  heading {math.degrees(theta):.1f} deg",
         f"$drivendist {run.system('drivendist'):.3f}  $cmdtime {run.system('cmdtime'):.2f}",
     ]
@@ -165,7 +165,7 @@ def _listen(mission: Mission, args: argparse.Namespace) -> None:
 
 
 def _print(text: str) -> None:
-    print(safe(text), flush=True)
+    print(printable(text), flush=True)
 
 
 def _print_as_mrc(said: Said) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from linkcore.arguments import check_callable
 from linkcore.errors import BadValue, LinkError
 
 from .controller import Controller
@@ -61,8 +62,7 @@ class Callbacks:
         Raises:
             BadValue: there is nothing of that name, or it cannot be called.
         """
-        if not callable(function):
-            raise BadValue(f"{function!r} cannot be called")
+        check_callable(function, "function")
         if name in self.COMMANDS:
             self.hooks[name] = function  # type: ignore[assignment]
         elif name in self.OBSERVED:
@@ -99,6 +99,7 @@ class Execution:
     Attributes:
         controller: what executes.
         cycles: exchanges with the robot so far.
+        is_told: what is to be written next is what the robot was told last.
     """
 
     def __init__(
@@ -112,6 +113,7 @@ class Execution:
         self._before_step = before_step
         self.controller = controller
         self.cycles = 0
+        self.is_told = False
         self._link = link
         self._callbacks = callbacks
         self._save_log = save_log
@@ -134,7 +136,8 @@ class Execution:
             self._provide()
         if self._before_step is not None:
             self._before_step()
-        self._request = controller.step(raw, self._time())
+        told, self._request = self._request, controller.step(raw, self._time())
+        self.is_told = self._request == told
         for said in controller.take_said():
             if said.kind is SaidKind.LOG:
                 self._save(said.text)
@@ -176,6 +179,7 @@ class Execution:
         with contextlib.suppress(LinkError):
             for _ in range(2):
                 self._link.exchange(request, _STAND_TIMEOUT)
+            self._request, self.is_told = request, True
 
 
 @contextlib.contextmanager

@@ -11,9 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from linkcore.arguments import check_callable
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle
+from linkcore.threads import started
 
 from ..client import Variables
 from ..errors import WrongVariables
@@ -157,8 +159,7 @@ class Mission:
         Raises:
             BadValue: it cannot be called.
         """
-        if not callable(function):
-            raise BadValue(f"{function!r} cannot be called")
+        check_callable(function, "function")
         self._callbacks.readers.append(function)
         return self
 
@@ -173,8 +174,7 @@ class Mission:
         Raises:
             BadValue: it cannot be called.
         """
-        if not callable(provider):
-            raise BadValue(f"{provider!r} cannot be called")
+        check_callable(provider, "provider")
         self._callbacks.providers[name.removeprefix("$")] = provider
         return self
 
@@ -184,8 +184,7 @@ class Mission:
         Raises:
             BadValue: no name of the language, one that is taken, or nothing that can be called.
         """
-        if not callable(function):
-            raise BadValue(f"{function!r} cannot be called")
+        check_callable(function, "function")
         if not (name.isascii() and name.isalnum() and name[:1].isalpha()) or name in RESERVED:
             raise BadValue(f"a function cannot be called {name!r}: expected letters and digits, and no word of SMR-CL")
         self._callbacks.functions[name] = function
@@ -372,10 +371,10 @@ class MissionRun(Handle):
         self._is_begun = True
         thread = threading.Thread(target=self._run_in_thread, name=f"mission {self.name}", daemon=True)
         try:
-            thread.start()
-        except RuntimeError as error:
+            started(thread)
+        except LocalError:
             self._close()
-            raise LocalError(f"{self.name} cannot be started: {error}") from error
+            raise
 
     def _run_in_thread(self) -> None:
         with leaving_at_exit(self._leave):

@@ -13,8 +13,10 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from linkcore.errors import BadValue, Closed, LinkTimeout
+from linkcore.arguments import check_callable
+from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.net.loop import Connection, Handler, SelectorLoop
+from linkcore.threads import started
 
 from ..host.plugin import Plugin
 from .controller import Controller
@@ -106,18 +108,18 @@ class MissionServer:
         return self
 
     def on_said(self, function: Callable[[Said], object]) -> Self:
-        """Tell a function everything that the mission says, in its order and with its kind. Returns the mission.
+        """Tell a function everything that the mission says, in its order and with its kind. Returns the server.
 
         Raises:
             BadValue: it cannot be called.
         """
-        if not callable(function):
-            raise BadValue(f"{function!r} cannot be called")
+        check_callable(function, "function")
         self._callbacks.readers.append(function)
         return self
 
     def provide(self, name: str, provider: Provider) -> Self:
         """As `Mission.provide`."""
+        check_callable(provider, "provider")
         self._callbacks.providers[name.removeprefix("$")] = provider
         return self
 
@@ -161,7 +163,12 @@ class MissionServer:
         """
         self._begin()
         self._thread = threading.Thread(target=self._serve_in_thread, name="mission server", daemon=True)
-        self._thread.start()
+        try:
+            started(self._thread)
+        except LocalError:
+            self._thread = None
+            self._give_up()
+            raise
         return self
 
     def stop(self) -> None:
@@ -212,17 +219,22 @@ class MissionServer:
         if self._is_used:
             raise Closed("a server runs once; make another")
         self._is_used = True
-        loop = SelectorLoop()
+        self._loop = loop = SelectorLoop()
         try:
-            listening = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf)
-            self._port = listening.number
-            self._loop = loop
+            self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf).number
             if not self._waits:
                 self._connect()
         except BaseException:
-            loop.close()
-            self._ended.set()
+            self._give_up()
             raise
+
+    def _give_up(self) -> None:
+        """It has not begun to serve, and does not."""
+        if self._loop is not None:
+            self._loop.close()
+        if self._link is not None and self._owns:
+            self._link.close()
+        self._ended.set()
 
     def _connect(self) -> Execution:
         """Connect to the robot, and hand over to its dialogue who has come already."""

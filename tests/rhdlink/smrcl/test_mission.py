@@ -41,7 +41,7 @@ def stands(robot: Turtle) -> bool:
 def test_a_mission_runs_to_its_end() -> None:
     robot = turtle()
     texts: list[str] = []
-    mission = Mission("a = 0.5\nfwd a\nturn 90\nprint \"done\"\neval 3*a\n", robot)
+    mission = Mission('a = 0.5\nfwd a\nturn 90\nprint "done"\neval 3*a\n', robot)
     run = mission.on("values", texts.append).on("text", texts.append).run()
     assert (run.phase, run.done, run.error, run.progress) == (Phase.DONE, True, None, 1.0)
     assert run.variables == {"a": 0.5}
@@ -218,7 +218,7 @@ def test_a_provider_that_provides_nothing_sensible_ends_the_mission(name: str, p
 
 def test_what_cannot_be_called_is_refused() -> None:
     mission = Mission("fwd 1\n")
-    for refused in (
+    refusals: list[Callable[[], object]] = [
         lambda: mission.on("text", 7),  # type: ignore[arg-type]
         lambda: mission.on_said(7),  # type: ignore[arg-type]
         lambda: mission.provide("line", 7),  # type: ignore[arg-type]
@@ -226,7 +226,8 @@ def test_what_cannot_be_called_is_refused() -> None:
         lambda: mission.function("sin", math.sin),
         lambda: mission.function("a b", math.sin),
         lambda: mission.on("sleep", print),
-    ):
+    ]
+    for refused in refusals:
         with pytest.raises(BadValue):
             refused()
 
@@ -353,7 +354,7 @@ def test_a_mission_is_executed_line_by_line() -> None:
     robot = turtle()
     lines: list[int | None] = []
     with Mission(SQUARE, robot).debug() as debugger:
-        assert debugger.line is None
+        assert (debugger.line, debugger.text) == (None, "")
         while (line := debugger.step()) is not None:
             lines.append(line)
             assert debugger.line == line
