@@ -26,6 +26,7 @@ from .ports.realtime import RealtimePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner
+from .registers import Registers
 from .robot.arm import Arm
 from .robot.modes import Modes
 from .robot.signals import Signals
@@ -43,6 +44,8 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 # Hosts to listen on that are none to connect to.
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
+# What a port of a real controller speaks.
+_NAMES = {number: name for name, number in PORTS.items()}
 #: Lines from clients that are kept.
 RECEIVED = 1000
 
@@ -119,7 +122,7 @@ class Controller:
             return motion or Demonstration()
 
         self._state = state = ControllerState(arm, chosen, source(), serial=serial, seed=seed)
-        self._runner = ProgramRunner(state, self._may_connect)
+        self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})
         self._link = LinkFaults(lambda: state.cycle)
@@ -141,9 +144,20 @@ class Controller:
             client, self.counters, lambda line: self.received.append((port, line)), self._loader.open().put
         )
 
-    def _may_connect(self, host: str) -> bool:
-        """Whether programs may open sockets to this numeric address; those of this computer they always may."""
-        return host in self._reachable or (self._server is not None and host in self._server.peers)
+    def _route(self, address: str, port: int) -> tuple[str, int] | None:
+        """Where a program's connection to this numeric address and port goes; see `program_sockets.Route`."""
+        if ipaddress.ip_address(address).is_loopback:
+            own = _NAMES.get(port)
+            if own is None:
+                return address, port
+            return (self._own_host, self.ports[own]) if own in self.ports else None
+        peers = () if self._server is None else self._server.peers
+        return (address, port) if address in self._reachable or address in peers else None
+
+    @property
+    def _own_host(self) -> str:
+        """Where this computer finds it."""
+        return "127.0.0.1" if self.host in _ALL_ADDRESSES else self.host
 
     # -- what it is ----------------------------------------------------------------------------------
 
@@ -191,6 +205,11 @@ class Controller:
     def signals(self) -> Signals:
         """Inputs and outputs."""
         return self._state.signals
+
+    @property
+    def registers(self) -> Registers:
+        """General-purpose registers: what programs read and write. A reboot makes other ones."""
+        return self._state.registers
 
     @property
     def flags(self) -> list[bool]:
@@ -325,7 +344,7 @@ class Controller:
         """
         if self._server is None:
             raise LocalError("a controller that has not been started has no address")
-        return str(RobotAddress("127.0.0.1" if self.host in _ALL_ADDRESSES else self.host, self.ports))
+        return str(RobotAddress(self._own_host, self.ports))
 
     @property
     def is_serving(self) -> bool:

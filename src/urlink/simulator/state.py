@@ -13,6 +13,7 @@ from linkcore.errors import BadValue
 from urlink.firmware import Firmware, release_of
 from urlink.models import Model
 
+from .registers import Registers, Watchdogs
 from .robot.arm import Arm
 from .robot.modes import Modes, Stop
 from .robot.signals import Signals
@@ -108,6 +109,8 @@ class ControllerState:
         arm: joints, tool and sensors.
         modes: of robot, safety and program.
         signals: inputs and outputs.
+        registers: general-purpose registers, which a reboot clears (a guess).
+        watchdogs: of the program that runs, over RTDE inputs.
         source: where the arm's set-points come from.
         is_paused: the source waits: its program was paused, by hand or by a protective stop.
         speed_fraction: of the speed slider, 0 to 1.
@@ -145,6 +148,8 @@ class ControllerState:
         self.is_paused = False
         self.speed_fraction = 1.0
         self.flags = [False] * FLAGS
+        self.registers = Registers()
+        self.watchdogs = Watchdogs()
         self.stopped_since: float | None = None
         self.popup: str | None = None
         self.loaded: str | None = None

@@ -14,8 +14,9 @@ from urlink.simulator import Controller
 from urlink.simulator.programs.program_sockets import MOST, MOST_WAITING, ProgramSockets
 
 
-def refuse_all(host: str) -> bool:
-    return False
+def refuse_all(address: str, port: int) -> tuple[str, int] | None:
+    """Only this computer is reached."""
+    return (address, port) if address.startswith("127.") else None
 
 
 @pytest.fixture
@@ -85,11 +86,11 @@ def test_ports_that_are_none(number: int, sockets: ProgramSockets) -> None:
 def test_others_where_they_are_allowed() -> None:
     asked: list[str] = []
 
-    def allows(host: str) -> bool:
-        asked.append(host)
-        return True
+    def route(address: str, port: int) -> tuple[str, int]:
+        asked.append(address)
+        return address, port
 
-    sockets = ProgramSockets(allows)
+    sockets = ProgramSockets(route)
     # Reserved for documentation: nobody is there, and the connection is only begun.
     sockets.open("s", "192.0.2.1", 9)
     assert asked == ["192.0.2.1"]
@@ -146,21 +147,25 @@ def test_nothing_stays_open(listener: socket.socket) -> None:
     assert descriptors() == before
 
 
-def test_who_is_connected_to_the_controller_is_allowed() -> None:
+def test_reachable_addresses_are_allowed() -> None:
     with Controller("UR5e", "5.11", reachable=["192.0.2.7", "2001:DB8::1"]) as controller:
 
         def allows(host: str) -> bool:
             answers: list[bool] = []
-            controller.call(lambda: answers.append(controller._may_connect(host)))
+            controller.call(lambda: answers.append(controller._route(host, 9) == (host, 9)))
             return answers[0]
 
         assert allows("192.0.2.7")
         assert allows("2001:db8::1")
         assert not allows("192.0.2.8")
-        assert not allows("127.0.0.1")
-        with socket.create_connection((controller.host, controller.ports["realtime"])):
-            until(lambda: allows("127.0.0.1"))
-        until(lambda: not allows("127.0.0.1"))
+
+
+def test_who_is_connected_to_the_controller_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        assert controller._server is not None
+        assert controller._route("192.0.2.8", 9) is None
+        monkeypatch.setattr(type(controller._server), "peers", {"192.0.2.8"})
+        assert controller._route("192.0.2.8", 9) == ("192.0.2.8", 9)
 
 
 def test_reachable_addresses_are_numeric() -> None:

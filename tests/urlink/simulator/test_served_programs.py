@@ -420,3 +420,32 @@ def test_a_dashboard_can_be_disturbed(controller: Controller, connect: Connect) 
     assert link.is_ended()
     with pytest.raises(BadValue, match="packages"):
         controller.faults.unknown_package(port="dashboard")
+
+
+# -- the controller as its programs see it -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_to_a_program_this_computer_is_the_controller(controller: Controller, connect: Connect, host: str) -> None:
+    """Public programs move the speed slider so: whatever port serves 30003 here, it is 30003 to them."""
+    link = connect(controller, "primary")
+    program = f"""def slider():
+  socket_open("{host}", 30003, "own")
+  socket_send_line("set speed 0.4", "own")
+  socket_close("own")
+  socket_open("{host}", 29999)
+  textmsg(socket_read_line())
+end
+"""
+    link.send(program.encode())
+    (greeting,) = messages(link, urlink.TextMessage, 1)
+    assert greeting.text == "Connected: Universal Robots Dashboard Server"
+    until(lambda: controller.speed_fraction == 0.4)
+
+
+def test_a_port_that_is_not_served_is_not_there(connect: Connect) -> None:
+    with Controller("UR5e", "5.11", motion=Still(), ports={"primary": 0}) as controller:
+        link = connect(controller, "primary")
+        link.send(b'textmsg(socket_open("127.0.0.1", 29999))\n')
+        (answer,) = messages(link, urlink.TextMessage, 1)
+        assert answer.text == "False"

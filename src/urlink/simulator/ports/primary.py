@@ -290,12 +290,16 @@ def _safety_data(state: ControllerState) -> Fields:
 
 
 def _tool_communication(state: ControllerState) -> Fields:
-    # The bytes of the captures: a line of 115200 Bd that is not enabled.
-    return {"baud_rate": 115200, "stop_bits": 1, "rx_idle_chars": 1.5, "tx_idle_chars": 3.5}
+    return state.signals.tool_communication._asdict()
 
 
 def _tool_mode(state: ControllerState) -> Fields:
-    return {"output_mode": 0, "digital_output_0_mode": 1, "digital_output_1_mode": 1}
+    first, second = state.signals.tool_digital_output_modes
+    return {
+        "output_mode": state.signals.tool_output_mode,
+        "digital_output_0_mode": first,
+        "digital_output_1_mode": second,
+    }
 
 
 def _nothing(state: ControllerState) -> Fields:
@@ -318,12 +322,12 @@ _CHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     4: _cartesian,
     7: _force_mode,
     10: _safety_data,
+    11: _tool_communication,
+    12: _tool_mode,
 }
 _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,
     6: _configuration,
     8: _additional,
     9: _nothing,
-    11: _tool_communication,
-    12: _tool_mode,
 }

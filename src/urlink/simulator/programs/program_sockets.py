@@ -1,7 +1,9 @@
 """The sockets that programs open: from the controller to the host that they name.
 
 Programs reach this computer and those that are connected to the controller; others only where the controller allows
-them. Names are not looked up, since that could take seconds. Nothing here waits, see `linkcore.net.polled`.
+them. To a program 127.0.0.1 is the controller: the ports that a controller has are its own there, whichever numbers
+they are served at. Names are not looked up, since that could take seconds. Nothing here waits, see
+`linkcore.net.polled`.
 """
 
 from __future__ import annotations
@@ -11,7 +13,10 @@ from collections.abc import Callable
 
 from linkcore.net.polled import PolledConnection, State
 
-__all__ = ["ProgramSockets"]
+__all__ = ["ProgramSockets", "Route"]
+
+#: Where a connection to a numeric address and a port goes, or None where a program may not connect to it.
+Route = Callable[[str, int], tuple[str, int] | None]
 
 #: Sockets that a program may have at once, those included that it has not closed after their peer did.
 MOST = 16
@@ -23,26 +28,23 @@ class ProgramSockets:
     """The named sockets of one program.
 
     Args:
-        allows: whether a numeric address beyond this computer may be connected to.
+        route: where connections go.
     """
 
-    def __init__(self, allows: Callable[[str], bool]) -> None:
-        self._allows = allows
+    def __init__(self, route: Route) -> None:
+        self._route = route
         self._connections: dict[str, PolledConnection] = {}
 
     def open(self, name: str, host: str, port: int) -> None:
         """Begin to connect; the socket that had the name is closed."""
         self.close(name)
-        address = self._numeric(host)
-        if address is not None and 0 < port < 65536 and len(self._connections) < MOST:
-            self._connections[name] = PolledConnection(address, port, most_waiting=MOST_WAITING)
-
-    def _numeric(self, host: str) -> str | None:
         try:
-            address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
+            address = str(ipaddress.ip_address("127.0.0.1" if host == "localhost" else host))
         except ValueError:
-            return None
-        return str(address) if address.is_loopback or self._allows(str(address)) else None
+            return
+        target = self._route(address, port)
+        if target is not None and 0 < target[1] < 65536 and len(self._connections) < MOST:
+            self._connections[name] = PolledConnection(*target, most_waiting=MOST_WAITING)
 
     def state(self, name: str) -> State:
         """How far it is; "closed" too where it was refused, or the program has too many."""

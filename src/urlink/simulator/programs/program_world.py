@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 
 from urlink.firmware import Firmware
 from urlink.models import Model
 
 from ..messages import popup_message, text_message
+from ..registers import Action, Registers
 from ..robot.generator import MotionGenerator
 from ..robot.signals import Signals
 from ..state import ControllerState
-from .program_sockets import ProgramSockets
+from .program_sockets import ProgramSockets, Route
 
 __all__ = ["ProgramWorld"]
 
@@ -21,17 +23,15 @@ class ProgramWorld:
 
     Args:
         state: of the controller.
-        allows: whether a numeric address beyond this computer may be connected to.
+        route: where the connections of programs go.
         generator: what the program moves the arm with; None for a secondary program, which may only ask whether the arm
             moves.
     """
 
-    def __init__(
-        self, state: ControllerState, allows: Callable[[str], bool], generator: MotionGenerator | None = None
-    ) -> None:
+    def __init__(self, state: ControllerState, route: Route, generator: MotionGenerator | None = None) -> None:
         self._state = state
         self._generator = generator
-        self.sockets = ProgramSockets(allows)
+        self.sockets = ProgramSockets(route)
         self.period = state.period
 
     @property
@@ -61,6 +61,10 @@ class ProgramWorld:
         return self._state.flags
 
     @property
+    def registers(self) -> Registers:
+        return self._state.registers
+
+    @property
     def q_actual(self) -> Sequence[float]:
         return self._state.arm.q_actual
 
@@ -77,6 +81,10 @@ class ProgramWorld:
         return self._state.arm.setpoint.qd
 
     @property
+    def qdd_target(self) -> Sequence[float]:
+        return self._state.arm.setpoint.qdd
+
+    @property
     def pose_actual(self) -> Sequence[float]:
         return self._state.arm.sample.pose_actual
 
@@ -87,6 +95,10 @@ class ProgramWorld:
     @property
     def speed_actual(self) -> Sequence[float]:
         return self._state.arm.sample.speed_actual
+
+    @property
+    def speed_target(self) -> Sequence[float]:
+        return self._state.arm.sample.speed_target
 
     @property
     def force(self) -> Sequence[float]:
@@ -114,6 +126,10 @@ class ProgramWorld:
     def payload_cog(self) -> Sequence[float]:
         return self._state.arm.payload_cog
 
+    @property
+    def payload_inertia(self) -> Sequence[float]:
+        return self._state.arm.payload_inertia
+
     def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
         arm = self._state.arm
         arm.payload = mass
@@ -124,6 +140,13 @@ class ProgramWorld:
 
     def set_gravity(self, vector: Sequence[float]) -> None:
         """Without effect: the simulated arm stands upright."""
+
+    def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
+        cycles = self._state.firmware.rate / frequency if frequency > 0.0 else math.inf
+        self._state.watchdogs.set(variable, cycles, action, self._state.cycle)
+
+    def use_external_force(self, is_used: bool) -> None:
+        self._state.arm.uses_external_force = is_used
 
     def text_message(self, text: str) -> None:
         self._state.outbox.offer(lambda: text_message(self._state, text))

@@ -4,7 +4,8 @@ In each cycle the threads of the program run first; then its motion generator ma
 commanded. The arm follows that set-point, and knows nothing of programs.
 
 Guesses: that a protective stop pauses a program, which `play` then continues, and that an emergency stop or switching
-off ends it; that secondary programs run on through all of these.
+off ends it; that secondary programs run on through all of these; that a program which was paused because an RTDE input
+was late has the full time for it again when it is resumed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ..robot.generator import LimitViolation, MotionGenerator
 from ..robot.sources import Setpoint, SetpointSource
 from ..state import ControllerState
 from ..urscript import Execution, Script, ScriptError
+from .program_sockets import Route
 from .program_world import ProgramWorld
 
 __all__ = ["ProgramRunner", "RunningProgram"]
@@ -40,7 +42,7 @@ class RunningProgram:
         self,
         state: ControllerState,
         script: Script,
-        allows: Callable[[str], bool],
+        route: Route,
         on_end: Callable[[RunningProgram], object],
     ) -> None:
         self.name = script.name
@@ -49,7 +51,7 @@ class RunningProgram:
         self._on_end = on_end
         # It takes over from what moved the arm before, at its speed.
         self._generator = MotionGenerator(state.model, state.arm.setpoint)
-        self._world = ProgramWorld(state, allows, self._generator)
+        self._world = ProgramWorld(state, route, self._generator)
         self._execution = Execution(script, self._world)
 
     @property
@@ -89,16 +91,16 @@ class ProgramRunner:
 
     Args:
         state: of the controller.
-        allows: whether programs may open sockets to a numeric address beyond this computer.
+        route: where the connections of programs go.
 
     Attributes:
         main: the program that was started last, also when it is over; None before the first.
     """
 
-    def __init__(self, state: ControllerState, allows: Callable[[str], bool]) -> None:
+    def __init__(self, state: ControllerState, route: Route) -> None:
         self.main: RunningProgram | None = None
         self._state = state
-        self._allows = allows
+        self._route = route
         # The arm has braked, or is to: the source begins anew from where it comes to stand.
         self._begins_anew = False
         self._secondary: list[tuple[Execution, ProgramWorld]] = []
@@ -116,7 +118,7 @@ class ProgramRunner:
         state = self._state
         self.stop()
         state.is_paused = False
-        self.main = state.source = RunningProgram(state, script, self._allows, self._ended)
+        self.main = state.source = RunningProgram(state, script, self._route, self._ended)
         # It goes on from the speed that the arm has, also while it brakes.
         self._begins_anew = False
         state.outbox.put(messages.program_started(state, script.name))
@@ -165,6 +167,7 @@ class ProgramRunner:
         state.is_paused = False
         if program.error is not None:
             self._report(program.error)
+        state.watchdogs.clear()
         state.outbox.put(messages.program_stopped(state, program.name))
 
     def _report(self, error: ScriptError) -> None:
@@ -180,6 +183,7 @@ class ProgramRunner:
             The set-point that the arm is to follow; None where it is to brake, and to stand.
         """
         state, modes = self._state, self._state.modes
+        self._watch()
         if modes.holds_program:
             if self.main is not None and self.main.is_program:
                 state.is_paused = True
@@ -199,9 +203,21 @@ class ProgramRunner:
             self._begins_anew = False
         return state.source.advance(seconds)
 
+    def _watch(self) -> None:
+        """Pause or stop the program if an RTDE input that it waits for is late. While it is paused, none is."""
+        state = self._state
+        if state.is_paused:
+            state.watchdogs.restart(state.cycle)
+            return
+        action = state.watchdogs.expired(state.cycle)
+        if action == "stop":
+            self.stop()
+        elif action == "pause":
+            state.is_paused = True
+
     def _advance_secondary(self) -> None:
         while self._waiting and len(self._secondary) < MOST_SECONDARY:
-            world = ProgramWorld(self._state, self._allows)
+            world = ProgramWorld(self._state, self._route)
             self._secondary.append((Execution(self._waiting.popleft()[0], world), world))
         for execution, world in self._secondary:
             execution.advance()

@@ -37,6 +37,8 @@ class Arm:
         payload_cog: (3,) its centre of mass in the flange frame, m.
         payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
         is_powered: without power there is no current and no noise.
+        external_force: at the TCP, N and Nm, as an RTDE client has sent it.
+        uses_external_force: it is shown in place of what the sensor measures.
     """
 
     def __init__(self, model: Model, setpoint: Setpoint, seed: int = 0) -> None:
@@ -45,6 +47,8 @@ class Arm:
         self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
         self.payload_inertia: Sequence[float] = (0.0,) * 6
         self.is_powered = True
+        self.external_force: Sequence[float] = _ZERO
+        self.uses_external_force = False
         self._tcp: list[float] = list(_ZERO)
         self._setpoint = setpoint
         self._sensors = Sensors(model, setpoint.q, seed)
@@ -141,6 +145,8 @@ class Arm:
             self._sample = self._sensors.sample(
                 self._setpoint, self._tcp, self.payload, self.payload_cog, self._cycle, self._time, self.is_powered
             )
+            if self.uses_external_force:
+                self._sample.force = list(self.external_force)
         return self._sample
 
     @property

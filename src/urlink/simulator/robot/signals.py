@@ -3,10 +3,30 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from linkcore.errors import BadValue
 
-__all__ = ["Signals"]
+__all__ = ["Signals", "ToolCommunication"]
+
+
+class ToolCommunication(NamedTuple):
+    """The serial line through the tool connector. As it begins, it is as in the captures: not enabled.
+
+    Attributes:
+        is_enabled: it is in use.
+        baud_rate: Bd.
+        parity: 0 none, 1 odd, 2 even.
+        stop_bits: 1 or 2.
+        rx_idle_chars, tx_idle_chars: characters.
+    """
+
+    is_enabled: bool = False
+    baud_rate: int = 115200
+    parity: int = 0
+    stop_bits: int = 1
+    rx_idle_chars: float = 1.5
+    tx_idle_chars: float = 3.5
 
 
 class Signals:
@@ -20,6 +40,9 @@ class Signals:
         analog_input_ranges: four times 0 (current) or 1 (voltage).
         analog_output_domains: twice 0 (current) or 1 (voltage).
         tool_output_voltage: 0, 12 or 24 V.
+        tool_output_mode: of an e-Series: 0 digital outputs, 1 both pins are power.
+        tool_digital_output_modes: twice 1 sinking, 2 sourcing or 3 push-pull.
+        tool_communication: the serial line through the tool connector.
     """
 
     def __init__(self) -> None:
@@ -32,6 +55,9 @@ class Signals:
         self.analog_input_ranges = [1, 1, 1, 1]
         self.analog_output_domains = [0, 0]
         self.tool_output_voltage = 0
+        self.tool_output_mode = 0
+        self.tool_digital_output_modes = [1, 1]
+        self.tool_communication = ToolCommunication()
 
     def set_digital_input(self, number: int, on: bool) -> None:
         """Switch input `number`, 0 to 17: 0-7 standard, 8-15 configurable, 16-17 tool.

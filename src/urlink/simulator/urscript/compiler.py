@@ -54,6 +54,8 @@ from .syntax import (
     Join,
     Kill,
     ListDisplay,
+    Member,
+    MethodCall,
     Name,
     Node,
     PoseDisplay,
@@ -152,6 +154,8 @@ class _Compiler:
             ListDisplay: self._list,
             PoseDisplay: lambda node: operations.pose_display(self._sequence(node.items), node.place),
             Index: self._index,
+            Member: lambda node: operations.member(self._value(node.base), node.name, node.place),
+            MethodCall: self._method_call,
             Unary: self._unary,
             Binary: self._binary,
             Call: self._call,
@@ -410,7 +414,20 @@ class _Compiler:
         self._emit(node, lambda after: call(code, arguments, slot, after))
         return operations.temporary(slot)
 
+    def _method_call(self, node: MethodCall) -> Function:
+        base, *arguments = self._sequence((node.base, *node.arguments))
+        return operations.method_call(base, node.name, arguments, node.place)
+
+    def _struct(self, node: Call) -> Function:
+        """`struct(a=1, b=2)`: the names of its arguments are those of its members."""
+        for argument in node.arguments:
+            raise self._program.error(argument, "compile_error_member_without_name:struct:")
+        names = [name for name, _ in node.named]
+        return operations.structure(names, self._sequence([value for _, value in node.named]), node.place)
+
     def _call_builtin(self, node: Call) -> Function:
+        if node.name == "struct" and not self._program.firmware.is_cb2:
+            return self._struct(node)
         builtin = self._program.builtin(node.name)
         if builtin is None:
             raise self._program.not_found(node, node.name)
@@ -465,6 +482,10 @@ def _parts(node: Expression) -> Sequence[Expression]:
             return node.items
         case Index():
             return (node.base, node.index)
+        case Member():
+            return (node.base,)
+        case MethodCall():
+            return (node.base, *node.arguments)
         case Unary():
             return (node.operand,)
         case Binary():

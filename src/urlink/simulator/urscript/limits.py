@@ -14,6 +14,7 @@ __all__ = [
     "MAX_NESTING",
     "MAX_PARAMETERS",
     "MAX_STRING",
+    "MAX_STRUCTS",
     "MAX_TEXT",
     "MAX_THREADS",
     "MAX_TOKENS",
@@ -40,6 +41,8 @@ MAX_CALL_DEPTH = 200
 MAX_THREADS = 100
 #: of a list, those of the lists in it included
 MAX_ELEMENTS = 10_000
+#: of structs in one another
+MAX_STRUCTS = 16
 #: characters
 MAX_STRING = 10_000
 #: elements and characters in all variables together

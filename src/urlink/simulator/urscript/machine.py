@@ -192,6 +192,10 @@ class ScriptThread:
                     machine.left = left - 1
                     return
             machine.left = 0
+            if machine.reads:
+                # It has read from a socket, for which a program waits anyway: it goes on in the next cycle.
+                self._next = at
+                return
             raise endless(machine.world.firmware)
         except Fault as fault:
             raise self._error(at, str(fault), fault.place) from None

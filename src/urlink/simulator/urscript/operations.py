@@ -32,10 +32,13 @@ __all__ = [
     "global_variable",
     "inverted",
     "local_variable",
+    "member",
+    "method_call",
     "operation",
     "placed",
     "pose_display",
     "signed",
+    "structure",
     "temporary",
     "truth",
 ]
@@ -145,6 +148,30 @@ def element(base: Function, index: Function, place: int) -> Function:
             raise _at(place, fault) from None
 
     return run
+
+
+def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Function:
+    """A struct with members of these names."""
+
+    def run(f: Frame) -> Any:
+        made = dict(zip(names, [item(f) for item in items], strict=True))
+        return values.struct_of(made, f[THREAD].machine.charge)
+
+    return placed(run, place)
+
+
+def member(base: Function, name: str, place: int) -> Function:
+    """`base.name`"""
+    return placed(lambda f: values.member(base(f), name), place)
+
+
+def method_call(base: Function, name: str, arguments: Sequence[Function], place: int) -> Function:
+    """`base.name(arguments)`. Nothing that this simulator makes has methods: `rpc_factory` is not modelled."""
+
+    def run(f: Frame) -> Any:
+        raise type_error(f"{values.type_name(base(f))} has no method '{name}'")
+
+    return placed(run, place)
 
 
 def truth(value: Any) -> bool:

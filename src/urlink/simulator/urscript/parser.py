@@ -7,7 +7,8 @@
     block      = { statement }
     if         = "if" expression ":" block { "elif" expression ":" block } [ "else" ":" block ] "end"
     while      = "while" expression ":" block "end"
-    simple     = [ "global" | "local" ] name [ "=" expression ] | name { "[" expressions "]" } "=" expression
+    simple     = [ "global" | "local" ] name [ "=" expression ]
+               | name { "[" expressions "]" | "." name } "=" expression
                | "return" [ expression ] | "break" | "continue" | "halt" [ "(" ")" ]
                | "kill" expression | "join" expression | expression
     expression = xor { "or" xor }
@@ -18,7 +19,7 @@
     sum        = product { ( "+" | "-" ) product }
     product    = unary { ( "*" | "/" | "%" ) unary }
     unary      = ( "-" | "+" ) unary | postfix
-    postfix    = primary { "[" expressions "]" }
+    postfix    = primary { "[" expressions "]" | "." name [ "(" [ expressions ] ")" ] }
     primary    = number | string | "True" | "False" | "(" expression ")" | "[" [ expressions ] "]"
                | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
@@ -26,7 +27,8 @@
 Read off public programs that run on real controllers (docs/protocols/urscript.md, What public programs need): line ends
 mean nothing, so that two statements stand on one line and an expression goes on in the next; blocks may be empty;
 PolyScope writes `$ 1 "Robot Program"` before each node of a program, which does nothing here; `m[i, j]` is the element
-of a matrix, a list of lists; `p[i]` that of a variable that is called p.
+of a matrix, a list of lists; `p[i]` that of a variable that is called p; `s.a` is a member of `struct(a=1)`; and
+`handle.method(x)` calls a method of what a factory has made.
 
 Guesses: the precedence of `xor`; that the value of a `return` begins on its line, since the next statement would be
 taken for it; that a statement which is an expression begins with a name. `true` and `false` stand in users' programs
@@ -61,6 +63,8 @@ from .syntax import (
     Join,
     Kill,
     ListDisplay,
+    Member,
+    MethodCall,
     Name,
     Parameter,
     PoseDisplay,
@@ -85,6 +89,8 @@ _LEVELS: list[frozenset[str]] = [
 ]
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators}
 _COMPARISON = 4
+#: What an expression goes on with when it is complete.
+_POSTFIX = ("[", ".")
 
 
 def parse(source: Source) -> Block:
@@ -271,8 +277,11 @@ class _Parser:
             return Evaluate(place, value)
         indices: list[Expression] = []
         target = value
-        while isinstance(target, Index):
-            indices.append(target.index)
+        while isinstance(target, (Index, Member)):
+            if isinstance(target, Member):
+                indices.append(Constant(target.place, 1, False, target.name))
+            else:
+                indices.append(target.index)
             target = target.base
         if not isinstance(target, Name):
             raise self._unexpected()
@@ -307,7 +316,7 @@ class _Parser:
         kind = self._kinds[self._at]
         if kind not in ("-", "+"):
             value = self._primary(kind)
-            return value if self._kinds[self._at] != "[" else self._indexed(value)
+            return value if self._kinds[self._at] not in _POSTFIX else self._postfix(value)
         place = self._take()
         self._deeper()
         operand = self._unary()
@@ -317,9 +326,12 @@ class _Parser:
             return Constant(place, 1, False, -number if kind == "-" else number)
         return Unary(place, self._depth(place, (operand,)), operand.has_calls, kind, operand)
 
-    def _indexed(self, value: Expression) -> Expression:
-        while self._kinds[self._at] == "[":
+    def _postfix(self, value: Expression) -> Expression:
+        while (kind := self._kinds[self._at]) in _POSTFIX:
             place = self._take()
+            if kind == ".":
+                value = self._member(value)
+                continue
             indices = self._items("]")
             if not indices:
                 raise self._source.syntax_error(place)
@@ -327,6 +339,17 @@ class _Parser:
                 has_calls = value.has_calls or index.has_calls
                 value = Index(place, self._depth(place, (value, index)), has_calls, value, index)
         return value
+
+    def _member(self, base: Expression) -> Expression:
+        """What follows a dot, which a keyword may be too: `program.end()`."""
+        name = self._texts[self._at]
+        if not name.isidentifier():
+            raise self._unexpected()
+        place = self._take()
+        if not self._accept("("):
+            return Member(place, self._depth(place, (base,)), base.has_calls, base, name)
+        arguments = self._items(")")
+        return MethodCall(place, self._depth(place, (base, *arguments)), True, base, name, arguments)
 
     def _primary(self, kind: str) -> Expression:
         at = self._at

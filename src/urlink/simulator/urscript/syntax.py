@@ -23,6 +23,8 @@ __all__ = [
     "Join",
     "Kill",
     "ListDisplay",
+    "Member",
+    "MethodCall",
     "Name",
     "Node",
     "Parameter",
@@ -98,6 +100,14 @@ class Index(Expression):
 
 
 @dataclass(slots=True)
+class Member(Expression):
+    """`base.name` of a struct"""
+
+    base: Expression
+    name: str
+
+
+@dataclass(slots=True)
 class Unary(Expression):
     """`-a` or `not a`"""
 
@@ -125,6 +135,15 @@ class Call(Expression):
 
 
 @dataclass(slots=True)
+class MethodCall(Expression):
+    """`handle.name(a)`"""
+
+    base: Expression
+    name: str
+    arguments: list[Expression]
+
+
+@dataclass(slots=True)
 class Statement(Node):
     """Something that is done."""
 
@@ -142,7 +161,7 @@ class Declare(Statement):
 
 @dataclass(slots=True)
 class Assign(Statement):
-    """`a = value`, `local a = value`, or `a[i][j] = value`."""
+    """`a = value`, `local a = value`, or `a[i].b = value`; the name of a member is a constant among the indices."""
 
     name: str
     scope: Scope

@@ -13,24 +13,26 @@ not supported", by a project's tests); here that is not looked at. Guesses:
 - an integer beyond 32 bits, and a result that is no finite number, are errors;
 - truth values are no numbers;
 - values of different types are unequal, but an integer equals its float;
-- arithmetic on lists goes element by element, also with one number on either side; poses have none.
+- arithmetic on lists goes element by element, also with one number on either side; poses have none;
+- a struct is copied where it is assigned, as a list is; it gets no members beyond those that it was made with.
 """
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from .errors import Fault, type_error
-from .limits import MAX_ELEMENTS, MAX_INTEGER, MIN_INTEGER
+from .limits import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER
 
 __all__ = [
     "NUMBERS",
     "UNSET",
     "Charge",
     "Pose",
+    "Struct",
     "Unset",
     "add",
     "checked",
@@ -39,10 +41,12 @@ __all__ = [
     "element",
     "equal",
     "list_of",
+    "member",
     "modulo",
     "multiply",
     "replaced",
     "signed",
+    "struct_of",
     "subtract",
     "to_str",
     "truth",
@@ -61,13 +65,42 @@ class Pose(tuple[float, ...]):
     __slots__ = ()
 
 
+class Struct:
+    """Named members, as `struct(a=1, b=2)` makes them. It is never changed.
+
+    Attributes:
+        members: name -> value.
+        weight: elements and characters that it holds.
+        depth: structs in one another.
+    """
+
+    __slots__ = ("depth", "members", "weight")
+
+    def __init__(self, members: Mapping[str, Any]) -> None:
+        self.members = members
+        self.weight = len(members) + sum(map(weight, members.values()))
+        self.depth: int = 1 + max((value.depth for value in members.values() if isinstance(value, Struct)), default=0)
+
+
 class Unset:
     """What a variable holds before anything was assigned."""
 
 
 UNSET = Unset()
 
-_NAMES = {bool: "bool", int: "int", float: "float", str: "string", tuple: "list", Pose: "pose", type(None): "none"}
+#: Values that hold elements or characters. A list or pose is a tuple of its own class.
+_HEAVY: frozenset[Any] = frozenset({tuple, Pose, str, Struct})
+
+_NAMES = {
+    bool: "bool",
+    int: "int",
+    float: "float",
+    str: "string",
+    tuple: "list",
+    Pose: "pose",
+    Struct: "struct",
+    type(None): "none",
+}
 
 
 def type_name(value: object) -> str:
@@ -86,6 +119,8 @@ def to_str(value: object) -> str:
         return f"{'p' if isinstance(value, Pose) else ''}[{','.join(map(to_str, value))}]"
     if value.__class__ is int or value.__class__ is bool:
         return str(value)
+    if isinstance(value, Struct):
+        return f"struct({','.join(f'{name}={to_str(member)}' for name, member in value.members.items())})"
     return type_name(value)
 
 
@@ -96,9 +131,11 @@ def weight(value: Any) -> int:
     if value.__class__ is tuple:
         total = len(value)
         for inner in value:
-            if inner.__class__ is tuple or inner.__class__ is Pose or inner.__class__ is str:
+            if inner.__class__ in _HEAVY:
                 total += weight(inner)
         return total
+    if isinstance(value, Struct):
+        return value.weight
     return 6 if value.__class__ is Pose else 0
 
 
@@ -111,13 +148,26 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
             if any(inner.__class__ is tuple for inner in item):
                 raise type_error("the lists in a list cannot hold lists")
             total += weight(item)
-        elif item.__class__ is str or item.__class__ is Pose:
+        elif item.__class__ in _HEAVY:
             total += weight(item)
         elif item is None:
             raise type_error("none cannot be in a list")
     if total > MAX_ELEMENTS:
         raise Fault(f"List too long: {total} elements")
     charge(total)
+    return made
+
+
+def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
+    """A struct, if it may be made: no larger than a list, and no deeper than `MAX_STRUCTS`."""
+    if None in members.values():
+        raise type_error("none cannot be in a struct")
+    made = Struct(members)
+    if made.weight > MAX_ELEMENTS:
+        raise Fault(f"Struct too large: {made.weight} elements")
+    if made.depth > MAX_STRUCTS:
+        raise Fault(f"Too many structs in one another: {MAX_STRUCTS}")
+    charge(made.weight)
     return made
 
 
@@ -212,6 +262,11 @@ def equal(a: Any, b: Any, charge: Charge) -> bool:
             return False
         charge(len(a))
         return all(equal(x, y, charge) for x, y in zip(a, b, strict=True))
+    if isinstance(a, Struct):
+        charge(a.weight)
+        return a.members.keys() == b.members.keys() and all(
+            equal(member, b.members[name], charge) for name, member in a.members.items()
+        )
     if a.__class__ is str:
         charge(len(a) // 16)
     return bool(a == b)
@@ -251,8 +306,19 @@ def element(value: Any, index: Any) -> Any:
     return value[_place(value, index)]
 
 
+def member(value: Any, name: str) -> Any:
+    """`value.name`"""
+    if not isinstance(value, Struct) or name not in value.members:
+        raise type_error(f"{type_name(value)} has no member '{name}'")
+    return value.members[name]
+
+
 def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
-    """`value` after `value[i][j] = new`."""
+    """`value` after `value[i][j] = new`, where a text among the indices is the name of a member."""
+    if indices[0].__class__ is str:
+        old = member(value, indices[0])
+        changed = new if len(indices) == 1 else replaced(old, indices[1:], new, charge)
+        return struct_of({**value.members, indices[0]: changed}, charge)
     index = _place(value, indices[0])
     if len(indices) > 1:
         new = replaced(value[index], indices[1:], new, charge)

@@ -11,6 +11,7 @@ from typing import Literal, Protocol
 from urlink.firmware import Firmware
 from urlink.models import Model
 
+from ..registers import Action, Registers
 from ..robot.signals import Signals
 
 __all__ = ["MotionCommands", "Move", "Sockets", "World"]
@@ -30,6 +31,10 @@ class MotionCommands(Protocol):
     @property
     def is_standing(self) -> bool:
         """No joint moves."""
+
+    @property
+    def waypoint(self) -> Sequence[float] | None:
+        """The pose of the TCP at the end of the present path move, m and rad; None without one."""
 
     def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> Move:
         """To joint positions, along a straight line in joint space."""
@@ -94,13 +99,16 @@ class World(Protocol):
         period: s per controller cycle.
         cycle: counts them.
         q_actual, qd_actual, q_target, qd_target: six numbers, rad and rad/s.
+        qdd_target: six numbers, rad/s².
         pose_actual, pose_target: the TCP in the base frame, m and rad.
-        speed_actual: of the TCP, m/s and rad/s.
+        speed_actual, speed_target: of the TCP, m/s and rad/s.
         force: at the TCP, N and Nm.
         torques: of the joints, Nm.
         tcp: the TCP in the flange frame.
         payload: kg.
         payload_cog: its centre of mass in the flange frame, m.
+        payload_inertia: xx, yy, zz, xy, xz, yz in kg m².
+        registers: general-purpose registers.
         flags: of `set_flag`.
     """
 
@@ -127,11 +135,15 @@ class World(Protocol):
     @property
     def qd_target(self) -> Sequence[float]: ...
     @property
+    def qdd_target(self) -> Sequence[float]: ...
+    @property
     def pose_actual(self) -> Sequence[float]: ...
     @property
     def pose_target(self) -> Sequence[float]: ...
     @property
     def speed_actual(self) -> Sequence[float]: ...
+    @property
+    def speed_target(self) -> Sequence[float]: ...
     @property
     def force(self) -> Sequence[float]: ...
     @property
@@ -143,7 +155,21 @@ class World(Protocol):
     @property
     def payload_cog(self) -> Sequence[float]: ...
     @property
+    def payload_inertia(self) -> Sequence[float]: ...
+    @property
     def flags(self) -> list[bool]: ...
+    @property
+    def registers(self) -> Registers: ...
+
+    def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
+        """The RTDE input of that name has to come so many times a second from now on; at 0, no longer.
+
+        Raises:
+            BadValue: there is no such input.
+        """
+
+    def use_external_force(self, is_used: bool) -> None:
+        """Let the force at the TCP be what an RTDE client sends as `external_force_torque`."""
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Of the TCP in the flange frame, m and rad."""

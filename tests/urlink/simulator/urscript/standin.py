@@ -8,6 +8,7 @@ from typing import Literal
 
 from urlink.firmware import Firmware
 from urlink.models import MODELS
+from urlink.simulator.registers import Action, Registers
 from urlink.simulator.robot import kinematics
 from urlink.simulator.robot.generator import Unreachable
 from urlink.simulator.robot.signals import Signals
@@ -39,6 +40,10 @@ class StandInMotion:
     def __init__(self, world: StandIn) -> None:
         self._world = world
         self.is_standing = True
+
+    @property
+    def waypoint(self) -> Sequence[float] | None:
+        return None
 
     def _begin(self, cycles: int, text: str) -> StandInMove:
         self._world.note(text)
@@ -150,13 +155,17 @@ class StandIn:
         self.q_target: list[float] = list(HOME)
         self.qd_target: Sequence[float] = [0.0] * 6
         self.qd_actual: Sequence[float] = [0.0] * 6
+        self.qdd_target: Sequence[float] = [0.0] * 6
         self.speed_actual: Sequence[float] = [0.0] * 6
+        self.speed_target: Sequence[float] = [0.0, 0.0, -0.1, 0.0, 0.0, 0.0]
         self.force: Sequence[float] = [1.0, 2.0, 2.0, 0.0, 0.0, 0.0]
         self.torques: Sequence[float] = [0.0, 10.0, 5.0, 1.0, 0.0, 0.0]
         self.tcp: Sequence[float] = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
         self.payload = 1.5
         self.payload_cog: Sequence[float] = [0.0, 0.0, 0.05]
+        self.payload_inertia: Sequence[float] = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
         self.flags = [False] * 32
+        self.registers = Registers()
         self.has_popup = False
         self.signals = Signals()
         self.motion = StandInMotion(self)
@@ -187,6 +196,12 @@ class StandIn:
 
     def set_gravity(self, vector: Sequence[float]) -> None:
         self.note(f"gravity {short(vector)}")
+
+    def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
+        self.note(f"watchdog {variable} {frequency:g} {action}")
+
+    def use_external_force(self, is_used: bool) -> None:
+        self.note(f"external force {is_used}")
 
     def text_message(self, text: str) -> None:
         self.note(f"textmsg {text}")

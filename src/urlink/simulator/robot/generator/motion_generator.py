@@ -88,6 +88,12 @@ class MotionGenerator:
         """No joint moves, and none is about to."""
         return (self._command is None or self._command.is_at_rest) and not any(self.setpoint.qd)
 
+    @property
+    def waypoint(self) -> list[float] | None:
+        """The pose of the TCP at the end of the present path move, m and rad; None without one."""
+        command = self._command
+        return command.end_pose if isinstance(command, PathMotion) and not command.is_at_rest else None
+
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:

@@ -159,11 +159,15 @@ class Path(Protocol):
     Attributes:
         length: of the path: rad of the joint that goes furthest, or m of the tool.
         speed, acceleration: the largest along the path at which no joint exceeds its limits.
+        end_pose: of the TCP at the end, m and rad.
     """
 
     length: float
     speed: float
     acceleration: float
+
+    @property
+    def end_pose(self) -> list[float]: ...
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         """The joints after the distance `way`; `last` is the path's set-point of the cycle before."""
@@ -188,7 +192,7 @@ class JointPath:
         self._shares = [part / self.length for part in way] if self.length > 0.0 else list(_REST)
         self.speed = _within(limits.speed, self._shares)
         self.acceleration = _within(limits.acceleration, self._shares)
-        self._corner: list[float] | None = None
+        self._end_pose: list[float] | None = None
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         """The joints after the distance `way`."""
@@ -204,9 +208,14 @@ class JointPath:
 
     def left(self, q: Sequence[float]) -> float:
         """How far the TCP is from its place at the end when the joints are at `q`, m."""
-        if self._corner is None:
-            self._corner = kinematics.pose(self._model, self._end, self._tcp).tolist()
-        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self._corner[:3])
+        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self.end_pose[:3])
+
+    @property
+    def end_pose(self) -> list[float]:
+        """The pose of the TCP at the end, m and rad."""
+        if self._end_pose is None:
+            self._end_pose = kinematics.pose(self._model, self._end, self._tcp).tolist()
+        return self._end_pose
 
 
 def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
@@ -281,6 +290,11 @@ class PathMotion:
         self._blend = blend
         self._last = Setpoint(self._last.q, _REST, _REST)
         self._way = (self._way[0], 0.0)
+
+    @property
+    def end_pose(self) -> list[float]:
+        """The pose of the TCP at the end, m and rad."""
+        return list(self._path.end_pose)
 
     @property
     def place(self) -> list[float]:

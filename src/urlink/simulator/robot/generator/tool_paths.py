@@ -66,6 +66,7 @@ class ToolPath:
     Attributes:
         length: m.
         speed, acceleration: those of the joints have no such limits: a joint that gets too fast is a violation.
+        end_pose: of the TCP at the end, m and rad.
     """
 
     speed = math.inf
@@ -74,7 +75,7 @@ class ToolPath:
     def __init__(self, model: Model, tcp: Sequence[float], length: float, end: list[float], near: list[float]) -> None:
         self._model, self._tcp = model, tcp
         self.length = length
-        self._end_pose = end
+        self.end_pose = end
         self._end_joints: list[float] | None = None
         joints_at(model, end, tcp, near)
 
@@ -103,14 +104,14 @@ class ToolPath:
         """
         if self._end_joints is None:
             try:
-                self._end_joints = joints_at(self._model, self._end_pose, self._tcp, near)
+                self._end_joints = joints_at(self._model, self.end_pose, self._tcp, near)
             except Unreachable as error:
                 raise LimitViolation(str(error)) from None
         return self._end_joints
 
     def left(self, q: Sequence[float]) -> float:
         """How far the TCP is from its place at the end when the joints are at `q`, m."""
-        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self._end_pose[:3])
+        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self.end_pose[:3])
 
 
 class LinearPath(ToolPath):

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from urlink.firmware import Firmware
 
-from . import inputs_outputs, lists_and_strings, mathematics, motions, poses, program, queries, sockets, unmodelled
+from . import (
+    force,
+    inputs_outputs,
+    lists_and_strings,
+    mathematics,
+    motions,
+    poses,
+    program,
+    queries,
+    registers,
+    sockets,
+    unmodelled,
+)
 from .declaration import Builtin, Family
 
 __all__ = ["FAMILIES", "find"]
@@ -16,8 +28,10 @@ FAMILIES: tuple[Family, ...] = (
     poses.FAMILY,
     program.FAMILY,
     inputs_outputs.FAMILY,
+    registers.FAMILY,
     sockets.FAMILY,
     queries.FAMILY,
+    force.FAMILY,
     unmodelled.FAMILY,
 )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ...robot.signals import ToolCommunication
 from ..errors import Fault
 from ..machine import ScriptThread
 from .declaration import Family, boolean, integer, number
@@ -176,6 +177,57 @@ def set_tool_voltage(thread: ScriptThread, voltage: Any) -> None:
     if volts not in (0, 12, 24):
         raise Fault(f"set_tool_voltage: voltage is 0, 12 or 24, not {volts}")
     thread.world.signals.tool_output_voltage = volts
+
+
+@FAMILY.declare(since="5.2")
+def set_tool_output_mode(thread: ScriptThread, mode: Any) -> None:
+    """0: digital outputs; 1: both pins are power."""
+    thread.world.signals.tool_output_mode = integer(mode, "set_tool_output_mode: mode", 0, 1)
+
+
+@FAMILY.declare(since="5.2")
+def set_tool_digital_output_mode(thread: ScriptThread, n: Any, mode: Any) -> None:
+    """1 sinking, 2 sourcing, 3 push-pull."""
+    at = integer(n, "set_tool_digital_output_mode: n", 0, 1)
+    modes = thread.world.signals.tool_digital_output_modes
+    modes[at] = integer(mode, "set_tool_digital_output_mode: mode", 1, 3)
+
+
+@FAMILY.declare(since="5.0")
+def set_tool_communication(
+    thread: ScriptThread,
+    enabled: Any,
+    baud_rate: Any,
+    parity: Any,
+    stop_bits: Any,
+    rx_idle_chars: Any,
+    tx_idle_chars: Any,
+) -> None:
+    """The serial line through the tool connector; it is shown, and nothing is connected to it."""
+    what = "set_tool_communication"
+    thread.world.signals.tool_communication = ToolCommunication(
+        boolean(enabled, f"{what}: enabled"),
+        integer(baud_rate, f"{what}: baud_rate", 1),
+        integer(parity, f"{what}: parity", 0, 2),
+        integer(stop_bits, f"{what}: stop_bits", 1, 2),
+        number(rx_idle_chars, f"{what}: rx_idle_chars"),
+        number(tx_idle_chars, f"{what}: tx_idle_chars"),
+    )
+
+
+# What inputs do to the program, and how quickly the arm changes between the limits of two safety modes. Checked, and
+# without effect: no input has an action here, and there is one set of limits.
+
+
+@FAMILY.declare(since="3.0")
+def set_input_actions_to_default(thread: ScriptThread) -> None:
+    return None
+
+
+@FAMILY.declare(since="3.0")
+def set_safety_mode_transition_hardness(thread: ScriptThread, type: Any) -> None:
+    """0: hard, with the largest acceleration; 1: soft."""
+    integer(type, "set_safety_mode_transition_hardness: type", 0, 1)
 
 
 @FAMILY.declare()

@@ -9,7 +9,7 @@ from ...robot import kinematics
 from ..errors import Fault
 from ..machine import ScriptThread
 from ..values import Pose
-from .declaration import Family, integer, number, pose, vector
+from .declaration import Family, integer, joints, number, pose, vector
 
 __all__ = ["FAMILY"]
 
@@ -46,6 +46,11 @@ def get_target_joint_speeds(thread: ScriptThread) -> _List:
     return _floats(thread.world.qd_target)
 
 
+@FAMILY.declare(since="5.23")
+def get_target_joint_accelerations(thread: ScriptThread) -> _List:
+    return _floats(thread.world.qdd_target)
+
+
 @FAMILY.declare(since="3.0")
 def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> _List:
     """Of `steps` cycles ago; no further back than the program's start, and 500 cycles (a guess)."""
@@ -71,6 +76,31 @@ def get_target_tcp_pose(thread: ScriptThread) -> Pose:
 @FAMILY.declare()
 def get_actual_tcp_speed(thread: ScriptThread) -> _List:
     return _floats(thread.world.speed_actual)
+
+
+@FAMILY.declare(since="3.0")
+def get_target_tcp_speed(thread: ScriptThread) -> _List:
+    return _floats(thread.world.speed_target)
+
+
+@FAMILY.declare(since="3.0")
+def get_target_waypoint(thread: ScriptThread) -> Pose:
+    """Where the present path move ends; without one, the target pose of the TCP (a guess)."""
+    waypoint = thread.world.motion.waypoint
+    return Pose(_floats(thread.world.pose_target if waypoint is None else waypoint))
+
+
+@FAMILY.declare(since="5.23")
+def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> tuple[_List, ...]:
+    """Six rows: joint speeds to the velocity of the TCP in the base frame; of the actual joint positions by default.
+
+    That its arguments are those of `get_forward_kin` is a guess.
+    """
+    thread.machine.spend(_LOOK)
+    world = thread.world
+    at = list(world.q_actual) if q is None else joints(q, "get_jacobian: q")
+    tool = list(world.tcp) if isinstance(tcp, str) else _pose(tcp, "get_jacobian: tcp")
+    return tuple(map(_floats, kinematics.jacobian(world.model, at, tool).tolist()))
 
 
 @FAMILY.declare()
@@ -136,6 +166,11 @@ def get_target_payload(thread: ScriptThread) -> float:
 @FAMILY.declare("get_payload_cog")
 def get_target_payload_cog(thread: ScriptThread) -> _List:
     return _floats(thread.world.payload_cog)
+
+
+@FAMILY.declare(since="3.15/5.10")
+def get_target_payload_inertia(thread: ScriptThread) -> _List:
+    return _floats(thread.world.payload_inertia)
 
 
 @FAMILY.declare()

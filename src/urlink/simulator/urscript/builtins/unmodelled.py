@@ -19,40 +19,37 @@ FAMILY = Family()
 
 _FORCE = [
     "direct_torque",
-    "enable_external_ft_sensor",
     "end_force_mode",
     "end_freedrive_mode",
     "end_teach_mode",
     "force_mode",
-    "force_mode_set_damping",
-    "force_mode_set_gain_scaling",
     "freedrive_mode",
-    "ft_rtde_input_enable",
     "get_freedrive_status",
     "set_friction_compensation",
     "set_friction_scales",
     "teach_mode",
-    "tool_contact",
-    "zero_ftsensor",
 ]
 _PATHS = ["optimovej", "optimovel"]
-_STATE = [
-    "get_coriolis_and_centrifugal_torques",
-    "get_jacobian",
-    "get_jacobian_time_derivative",
-    "get_mass_matrix",
-    "get_target_joint_accelerations",
-    "get_target_payload_inertia",
-    "get_target_tcp_speed",
-    "get_target_waypoint",
+_DYNAMICS = ["get_coriolis_and_centrifugal_torques", "get_jacobian_time_derivative", "get_mass_matrix"]
+_NETWORK = [
+    "eip_reader_factory",
+    "eip_writer_factory",
+    "modbus_add_signal",
+    "modbus_delete_signal",
+    "modbus_get_error",
+    "modbus_get_signal_status",
+    "modbus_get_time_since_signal_invalid",
+    "modbus_set_output_signal",
+    "modbus_set_runstate_dependent_choice",
+    "modbus_set_signal_update_frequency",
+    "modbus_set_signal_watchdog",
+    "rpc_factory",
 ]
-_REGISTERS = [
-    "rtde_set_watchdog",
-    *(
-        f"{verb}_{kind}_register"
-        for verb in ("read_input", "read_output", "write_output")
-        for kind in ("boolean", "integer", "float")
-    ),
+_CONVEYOR = [
+    "encoder_enable_pulse_decode",
+    "get_conveyor_tick_count",
+    "stop_conveyor_tracking",
+    "track_conveyor_linear",
 ]
 
 
@@ -66,8 +63,9 @@ def _unmodelled(name: str, what: str) -> Callable[..., Any]:
 for _names, _what in (
     (_FORCE, "force control is"),
     (_PATHS, "optimised paths are"),
-    (_REGISTERS, "RTDE registers are"),
-    (_STATE, "this is"),
+    (_DYNAMICS, "this is"),
+    (_NETWORK, "XML-RPC, Modbus and EtherNet/IP are"),
+    (_CONVEYOR, "conveyors are"),
 ):
     for _name in _names:
         FAMILY.declare(name=_name, since="1.0" if _name in ("force_mode", "end_force_mode") else "3.0")(
