@@ -166,7 +166,7 @@ class Drive:
         speed: m/s, for motions that do not say.
         acceleration: m/s2.
         conf: what the robot is, see `Mission`.
-        profile: "sound", or "mrc" for motions that end as MRC's do.
+        compat: "sound", or "mrc" for motions that end as MRC's do.
 
     Raises:
         BadValue: an argument that cannot be.
@@ -180,11 +180,11 @@ class Drive:
         speed: float = 0.3,
         acceleration: float = 0.3,
         conf: RobotConf | str | os.PathLike[str] | None = None,
-        profile: Profile | str = "sound",
+        compat: Profile | str = "sound",
     ) -> None:
         self._speed = _number("speed", speed)
         self._acceleration = _positive("acceleration", acceleration)
-        chosen = find_profile(profile)
+        chosen = find_profile(compat)
         link, owns = open_link(robot)
         try:
             controller = Controller(suitable_conf(conf, link), link.read, link.write, profile=chosen, warm_up=0)

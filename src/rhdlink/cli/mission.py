@@ -68,6 +68,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--svg", metavar="FILE", help="draw the turtle's way into FILE at the end: .svg or .png")
     add_world(parser)
     parser.add_argument("--realtime", action="store_true", help="let the turtle take its time; otherwise it hurries")
+    parser.add_argument("--lockstep", action="store_true", help="the robot waits for each request: $time counts ticks")
     parser.add_argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)")
     parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="seconds of a silent robot (5)")
     what = parser.add_mutually_exclusive_group()
@@ -107,7 +108,7 @@ def _check(args: argparse.Namespace) -> int:
 def _execute(args: argparse.Namespace) -> int:
     link, driven = _link(args, is_realtime=args.realtime)
     try:
-        mission = Mission(Path(args.file), link, profile=args.profile, conf=args.conf, log_folder=args.log_folder)
+        mission = Mission(Path(args.file), link, compat=args.profile, conf=args.conf, log_folder=args.log_folder)
         _listen(mission, args)
         with Interruption() as interruption:
             run = mission.start()
@@ -186,7 +187,7 @@ def _serve(args: argparse.Namespace) -> int:
         link,
         port=args.port,
         address=args.listen,
-        profile=args.profile,
+        compat=args.profile,
         conf=args.conf,
         log_folder=args.log_folder,
         waits=False,
@@ -222,7 +223,8 @@ def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, Wo
     if args.turtle is None:
         if not (args.svg is None and args.floor is None and args.start is None):
             args.usage_error("--svg, --floor and --start are for a --turtle")
-        return ClientLink(connect(args.robot or "localhost", access="w", timeout=args.timeout), owns=True), None
+        robot = connect(args.robot or "localhost", access="w", timeout=args.timeout)
+        return ClientLink(robot, is_lockstep=args.lockstep, owns=True), None
     turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:
         save(turtle.world, args.svg)  # says at once whether it can be written

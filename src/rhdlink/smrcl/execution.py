@@ -93,7 +93,8 @@ class Execution:
         link: to the robot.
         controller: with what is to be executed.
         callbacks: a user's program.
-        save_log: is given the name and the text of each log that the script saves.
+        save_log: is given the name and the text of each log that the script saves, and as "log" what is left in it at
+            the end.
         before_step: is called when the robot has answered, before anything is computed.
 
     Attributes:
@@ -143,6 +144,7 @@ class Execution:
                 self._save(said.text)
             else:
                 self._callbacks.tell(said)
+        self._save_rest()
         return True
 
     def _time(self) -> float:
@@ -171,6 +173,11 @@ class Execution:
             _log.warning("the log %r is not saved: the mission has no folder for it", name)
         else:
             self._save_log(name, rows)
+
+    def _save_rest(self) -> None:
+        log = self.controller.effects.log
+        if self.controller.is_finished and self._save_log is not None and len(log):
+            self._save_log("log", log.text)
 
     def stand(self) -> None:
         """Have the robot stand, if it still can be told. Never raises."""

@@ -100,12 +100,13 @@ class Mission:
         source: a script: a path, or the text itself if it has more than one line or does not end in ".smr".
         robot: a robot that is connected with write access; an address; a plugin such as `Turtle()`, which is run in
             this process, as fast as it goes; None to check the script only.
-        profile: "sound", or "mrc" for what the original does, see `Profile`.
+        compat: "sound", or "mrc" for what the original does, see `Profile`.
         conf: what the robot is: a `RobotConf`, or the path of a `robot.conf`, or of the folder it is in; by default
             what a robot with such variables usually is.
         variables: variables of the script that exist before it begins.
         limits: bounds.
-        log_folder: where the logs go that the script saves; by default nowhere.
+        log_folder: where the logs go that the script saves, and as ``log`` what is left in it at the end; by default
+            nowhere.
 
     Raises:
         BadValue: an argument that cannot be, or a script that cannot be read.
@@ -116,7 +117,7 @@ class Mission:
         source: str | os.PathLike[str],
         robot: Robot | None = None,
         *,
-        profile: Profile | str = "sound",
+        compat: Profile | str = "sound",
         conf: RobotConf | str | os.PathLike[str] | None = None,
         variables: Mapping[str, float] | None = None,
         limits: Limits | None = None,
@@ -125,7 +126,7 @@ class Mission:
         is_path = not isinstance(source, str) or ("\n" not in source and source.endswith(".smr"))
         self.name = Path(source).name if is_path else "script"
         self.source = read_script(source) if is_path else str(source)
-        self.profile = find_profile(profile)
+        self.profile = find_profile(compat)
         self._robot = robot
         self._conf = conf
         self._variables = dict(variables or {})

@@ -211,6 +211,6 @@ def find_profile(profile: Profile | str) -> Profile:
     """
     if isinstance(profile, Profile):
         return profile
-    if profile not in PROFILES:
-        raise BadValue(f"profile {profile!r} is neither 'sound' nor 'mrc'")
+    if not isinstance(profile, str) or profile not in PROFILES:
+        raise BadValue(f"compat={profile!r}; expected 'sound', 'mrc' or a Profile")
     return PROFILES[profile]

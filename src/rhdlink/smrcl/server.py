@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 PORT = 31001
 
 #: Seconds that a client gets to take the last answers, and that other threads wait for the one that drives.
-_FINISH, _CLOSE_TIMEOUT = 1.0, 5.0
+_FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
 class MissionServer:
@@ -55,7 +55,7 @@ class MissionServer:
         robot: see `Mission`; a plugin such as `Turtle()` is run in this process, at its own pace.
         port: TCP port, 0 for a free one.
         address: to listen on.
-        profile: "sound", or "mrc", under which a client's `exit` ends the server as it ends MRC.
+        compat: "sound", or "mrc", under which a client's `exit` ends the server as it ends MRC.
         conf: what the robot is, see `Mission`.
         clients: how many may be connected.
         waits: whether to connect to the robot only when the first client has come, as MRC does; by default under its
@@ -72,7 +72,7 @@ class MissionServer:
         *,
         port: int = PORT,
         address: str = "127.0.0.1",
-        profile: Profile | str = "sound",
+        compat: Profile | str = "sound",
         conf: RobotConf | str | os.PathLike[str] | None = None,
         clients: int = 8,
         waits: bool | None = None,
@@ -83,7 +83,7 @@ class MissionServer:
         self.failure: Exception | None = None
         self._robot = robot
         self._place = address, port
-        self._profile = find_profile(profile)
+        self._profile = find_profile(compat)
         self._conf = conf
         self._clients = clients
         self._waits = not self._profile.client_loss_stops if waits is None else waits

@@ -220,7 +220,7 @@ def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) 
 
 
 def test_a_drive_that_cannot_be_is_refused() -> None:
-    for arguments in ({"speed": math.nan}, {"acceleration": 0.0}, {"profile": "loud"}):
+    for arguments in ({"speed": math.nan}, {"acceleration": 0.0}, {"compat": "loud"}):
         with pytest.raises(BadValue):
             Drive(Turtle(), **arguments)
     with pytest.raises(LinkError):

@@ -120,8 +120,8 @@ def test_a_mission_needs_a_robot_that_it_can_drive(tmp_path: Path) -> None:
     assert Mission("fwd 0.1\n", SmrTurtle(World(1000.0)), conf=conf).run().phase is Phase.DONE
     with pytest.raises(BadConfiguration, match="none"):
         Mission("fwd 1\n", turtle(), conf=tmp_path / "none").run()
-    with pytest.raises(BadValue, match="neither 'sound' nor 'mrc'"):
-        Mission("fwd 1\n", profile="loud")
+    with pytest.raises(BadValue, match="expected 'sound', 'mrc'"):
+        Mission("fwd 1\n", compat="loud")
 
 
 def test_a_script_is_checked_without_a_robot_and_with_one() -> None:
@@ -137,7 +137,7 @@ def test_a_script_is_checked_without_a_robot_and_with_one() -> None:
 def test_the_profile_of_mrc_begins_with_a_mistake_and_fails_where_it_stands() -> None:
     robot = turtle()
     with pytest.raises(MissionFailed) as caught:
-        Mission("fwd 0.3\nfwd (\n", robot, profile="mrc").run()
+        Mission("fwd 0.3\nfwd (\n", robot, compat="mrc").run()
     assert caught.value.line == 2
     assert robot.world.odometry.x == pytest.approx(0.3, abs=0.02)
 

@@ -43,7 +43,7 @@ def test_profiles_have_names() -> None:
     assert find_profile("mrc") is MRC
     mixed = dataclasses.replace(SOUND, full_turns=False)
     assert find_profile(mixed) is mixed
-    with pytest.raises(ValueError, match="neither 'sound' nor 'mrc'"):
+    with pytest.raises(ValueError, match="expected 'sound', 'mrc'"):
         find_profile("MRC")
 
 

@@ -1,0 +1,203 @@
+"""The port of a mission server, as programs written for MRC use it; what they say is in test_dialogue."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from linkcore.errors import BadAddress, BadValue, Closed, ConnectFailed, ConnectionLost
+from rhdlink import Host, MissionServer
+from rhdlink.plugins.turtle import Turtle
+from rhdlink.smrcl.dialogue import MOST_BACKLOG
+from rhdlink.smrcl.robot_link import PluginLink
+from rhdlink.world import World
+from tests.waiting import until
+
+SECONDS = 20.0
+
+
+class Client:
+    """Sends lines, and reads lines."""
+
+    def __init__(self, server: MissionServer) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=SECONDS)
+        self._lines = self.socket.makefile("r", encoding="latin-1", newline="\n")
+
+    def send(self, *lines: str) -> None:
+        self.socket.sendall("".join(f"{line}\n" for line in lines).encode("latin-1"))
+
+    def line(self) -> str:
+        """The next line; "" at the end of the connection."""
+        try:
+            return self._lines.readline().rstrip("\n")
+        except ConnectionResetError:
+            return ""
+
+    def ask(self, line: str) -> str:
+        self.send(line)
+        return self.line()
+
+    def close(self) -> None:
+        self._lines.close()
+        self.socket.close()
+
+    def reset(self) -> None:
+        """Go away without a word."""
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        self.close()
+
+
+@pytest.fixture
+def turtle() -> Turtle:
+    return Turtle(World(1000.0))
+
+
+@pytest.fixture
+def server(turtle: Turtle) -> Iterator[MissionServer]:
+    with MissionServer(turtle, port=0) as server:
+        yield server
+
+
+@pytest.fixture
+def client(server: MissionServer) -> Iterator[Client]:
+    with contextlib.closing(Client(server)) as client:
+        yield client
+
+
+def stands(turtle: Turtle) -> bool:
+    return turtle.cmdtransvel == turtle.cmdrotvel == 0
+
+
+def test_a_client_drives_the_robot(client: Client, turtle: Turtle, server: MissionServer) -> None:
+    assert client.ask("fwd 0.1") == "ID1 queued"
+    assert client.ask("getevent 5") == "ID1 started"
+    assert float(client.ask("eval $odox")) < 0.1
+    assert client.ask("getevent 5") == "ID1 stopcond 0.000000"
+    assert turtle.world.odometry.x == pytest.approx(0.1, abs=0.01)
+    assert client.ask("fwd (") == "ID2 queued"
+    assert client.ask("getevent 5") == "ID2 syntaxerror"
+    assert server.failures[-1].text == "fwd ("
+
+
+def test_several_clients_share_the_robot(client: Client, server: MissionServer) -> None:
+    with contextlib.closing(Client(server)) as other:
+        assert client.ask("shared = 7") == "ID1 queued"
+        until(lambda: other.ask("eval shared") == "7.000000 ")
+        assert other.ask('set "xmlon" 1') == "ID1 queued"
+        while "finished" not in other.line():
+            pass
+        assert other.ask("eval 1") == '<eval ="1.000000" />'
+        assert client.ask("eval 1") == "1.000000 "
+        assert other.ask("logoff") == "ok"
+        assert other.line() == ""
+    assert client.ask("eval shared") == "7.000000 "
+
+
+def test_a_client_that_vanishes_leaves_a_robot_that_stands(
+    client: Client, turtle: Turtle, server: MissionServer
+) -> None:
+    """It was driving, and nobody else knows what for."""
+    assert client.ask("eval 1") == "1.000000 "
+    other = Client(server)
+    assert other.ask("drive") == "ID1 queued"
+    until(lambda: turtle.cmdtransvel > 1000)
+    other.reset()
+    until(lambda: stands(turtle))
+    assert client.ask("eval 1") == "1.000000 "
+
+
+def test_there_are_only_so_many_clients(turtle: Turtle) -> None:
+    with MissionServer(turtle, port=0, clients=1) as server:
+        first = Client(server)
+        assert first.ask("eval 1") == "1.000000 "
+        second = Client(server)
+        assert second.line() == ""
+        assert first.ask("eval 2") == "2.000000 "
+        first.close()
+        second.close()
+
+
+def test_a_client_that_sends_faster_than_it_is_read_does_not_hold_up_the_robot(client: Client, turtle: Turtle) -> None:
+    count = MOST_BACKLOG + 500
+    client.send("fwd 0.05", *["eval 1"] * count)
+    assert client.line() == "ID1 queued"
+    assert [client.line() for _ in range(count)] == ["1.000000 "] * count
+    until(lambda: turtle.world.odometry.x > 0.04)
+
+
+def test_a_line_that_is_too_long_ends_its_client_only(client: Client, server: MissionServer) -> None:
+    with contextlib.closing(Client(server)) as other:
+        assert other.ask("x" * 300).startswith("error a line has at most")
+        assert other.line() == ""
+    assert client.ask("eval 1") == "1.000000 "
+
+
+def test_exit_ends_the_client_or_under_mrc_s_profile_the_server(client: Client, turtle: Turtle) -> None:
+    assert client.ask("exit") == "ok"
+    assert client.line() == ""
+    with MissionServer(turtle, port=0, compat="mrc") as server, contextlib.closing(Client(server)) as other:
+        # As MRC it connects to the robot when somebody has come.
+        assert other.ask("exit") == "ok"
+        assert other.line() == ""
+        assert server.wait(SECONDS)
+
+
+def test_what_clients_said_before_the_robot_was_there_is_kept() -> None:
+    with MissionServer("localhost:1", port=0, waits=True) as server, contextlib.closing(Client(server)) as client:
+        client.send("fwd 1")
+        assert client.line() == ""
+        with pytest.raises(ConnectFailed):
+            server.wait(SECONDS)
+
+
+def test_a_robot_that_goes_away_ends_the_server(turtle: Turtle) -> None:
+    with Host([turtle], port=0) as host, MissionServer(host.address, port=0) as server:
+        client = Client(server)
+        assert client.ask("eval 1") == "1.000000 "
+        host.close()
+        with pytest.raises(ConnectionLost):
+            server.wait(SECONDS)
+        assert isinstance(server.failure, ConnectionLost)
+        assert client.line() == ""
+        client.close()
+
+
+def test_a_server_that_ends_leaves_a_robot_that_stands(turtle: Turtle) -> None:
+    with MissionServer(turtle, port=0) as server:
+        client = Client(server)
+        assert client.ask("drive") == "ID1 queued"
+        until(lambda: turtle.cmdtransvel > 1000)
+    assert stands(turtle)
+    assert client.line() == ""
+    client.close()
+    assert "ended" in repr(server)
+    with pytest.raises(Closed, match="runs once"):
+        server.start()
+
+
+def test_a_server_that_cannot_begin_says_why(turtle: Turtle, server: MissionServer) -> None:
+    with pytest.raises(BadAddress, match=str(server.port)):
+        MissionServer(turtle, port=server.port).run()
+    with pytest.raises(BadValue, match="at least 1"):
+        MissionServer(turtle, clients=0)
+    with pytest.raises(BadValue, match="expected 'sound', 'mrc'"):
+        MissionServer(turtle, compat="loud")
+    with pytest.raises(Closed, match="does not run"):
+        _ = MissionServer(turtle).port
+    with pytest.raises(ConnectFailed):
+        MissionServer("localhost:1", port=0).start()
+
+
+def test_a_user_s_program_hears_and_helps() -> None:
+    said: list[str] = []
+    link = PluginLink([Turtle(World(1000.0))], is_realtime=True)
+    server = MissionServer(link, port=0).on("vision", lambda text: {"vis0": float(len(text))})
+    server.on_said(lambda what: said.append(what.text)).provide("$l0", lambda: 4.5)
+    with server, contextlib.closing(Client(server)) as client:
+        assert client.ask('vision "look"') == "ID1 queued"
+        until(lambda: client.ask("eval $vis0 ; $l0") == "4.000000 4.500000 ")
+    link.close()
+    assert 'vision "look"' in said
