@@ -85,7 +85,7 @@ class Layouts(Generic[L]):
             return next(layout for layout in reversed(self.all) if layout.has_block == has_block)
         version = parse_version(version)
         steps = [step for step, block in self._by_version if block == has_block and step <= version]
-        if not steps or not self._sent(version, has_block):
+        if not steps or (self._fields and not self._sent(version, has_block)):
             raise PacketError("not sent by this firmware", packet=self._name, version=version_text(version))
         return self._by_version[max(steps), has_block]
 

@@ -49,7 +49,7 @@ class Since:
 
     def __init__(self, text: str) -> None:
         self.text = text
-        self.firsts = tuple(sorted(parse_version(part)[:2] for part in text.split("/")))
+        self.firsts = tuple(sorted(parse_version(part) for part in text.split("/")))
 
     def __contains__(self, version: Version) -> bool:
         entry = [first for first in self.firsts if first[0] <= version[0]]

@@ -26,8 +26,12 @@ __all__ = [
     "RequestedType",
     "RobotMode",
     "RobotModeCB2",
+    "RobotStatusBits",
     "RobotType",
     "SafetyMode",
+    "SafetyStatusBits",
+    "TimeScaleSource",
+    "ToolDigitalOutputMode",
     "ToolMode",
     "ToolOutputMode",
 ]
@@ -214,6 +218,37 @@ class ToolOutputMode(OpenInt):
     DUAL_PIN_POWER = 1
 
 
+class ToolDigitalOutputMode(OpenInt):
+    """Circuit of one digital output of the tool."""
+
+    SINGLE = 0
+    SINKING_NPN = 1
+    SOURCING_PNP = 2
+    PUSH_PULL = 3
+
+
+class TimeScaleSource(OpenInt):
+    """What slows the arm down, as RTDE says it."""
+
+    OTHER = -1
+    PROGRAM_NOT_RUNNING = 0
+    NOT_SCALED = 1
+    JOINT_TORQUE_LIMIT = 2
+    JOINT_ACCELERATION_LIMIT = 3
+    POWER_LIMIT = 4
+    MOMENTUM_LIMIT = 5
+    STOPPING_TIME_LIMIT = 6
+    STOPPING_DISTANCE_LIMIT = 7
+    TOOL_SPEED_LIMIT = 8
+    ELBOW_SPEED_LIMIT = 9
+    JOINT_SPEED_LIMIT = 10
+    SMOOTH_TRANSITION = 11
+    SAFETY_API_STOPPING_DISTANCE = 12
+    USER_WRENCH_LIMIT = 13
+    EXTERNAL_AXIS_SPEED = 14
+    EXTERNAL_AXIS_STOPPING = 15
+
+
 class MessageType(OpenInt):
     """Sub-type byte of a robot message."""
 
@@ -318,3 +353,28 @@ class DigitalBits(IntFlag):
     CONFIGURABLE_7 = 1 << 15
     TOOL_0 = 1 << 16
     TOOL_1 = 1 << 17
+
+
+class RobotStatusBits(IntFlag):
+    """Bits of RTDE's `robot_status_bits`; unknown bits are kept."""
+
+    POWER_ON = 1 << 0
+    PROGRAM_RUNNING = 1 << 1
+    TEACH_BUTTON_PRESSED = 1 << 2
+    POWER_BUTTON_PRESSED = 1 << 3
+
+
+class SafetyStatusBits(IntFlag):
+    """Bits of RTDE's `safety_status_bits`; unknown bits are kept."""
+
+    NORMAL_MODE = 1 << 0
+    REDUCED_MODE = 1 << 1
+    PROTECTIVE_STOPPED = 1 << 2
+    RECOVERY_MODE = 1 << 3
+    SAFEGUARD_STOPPED = 1 << 4
+    SYSTEM_EMERGENCY_STOPPED = 1 << 5
+    ROBOT_EMERGENCY_STOPPED = 1 << 6
+    EMERGENCY_STOPPED = 1 << 7
+    VIOLATION = 1 << 8
+    FAULT = 1 << 9
+    STOPPED_DUE_TO_SAFETY = 1 << 10

@@ -1,0 +1,262 @@
+"""The packages of RTDE (TCP 30004): one class for each, in its layouts under protocol 1 and protocol 2.
+
+A request and its reply have the same type byte, so what a package is depends on who sent it: `decode_request` reads
+what a client sends, `decode_reply` what a controller sends. The *version* of these layouts is that of the protocol,
+``"1.0"`` or ``"2.0"``. The values of a data package are laid out by a recipe (`urlink.interfaces.rtde.recipes`).
+
+Sources: docs/protocols/rtde.md, section Packages: the vendor's article, public drivers, recorded connections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+from linkcore.errors import PacketError
+from linkcore.stamp import Stamp
+from linkcore.wire.fields import Header
+from linkcore.wire.packet import State, packet, wire
+from linkcore.wire.shapes import Coded, Float64b, Int8ub, Int16ub, Int32ub, OpenInt, Raw, Text
+
+from .variables import IN_USE, NOT_FOUND
+
+__all__ = [
+    "HEADER",
+    "REPLIES",
+    "REQUESTS",
+    "ControllerVersionReply",
+    "ControllerVersionRequest",
+    "DataPackage",
+    "InputsReply",
+    "InputsRequest",
+    "MessageLevel",
+    "OutputsReply",
+    "OutputsRequest",
+    "PauseReply",
+    "PauseRequest",
+    "Protocol",
+    "ProtocolReply",
+    "ProtocolRequest",
+    "RtdeMessage",
+    "StartReply",
+    "StartRequest",
+    "decode_reply",
+    "decode_request",
+    "join_names",
+    "split_names",
+]
+
+#: The versions of the protocol. 1 holds until 2 has been asked for and accepted.
+Protocol = Literal[1, 2]
+
+#: What every package begins with. The size counts these three bytes too.
+HEADER = Header(size=Int16ub, type=Int8ub)
+
+_BOOL = Coded(Int8ub, bool)
+_NAMES_DOC = "names of the variables, with commas between them"
+_TYPES_DOC = f"a type for each name, or {NOT_FOUND} or {IN_USE}, with commas between them"
+
+
+class MessageLevel(OpenInt):
+    """How grave a text message is."""
+
+    EXCEPTION = 0
+    ERROR = 1
+    WARNING = 2
+    INFO = 3
+
+
+def join_names(names: Sequence[str]) -> str:
+    """A list of names, or of types, as it lies on the wire."""
+    return ",".join(names)
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """The names, or types, in such a list.
+
+    Real clients put blanks around names, and end the list with a comma: what follows it is no name.
+
+    >>> split_names("timestamp, actual_q,")
+    ('timestamp', 'actual_q')
+    """
+    names = tuple(name.strip() for name in text.split(","))
+    return names if names[-1] else names[:-1]
+
+
+# -- from a client -------------------------------------------------------------------------------
+
+
+@packet(header=HEADER, type=ord("V"))
+class ProtocolRequest(State):
+    """Asks for a version of the protocol."""
+
+    wanted: int = wire(Int16ub, "", "version of the protocol, 1 or 2")
+
+
+@packet(header=HEADER, type=ord("v"))
+class ControllerVersionRequest(State):
+    """Asks for the version of the controller's software."""
+
+
+@packet(header=HEADER, type=ord("O"))
+class OutputsRequest(State):
+    """Asks for variables. There is one such recipe; it replaces the one before."""
+
+    frequency: float | None = wire(Float64b, "Hz", "how often they are to be sent; protocol 1: 125 Hz", since="2.0")
+    names: str = wire(Text(), "", _NAMES_DOC, since="1.0")
+
+
+@packet(header=HEADER, type=ord("I"))
+class InputsRequest(State):
+    """Claims variables in order to write them. There may be 255 such recipes."""
+
+    names: str = wire(Text(), "", _NAMES_DOC)
+
+
+@packet(header=HEADER, type=ord("S"))
+class StartRequest(State):
+    """Asks for data packages."""
+
+
+@packet(header=HEADER, type=ord("P"))
+class PauseRequest(State):
+    """Asks for no more data packages."""
+
+
+# -- from a controller ---------------------------------------------------------------------------
+
+
+@packet(header=HEADER, type=ord("V"))
+class ProtocolReply(State):
+    """Whether the version of the protocol holds from now on."""
+
+    accepted: bool = wire(_BOOL, "", "whether the version holds from now on")
+
+
+@packet(header=HEADER, type=ord("v"))
+class ControllerVersionReply(State):
+    """The version of the controller's software."""
+
+    major: int = wire(Int32ub, "", "major version")
+    minor: int = wire(Int32ub, "", "minor version")
+    bugfix: int = wire(Int32ub, "", "bug fix")
+    build: int = wire(Int32ub, "", "build")
+
+
+@packet(header=HEADER, type=ord("O"))
+class OutputsReply(State):
+    """The types of what was asked for. Under protocol 1 a refusal is seen by the types alone."""
+
+    recipe: int | None = wire(Int8ub, "", "number of the recipe; 0: refused", since="2.0")
+    types: str = wire(Text(), "", _TYPES_DOC, since="1.0")
+
+
+@packet(header=HEADER, type=ord("I"))
+class InputsReply(State):
+    """The types of what was claimed."""
+
+    recipe: int = wire(Int8ub, "", "number of the recipe; 0: refused")
+    types: str = wire(Text(), "", _TYPES_DOC)
+
+
+@packet(header=HEADER, type=ord("S"))
+class StartReply(State):
+    """Whether data packages will come."""
+
+    accepted: bool = wire(_BOOL, "", "whether data packages will come")
+
+
+@packet(header=HEADER, type=ord("P"))
+class PauseReply(State):
+    """Whether data packages will come no more; the vendor says that it is always accepted."""
+
+    accepted: bool = wire(_BOOL, "", "whether data packages will come no more")
+
+
+# -- from both -----------------------------------------------------------------------------------
+
+
+@packet(header=HEADER, type=ord("M"), reorder=("2.0", ["level", "message", "source"]))
+class RtdeMessage(State):
+    """A text, which may come at any time; it is not answered. Clients always send it in the form of protocol 2."""
+
+    IS_EVENT = True
+
+    message: str = wire(Text(Int8ub), "", "the text, under protocol 2 of at most 255 bytes", before=("2.0", Text()))
+    source: str | None = wire(Text(Int8ub), "", "who says it", since="2.0")
+    level: MessageLevel = wire(Coded(Int8ub, MessageLevel), "", "how grave it is")
+
+
+@packet(header=HEADER, type=ord("U"))
+class DataPackage(State):
+    """The values of a recipe, not looked into. Those of a controller under protocol 1 do not say the recipe."""
+
+    recipe: int | None = wire(Int8ub, "", "number of the recipe", since="2.0")
+    payload: bytes = wire(Raw(), "", "the values", since="1.0")
+
+
+# -- by type byte --------------------------------------------------------------------------------
+
+#: Type byte -> what a client means by it.
+REQUESTS: Mapping[int, type[State]] = MappingProxyType(
+    {
+        ord("V"): ProtocolRequest,
+        ord("v"): ControllerVersionRequest,
+        ord("O"): OutputsRequest,
+        ord("I"): InputsRequest,
+        ord("S"): StartRequest,
+        ord("P"): PauseRequest,
+        ord("M"): RtdeMessage,
+        ord("U"): DataPackage,
+    }
+)
+
+#: Type byte -> what a controller means by it.
+REPLIES: Mapping[int, type[State]] = MappingProxyType(
+    {
+        ord("V"): ProtocolReply,
+        ord("v"): ControllerVersionReply,
+        ord("O"): OutputsReply,
+        ord("I"): InputsReply,
+        ord("S"): StartReply,
+        ord("P"): PauseReply,
+        ord("M"): RtdeMessage,
+        ord("U"): DataPackage,
+    }
+)
+
+# What a client sends of these has one form, whichever protocol holds.
+_ALWAYS_V2 = frozenset(b"MU")
+
+
+def decode_request(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:
+    """What a client sent in one whole package, while `protocol` holds.
+
+    Raises:
+        PacketError: of a type that nobody knows, or too short for it.
+    """
+    return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, stamp)
+
+
+def decode_reply(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:
+    """What a controller sent in one whole package, while `protocol` holds.
+
+    Raises:
+        PacketError: of a type that nobody knows, or too short for it.
+    """
+    return _decode(frame, REPLIES, protocol, stamp)
+
+
+def _decode(frame: bytes, kinds: Mapping[int, type[State]], protocol: Protocol, stamp: Stamp | None) -> State:
+    if len(frame) < HEADER.width:
+        raise PacketError("too short", packet="RTDE package", expected=HEADER.width, actual=len(frame))
+    kind = kinds.get(frame[2])
+    if kind is None:
+        raise PacketError(f"of the unknown type {frame[2]}", packet="RTDE package", offset=2)
+    try:
+        return kind.LAYOUTS.of((protocol, 0)).decode(frame, stamp)  # type: ignore[no-any-return]
+    except PacketError as error:  # without the version, which is that of the protocol and not of a firmware
+        raise PacketError(
+            error.reason, packet=error.packet, expected=error.expected, actual=error.actual, offset=error.offset
+        ) from None
