@@ -60,7 +60,6 @@ class ControlLoop:
             state.cycles_down -= 1
             if state.cycles_down == 0:
                 state.come_up(self._make_source())
-                self._runner.restart()
             return
         state.uptime += 1
         setpoint = self._runner.advance(state.period)

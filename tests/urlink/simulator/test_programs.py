@@ -418,6 +418,16 @@ def test_a_reboot_ends_everything() -> None:
     assert watched.story[-2:] == ["started turn", "stopped turn"]
 
 
+def test_a_new_program_takes_over_at_the_speed_of_the_arm(watched: Watched) -> None:
+    """Without braking in between, as drivers rely on that send one speedj after the other."""
+    spin = "def spin():\n  while True:\n    speedj([0.5, 0, 0, 0, 0, 0], 1, 0.1)\n  end\nend\n"
+    watched.take(spin).step(1.0)
+    watched.speeds.clear()
+    watched.take(spin).step(0.5)
+    assert watched.story == ["started spin", "stopped spin", "started spin"]
+    assert min(watched.speeds) == max(watched.speeds) == 0.5
+
+
 def test_closing_a_controller_ends_its_program() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         controller.take(SPIN)

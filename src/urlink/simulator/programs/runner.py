@@ -157,11 +157,6 @@ class ProgramRunner:
         self._secondary.clear()
         self._waiting.clear()
 
-    def restart(self) -> None:
-        """The controller is up again; the source that its state has now has begun already."""
-        self.main = None
-        self._begins_anew = False
-
     def _ended(self, program: RunningProgram) -> None:
         state = self._state
         state.is_paused = False
