@@ -45,14 +45,15 @@ if TYPE_CHECKING:
     from linkcore.streaming.stream import Stream as Stream
     from linkcore.streaming.subscription import Subscription as Subscription
     from linkcore.wire.packet import State as State
-    from .commanding.handle import Program as Program, ProgramPhase as ProgramPhase
+    from .commanding.handle import Handle as Handle, Motion as Motion, Phase as Phase, Program as Program
     from .commanding.io import IO as IO, Analog as Analog
-    from .commanding.programs import Scripts as Scripts
     from .commanding.safety import Safety as Safety
+    from .commanding.scripts import Scripts as Scripts
     from .decoding import decode as decode
     from .errors import (
+        Cancelled as Cancelled,
         CompileError as CompileError,
-        MotionCancelled as MotionCancelled,
+        NotConfirmed as NotConfirmed,
         NotEnabled as NotEnabled,
         NotRunning as NotRunning,
         ProgramStopped as ProgramStopped,
@@ -120,8 +121,6 @@ if TYPE_CHECKING:
     from .interfaces.realtime.packets import RealtimeState as RealtimeState
     from .models import UnknownModel as UnknownModel
     from .motion import (
-        Motion as Motion,
-        MotionPhase as MotionPhase,
         Motions as Motions,
         Servo as Servo,
         ServoStatistics as ServoStatistics,
@@ -147,14 +146,14 @@ else:
             "linkcore.streaming.stream": "Stream",
             "linkcore.streaming.subscription": "Subscription",
             "linkcore.wire.packet": "State",
-            ".commanding.handle": "Program ProgramPhase",
+            ".commanding.handle": "Handle Motion Phase Program",
             ".commanding.io": "IO Analog",
-            ".commanding.programs": "Scripts",
             ".commanding.safety": "Safety",
+            ".commanding.scripts": "Scripts",
             ".decoding": "decode",
             ".errors": """
-                CompileError MotionCancelled NotEnabled NotRunning ProgramStopped SafetyStop ScriptError
-                ScriptFailed ToleranceExceeded
+                Cancelled CompileError NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
+                ScriptError ScriptFailed ToleranceExceeded
             """,
             ".firmware": "Firmware",
             ".interfaces.dashboard.client": "Dashboard DashboardRefused",
@@ -175,7 +174,7 @@ else:
             """,
             ".interfaces.realtime.packets": "RealtimeState",
             ".models": "UnknownModel",
-            ".motion": "Motion MotionPhase Motions Servo ServoStatistics TrajectoryFeedback",
+            ".motion": "Motions Servo ServoStatistics TrajectoryFeedback",
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
         },

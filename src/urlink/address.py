@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,8 +51,8 @@ class RecordingAddress:
 Address = RobotAddress | SimulatorAddress | RecordingAddress
 
 
-def parse_address(text: str) -> Address:
-    """Read an address.
+def parse_address(text: str | os.PathLike[str]) -> Address:
+    """Read an address. A path is that of a recording, and so is a text that ends in ``.urlog`` and names no scheme.
 
     Raises:
         BadAddress: says what is wrong and what was expected.
@@ -61,7 +62,15 @@ def parse_address(text: str) -> Address:
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
+    if isinstance(text, os.PathLike):
+        return RecordingAddress(Path(text))
+    if not isinstance(text, str):
+        raise BadAddress(
+            f"{text!r} is no address; expected text such as '192.168.56.101' or 'sim://', or the path of a recording"
+        )
     original, text = text, text.strip()
+    if "://" not in text and text.lower().endswith(".urlog"):
+        return RecordingAddress(Path(text))
     if not text or any(character.isspace() or not character.isprintable() for character in text):
         hint = "; a space in the name of a file is written %20" if text.startswith("replay:") else ""
         raise BadAddress(f"{original!r} is no address; expected a host, ur://host, sim://model or replay:///file{hint}")

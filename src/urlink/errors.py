@@ -4,16 +4,17 @@ They hang below the two branches of `linkcore.errors`::
 
     LinkError
     ├── LocalError                  you called it wrongly; nothing was sent
-    │   └── MotionCancelled         waited for a motion that was cancelled, or superseded by another
+    │   └── Cancelled               waited for a motion or program that was cancelled, or preempted by another
     └── RemoteError                 the peer sent nonsense, or went away, or refused
         ├── SafetyStop              a stop holds, or came in between: `cause` says which
         │   └── NotEnabled          all is clear, but `safety.enable()` has to be called first
         ├── NotRunning              the robot does not run, or nobody knows whether it does; nothing was sent
+        ├── NotConfirmed            a setting was sent, and the robot's states do not show it
         ├── ToleranceExceeded       the arm left its path, or did not arrive where it should
         ├── ScriptError             the controller complains of a program: `line`, `column`, `text`
         │   ├── CompileError        it did not begin
         │   └── ScriptFailed        it failed while it ran
-        └── ProgramStopped          stopped from elsewhere: pendant, dashboard, another program, or on purpose
+        └── ProgramStopped          stopped from elsewhere: pendant, dashboard, somebody else's program
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from __future__ import annotations
 from linkcore.errors import LocalError, RemoteError
 
 __all__ = [
+    "Cancelled",
     "CompileError",
-    "MotionCancelled",
+    "NotConfirmed",
     "NotEnabled",
     "NotRunning",
     "ProgramStopped",
@@ -33,8 +35,8 @@ __all__ = [
 ]
 
 
-class MotionCancelled(LocalError):
-    """The motion was cancelled, or superseded by another."""
+class Cancelled(LocalError):
+    """The motion or program was cancelled, or preempted by another one of this robot object."""
 
 
 class SafetyStop(RemoteError):
@@ -58,6 +60,10 @@ class NotEnabled(SafetyStop):
 
 class NotRunning(RemoteError):
     """The robot mode is not RUNNING, or is not known; nothing was sent."""
+
+
+class NotConfirmed(RemoteError):
+    """A setting was sent, and the robot's states do not show it in time; it may still take effect."""
 
 
 class ToleranceExceeded(RemoteError):
@@ -92,4 +98,4 @@ class ScriptFailed(ScriptError):
 
 
 class ProgramStopped(RemoteError):
-    """The program was stopped before its end: at the pendant, by the dashboard, by another program, or on purpose."""
+    """The program was stopped before its end: at the pendant, by the dashboard, or by somebody else's program."""

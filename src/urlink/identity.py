@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from linkcore.errors import BadVersion, ConnectionLost, LinkTimeout, PacketError, WrongPeer
@@ -13,7 +14,7 @@ from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_state import ConfigurationData, RobotState
 from .models import model_of
 
-__all__ = ["Identity", "identify"]
+__all__ = ["Identity", "KnownIdentity", "identify"]
 
 #: How long to wait for the rest once a part is known: the first state follows within 0.1 s.
 _GRACE = 1.0
@@ -32,6 +33,38 @@ class Identity:
     firmware: Firmware
     said_so: bool
     model: str | None
+
+
+class KnownIdentity:
+    """Who the controller was when it was asked last; it is asked anew after each reconnect.
+
+    Args:
+        ask: asks it.
+
+    Attributes:
+        last: the last answer.
+    """
+
+    def __init__(self, ask: Callable[[], Identity]) -> None:
+        self._ask = ask
+        self._is_stale = False
+        self.last = ask()
+
+    def doubt(self) -> None:
+        """It was connected to anew, and may be another one."""
+        self._is_stale = True
+
+    @property
+    def identity(self) -> Identity:
+        """Who it is.
+
+        Raises:
+            RemoteError: it had to be asked, and did not answer.
+        """
+        if self._is_stale:
+            self.last = self._ask()
+            self._is_stale = False
+        return self.last
 
 
 def identify(host: str, port: int, timeout: float) -> Identity:

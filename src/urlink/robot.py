@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
-import weakref
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -15,59 +14,71 @@ from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 
 from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from .commanding.control import Control
-from .commanding.interlock import Policy
+from .commanding.interlock import STALE_AFTER, Policy
 from .commanding.io import IO
-from .commanding.programs import Scripts
 from .commanding.safety import Safety
+from .commanding.scripts import Scripts
+from .control import Control, Options
 from .firmware import Firmware
-from .identity import Identity
+from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
-from .models import MODELS
+from .motion import Motions
 from .source import Source, networked, recorded
-from .urscript import commands
+from .urscript.text import checked, integer
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from .interfaces.dashboard.client import Dashboard
-    from .motion import Motions
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
 
-#: Factor by which a mass may exceed the payload of the arm. Software updates have raised that of some arms by a quarter
-#: (UR10e from 10 to 12.5 kg, UR20 from 20 to 25 kg); `urlink.models` has the latest figures, this leaves room for the
-#: next.
-_PAYLOAD_MARGIN = 1.25
+#: Seconds; a timeout below that is a mistake.
+_SHORTEST = 1e-3
 
 
 def connect(
-    address: str,
+    address: str | os.PathLike[str],
     *,
     timeout: float = 5.0,
     read_only: bool = False,
     backoff: Backoff | None = None,
     silence: float = 2.0,
     require_enable: Policy = "never",
+    stale_after: float = STALE_AFTER,
+    start_timeout: float = 5.0,
+    start_flag: int | None = 31,
     reverse_host: str | None = None,
     reverse_port: int = 0,
+    reverse_peer: str | None = None,
 ) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
     Asks the controller who it is; the streams themselves connect when first used.
 
     Args:
-        address: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``, or
-            ``"replay:///path/run.urlog?rate=2"``.
+        address: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``,
+            ``"replay:///path/run.urlog?rate=2"``, or a recording by its path: ``"run.urlog"``, or any `pathlib.Path`.
         timeout: seconds for any connection to be made.
         read_only: use the ports that take no commands, 30011 to 30013.
         backoff: how streams reconnect.
         silence: seconds without a packet after which a stream counts as disconnected.
         require_enable: whether `robot.safety.enable()` has to be called before the arm can be moved: "never",
             "on_startup" (once) or "always" (at first and after every stop).
+        stale_after: seconds without a word of the robot after which motions end with `NotRunning`, and new ones are
+            refused.
+        start_timeout: seconds that a program that was uploaded has to begin. One that begins later finds nobody who
+            lets it go on, and ends without moving the arm.
+        start_flag: number of the controller's flag, 0 to 31, by which programs are let go on: nobody else may use it.
+            None lets each program begin as soon as the controller reads it, however late that is: a motion whose handle
+            has failed long ago can still be carried out then.
         reverse_host: address at which the robot finds this computer, for set-points that are streamed; None to find
             it out by the route to the robot.
         reverse_port: port that it finds there; 0 for a free one.
+        reverse_peer: address that the robot's connections come from; None for the one that it was connected by. A
+            simulator in a container may come from another.
 
     Raises:
         BadAddress: nobody can read the address.
@@ -77,13 +88,23 @@ def connect(
         UnknownModel: no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
-    if not timeout > 0 or not silence > 0:
-        raise BadValue(f"timeout={timeout}, silence={silence}; expected positive numbers of seconds")
+    timeout = checked(timeout, "timeout", _SHORTEST)
+    silence = checked(silence, "silence", _SHORTEST)
+    options = Options(
+        require_enable,
+        checked(stale_after, "stale_after", _SHORTEST),
+        checked(start_timeout, "start_timeout", _SHORTEST),
+        None if start_flag is None else int(integer(start_flag, 0, 31, "start_flag")),
+        _host(reverse_host, "reverse_host"),
+        int(integer(reverse_port, 0, 65535, "reverse_port")),
+        _host(reverse_peer, "reverse_peer"),
+    )
     if require_enable not in get_args(Policy):
         raise BadValue(f"require_enable={require_enable!r}; expected one of {', '.join(get_args(Policy))}")
-    if not 0 <= reverse_port < 65536:
-        raise BadValue(f"reverse_port={reverse_port}; expected 0 to 65535")
+    if backoff is not None and not isinstance(backoff, Backoff):
+        raise BadValue(f"backoff is {backoff!r}; expected an urlink.Backoff")
     place = parse_address(address)
+    address = os.fspath(address)
     if isinstance(place, RecordingAddress):
         return Robot(address, recorded(place), refusal=f"{address} is a recording, so it cannot be commanded")
     controller = None
@@ -99,16 +120,15 @@ def connect(
             refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
             return Robot(address, source, controller, refusal=refusal)
         robot = Robot(address, source, controller)
-        robot.control = Control(
+        robot._control = Control(
+            address,
             place.host,
             place.ports.get("dashboard"),
-            lambda: robot.primary,
-            lambda: robot.realtime,
-            lambda: robot.identity,
-            policy=require_enable,
-            reverse_host=reverse_host,
-            reverse_port=reverse_port,
-            timeout=timeout,
+            robot.primary,
+            robot.realtime,
+            robot._who,
+            options,
+            timeout,
         )
         return robot
     except BaseException:
@@ -122,22 +142,20 @@ class Robot:
 
     Attributes:
         address: what it was connected by.
-        controller: the simulator behind ``sim://``, or None.
-        control: what it is commanded by, or None where it cannot be.
     """
 
     def __init__(
         self, address: str, source: Source, controller: Controller | None = None, *, refusal: str = ""
     ) -> None:
         self.address = address
-        self.controller = controller
-        self.control: Control | None = None
+        self._controller = controller
+        self._control: Control | None = None
         self._refusal = refusal
         self._source = source
-        self._identity = source.ask()
-        self._is_stale = False
+        self._who = KnownIdentity(source.ask)
+        #: changed in single steps, so that a signal handler finds it whole
         self._streams: dict[str, Stream[Any]] = {}
-        self._lock = threading.Lock()
+        self._is_closed = False
 
     # -- what it says ------------------------------------------------------------------------------
 
@@ -163,17 +181,28 @@ class Robot:
         After a reconnect the controller is asked again on first access, since it may have come back
         with another firmware; that can raise what `connect` raises.
         """
-        return self._known().firmware
+        return self._who.identity.firmware
 
     @property
     def model(self) -> str | None:
         """Name of the arm, such as "UR5e"; None if the controller does not say. See `firmware`."""
-        return self._known().model
+        return self._who.identity.model
 
     @property
     def identity(self) -> Identity:
         """All that is known of who the controller is. See `firmware`."""
-        return self._known()
+        return self._who.identity
+
+    @property
+    def controller(self) -> Controller:
+        """The simulator behind ``sim://``: its faults, its inputs, its arm.
+
+        Raises:
+            LocalError: the robot is none that `connect` simulates.
+        """
+        if self._controller is None:
+            raise LocalError(f"{self.address} is no simulator of this program; connect to sim:// for one")
+        return self._controller
 
     def record(self, path: str | os.PathLike[str], interfaces: Sequence[str] = ("realtime", "primary")) -> Recorder:
         """Record streams into a new file, from now until the recorder is closed.
@@ -200,7 +229,7 @@ class Robot:
 
     @property
     def safety(self) -> Safety:
-        """The gate between every motion and the arm. All of these raise `LocalError` where commands cannot be sent."""
+        """The interlock between motions and the arm. All of these raise `LocalError` where commands cannot be sent."""
         return self._commanded().safety
 
     @property
@@ -224,7 +253,12 @@ class Robot:
         return self._commanded().dashboard
 
     def set_payload(
-        self, mass: float, cog: Sequence[float] | None = None, inertia: Sequence[float] | None = None
+        self,
+        mass: float,
+        cog: Sequence[float] | None = None,
+        inertia: Sequence[float] | None = None,
+        *,
+        confirm: float | None = 1.0,
     ) -> None:
         """Tell what the arm carries; motion goes on.
 
@@ -232,87 +266,85 @@ class Robot:
             mass: kg; no more than a quarter above what the arm carries by its data sheet.
             cog: centre of gravity in the flange's frame, (3,), m, each within 1 m; not on CB2.
             inertia: about it: xx, yy, zz, xy, xz, yz, kg m²; from 5.10 on.
+            confirm: seconds within which the robot has to show it, from 5.10 on; before that nothing shows it. None
+                does not wait.
 
         Raises:
             BadValue: a number out of range, or what this firmware cannot be told; nothing was sent.
             NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+            NotConfirmed: the robot does not show it. The likely cause is in the message: an e-Series in local control.
+            LocalError: in a callback that was subscribed with ``inline=True``, unless `confirm` is None.
         """
-        statement = commands.payload(self.firmware, mass, cog, inertia)
-        arm = None if self.model is None else MODELS.get(self.model)
-        if arm is not None and mass > arm.payload * _PAYLOAD_MARGIN:
-            raise BadValue(f"payload mass is {mass:g} kg; a {arm.name} carries {arm.payload:g} kg")
-        self._command(statement)
+        self._commanded().settings.payload(mass, cog, inertia, confirm)
 
-    def set_tcp(self, pose: Sequence[float]) -> None:
+    def set_tcp(self, pose: Sequence[float], *, confirm: float | None = 1.0) -> None:
         """Put the tool centre point at a pose in the flange's frame: m, and rotation vector in rad.
 
-        Raises:
-            BadValue, NotRunning: as `set_payload`.
-        """
-        self._command(commands.tcp(pose))
-
-    def set_speed_slider(self, fraction: float) -> None:
-        """Move the speed slider, 0 to 1.
+        It shows from 3.2 on.
 
         Raises:
-            BadValue, NotRunning: as `set_payload`.
+            BadValue, NotRunning, NotConfirmed, LocalError: as `set_payload`.
         """
-        self._commanded().outlet.command(commands.speed_slider(fraction))
+        self._commanded().settings.tcp(pose, confirm)
+
+    def set_speed_slider(self, fraction: float, *, confirm: float | None = 1.0) -> None:
+        """Move the speed slider, 0 to 1. It shows from 3.0 on.
+
+        Raises:
+            BadValue, NotRunning, NotConfirmed, LocalError: as `set_payload`.
+        """
+        self._commanded().settings.speed_slider(fraction, confirm)
 
     def popup(self, text: str, title: str = "Popup", *, warning: bool = False, error: bool = False) -> None:
-        """Show a text on the pendant; nothing waits for its being read.
+        """Show a text on the pendant. Nothing waits for its being read, and nothing tells whether it is shown.
 
         Raises:
             BadValue, NotRunning: as `set_payload`. A text can hold no quotes, backslashes or line breaks.
         """
-        self._command(commands.popup(text, title, warning, error))
-
-    def _command(self, statement: str) -> None:
-        self._commanded().outlet.command(commands.secondary(statement))
+        self._commanded().settings.popup(text, title, warning, error)
 
     def _commanded(self) -> Control:
-        if self.control is None:
+        if self._control is None:
             raise LocalError(self._refusal)
-        return self.control
+        return self._control
 
     # -- its end -------------------------------------------------------------------------------------
 
     def close(self, timeout: float = 2.0) -> None:
         """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent."""
         until = time.monotonic() + timeout
-        if self.control is not None:
-            self.control.close(timeout)
-        with self._lock:
-            streams = list(self._streams.values())
-        for stream in streams:
+        self._is_closed = True
+        if self._control is not None:
+            self._control.close(timeout)
+        for stream in tuple(self._streams.values()):
             stream.close(max(until - time.monotonic(), 0.0))
-        if self.controller is not None:
-            self.controller.close()
+        if self._controller is not None:
+            self._controller.close()
 
-    def __enter__(self) -> Robot:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def __repr__(self) -> str:
-        return f"<Robot {self.address} {self._identity.model} firmware {self._identity.firmware}>"
+    def __del__(self) -> None:
+        # The streams warn for themselves.
+        if not getattr(self, "_is_closed", True) and self._controller is not None:
+            warnings.warn(f"{self!r} was not closed; its simulator goes on", ResourceWarning, source=self, stacklevel=2)
 
-    def _known(self) -> Identity:
-        if self._is_stale:
-            self._identity = self._source.ask()
-            self._is_stale = False
-        return self._identity
+    def __repr__(self) -> str:
+        known = self._who.last
+        return f"<Robot {self.address} {known.model} firmware {known.firmware}>"
 
     def _stream(self, name: str) -> Stream[Any]:
-        with self._lock:
-            if name not in self._streams:
-                robot = weakref.ref(self)  # the stream's thread must not keep a robot that nobody holds any more
+        known = self._streams.get(name)
+        if known is None:
+            made = self._source.stream(name, f"{self.address} {name}", self._who.doubt)
+            known = self._streams.setdefault(name, made)
+        return known
 
-                def reconnected() -> None:
-                    owner = robot()
-                    if owner is not None:
-                        owner._is_stale = True
 
-                self._streams[name] = self._source.stream(name, f"{self.address} {name}", reconnected)
-            return self._streams[name]
+def _host(host: str | None, name: str) -> str | None:
+    if host is not None and (not isinstance(host, str) or not host.strip()):
+        raise BadValue(f"{name} is {host!r}; expected a host name or address, or None")
+    return host

@@ -1,4 +1,4 @@
-"""A controller whose every word the test says: streams, gate and scripts over scripted transports."""
+"""A controller whose every word the test says: what commands it, over scripted transports."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import ScriptedTransport
 from tests.waiting import until
-from urlink.commanding.channel import Outlet
-from urlink.commanding.handle import Program
-from urlink.commanding.interlock import Policy
-from urlink.commanding.programs import Scripts
+from urlink.commanding.callbacks import CallbackThread
+from urlink.commanding.channel import CommandChannel
+from urlink.commanding.handle import Handle
+from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
+from urlink.commanding.io import IO
+from urlink.commanding.monitor import SafetyMonitor
+from urlink.commanding.programs import Programs
 from urlink.commanding.safety import Safety
+from urlink.commanding.scripts import Scripts
+from urlink.commanding.section import Section
+from urlink.commanding.settings import Settings
 from urlink.firmware import Firmware
 from urlink.identity import Identity
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
@@ -28,20 +34,57 @@ AT_ONCE = Backoff(first=0, most=0)
 class StandIn:
     """Says what `state`, `key`, `text` and `exception` are told to say; `sent` is what it was sent."""
 
-    def __init__(self, firmware: str = "5.11", policy: Policy = "never", backoff: Backoff = AT_ONCE) -> None:
+    def __init__(
+        self,
+        firmware: str = "5.11",
+        policy: Policy = "never",
+        backoff: Backoff = AT_ONCE,
+        *,
+        model: str | None = None,
+        stale_after: float = STALE_AFTER,
+        start_timeout: float = 5.0,
+        start_flag: int | None = 31,
+        is_remote: bool | None = None,
+    ) -> None:
         self.firmware = Firmware.parse(firmware)
         self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
         transports = {"primary": self.slow, "realtime": self.fast}
-        source = Source(lambda: Identity(self.firmware, True, None), transports.__getitem__, backoff, 5.0, None, False)
+        self.identity = Identity(self.firmware, True, model)
+        source = Source(lambda: self.identity, transports.__getitem__, backoff, 5.0, None, False)
         self.primary: Stream[RobotState] = source.stream("primary", "stand-in primary", lambda: None)
         self.realtime: Stream[RealtimeState] = source.stream("realtime", "stand-in realtime", lambda: None)
-        self.safety = Safety(lambda: self.primary, lambda: self.realtime, policy)
-        self.outlet = Outlet(lambda: self.primary, self.safety)
-        self.script = Scripts(lambda: self.primary, self.outlet, self.safety)
+        self.callbacks = CallbackThread("stand-in callbacks")
+        slow, fast = self.primary._connection, self.realtime._connection
+        self.section = Section(lambda: slow.reads_here() or fast.reads_here())
+        self.monitor = SafetyMonitor(slow, fast, Interlock(policy, stale_after), self.section, self.callbacks)
+        self.channel = CommandChannel(slow, self.monitor, self.section)
+        self.programs = Programs(
+            slow,
+            self.channel,
+            self.monitor,
+            self.section,
+            self.callbacks,
+            start_timeout=start_timeout,
+            start_flag=start_flag,
+            rate=lambda: self.firmware.rate,
+        )
+        self.safety = Safety(self.monitor)
+        self.script = Scripts(self.programs, self.channel, self.callbacks)
+        self.settings = Settings(
+            self.channel,
+            slow,
+            fast,
+            lambda: self.identity,
+            self.section,
+            lambda: is_remote,
+            start_flag,
+        )
+        self.io = IO(self.settings, self.primary)
 
     def close(self) -> None:
-        self.script.close()
-        self.safety.close()
+        self.programs.close()
+        self.monitor.close()
+        self.callbacks.close(1.0)
         self.primary.close()
         self.realtime.close()
 
@@ -88,9 +131,9 @@ class StandIn:
             self.fast.put(bytes(RealtimeState(self.firmware, **fields)))
 
     def clear(self, **options: Any) -> None:
-        """A state in which all is well, heard by the gate."""
+        """A state in which all is well, heard by the interlock."""
         self.state(**options)
-        self.safety.attend(closely=True)
+        self.monitor.listen(closely=True)
         until(lambda: self.safety.cause is None and self.safety.robot_mode is not None)
 
     def safety_message(self, mode: SafetyMode) -> None:
@@ -107,13 +150,13 @@ class StandIn:
 
     # -- what a program does -------------------------------------------------------------------------
 
-    def begins(self, program: Program) -> None:
+    def begins(self, program: Handle) -> None:
         self.key("PROGRAM_XXX_STARTED", program.name)
         self.text(start_marker(program.name))
 
-    def comes_to_its_end(self, program: Program) -> None:
+    def comes_to_its_end(self, program: Handle) -> None:
         self.text(finish_marker(program.name))
         self.key("PROGRAM_XXX_STOPPED", program.name)
 
-    def is_stopped(self, program: Program) -> None:
+    def is_stopped(self, program: Handle) -> None:
         self.key("PROGRAM_XXX_STOPPED", program.name)

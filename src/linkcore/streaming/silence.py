@@ -38,6 +38,7 @@ class SilenceMonitor:
         limit: seconds of silence after which the connection counts as lost; None for never.
 
     Attributes:
+        limit: the same.
         wait: seconds that the next wait for bytes may last; None for as long as it takes.
         last: when the last packet came, by `time.monotonic`; set by the reader for each.
         is_quiet: a wait ran out, or bytes came that completed no packet, since then. The reader then calls `end`.
@@ -45,7 +46,7 @@ class SilenceMonitor:
 
     def __init__(self, name: str, limit: float | None) -> None:
         self._name = name
-        self._limit = limit
+        self.limit = limit
         self._watches: tuple[_Watch, ...] = ()  # replaced, never changed
         self._quiet = 0.0
         self._unconfirmed = 0.0
@@ -62,8 +63,8 @@ class SilenceMonitor:
         Raises:
             BadValue: no such number of seconds, or more than the limit.
         """
-        if not (seconds > 0 and (self._limit is None or seconds <= self._limit)):
-            raise BadValue(f"seconds={seconds!r}; expected a positive number, at most silence={self._limit}")
+        if not (seconds > 0 and (self.limit is None or seconds <= self.limit)):
+            raise BadValue(f"seconds={seconds!r}; expected a positive number, at most silence={self.limit}")
         watch = _Watch(seconds, hook)
         self._watches = (*self._watches, watch)
         self.wait = self._next_wait()
@@ -115,12 +116,12 @@ class SilenceMonitor:
                     watch.hook(quiet)
                 except Exception:
                     _log.exception("%s: what was told of a silence raised", self._name)
-        if self._limit is not None and quiet + _ROUNDING >= self._limit:
-            raise LinkTimeout(f"{self._name}: {what} for {self._limit:g} s")
+        if self.limit is not None and quiet + _ROUNDING >= self.limit:
+            raise LinkTimeout(f"{self._name}: {what} for {self.limit:g} s")
 
     def _next_wait(self) -> float | None:
         limits = [watch.seconds for watch in self._watches]
-        if self._limit is not None:
-            limits.append(self._limit)
+        if self.limit is not None:
+            limits.append(self.limit)
         left = [limit - self._quiet for limit in limits]
         return min((seconds for seconds in left if seconds > _ROUNDING), default=None)

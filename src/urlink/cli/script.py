@@ -7,12 +7,11 @@ import sys
 from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
-from linkcore.errors import BadValue, LinkTimeout
+from linkcore.errors import BadValue, LinkError, LinkTimeout
 from linkcore.text import printable
 
-from ..commanding.handle import Program
 from ..errors import ScriptError
-from ..robot import connect
+from ..robot import Robot, connect
 from .options import Subparsers, add_address, add_command, seconds
 from .tap import tell
 
@@ -51,15 +50,18 @@ def run(args: argparse.Namespace) -> int:
     """
     source = _read(args.file)
     with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
-        program = robot.script.run(source, on_text=_show)
+        try:
+            program = robot.script.run(source, on_text=_show)
+        except BadValue as error:
+            raise BadValue(f"{args.file}: {error}") from None
         waited = 0.0
         while not program.done:
             if interruption.wait(0.05):
-                _stop(program)
+                _stop(robot)
                 break
             waited += 0.05
             if args.timeout is not None and waited >= args.timeout and not program.done:
-                _stop(program)
+                _stop(robot)
                 raise LinkTimeout(f"the program was not over within {args.timeout:g} s, and was stopped")
         if interruption.number is None:
             try:
@@ -84,11 +86,11 @@ def _show(text: str) -> None:
     print(printable(text), flush=True)
 
 
-def _stop(program: Program) -> None:
-    program.stop()
+def _stop(robot: Robot) -> None:
+    """Stop what runs, and wait until the arm stands."""
     try:
-        program.wait(_STOPPING)
+        robot.motion.stop().wait(_STOPPING)
     except LinkTimeout:
         tell("the controller does not say that the program has stopped")
-    except Exception as error:
+    except LinkError as error:
         tell(str(error))

@@ -1,53 +1,98 @@
-"""The one way by which anything that moves the arm leaves.
+"""The one way by which text that can move the arm leaves.
 
-Asking the gate and sending happen under the gate's own lock: once a stop has been heard, nothing follows.
+Whether it may leave is decided in the robot's critical section (`urlink.commanding.section`), and within the same
+section the bytes go to the kernel by a system call that does not wait: once a stop has been heard, nothing follows. A
+text nearly always fits into the kernel's buffer whole. Where it does not, because the controller does not read, the
+section is left, room is waited for, and everything is decided anew. If the answer is no by then, the connection is
+aborted: a controller never sees the rest of a text, and nobody else's text in the middle of it.
 """
 
 from __future__ import annotations
 
+import math
+import threading
+import time
 from collections.abc import Callable
-from typing import Any
 
-from linkcore.streaming.stream import Stream
+from linkcore.errors import ConnectionLost, LinkTimeout
+from linkcore.streaming.connection import Connection
 
-from .safety import Safety
+from .monitor import SafetyMonitor
+from .section import Section
 
-__all__ = ["Outlet"]
+__all__ = ["CommandChannel"]
 
-#: Seconds that the controller may take to accept text. A stop that is heard meanwhile waits for that long at most.
+#: Seconds that the controller may take to accept text.
 SEND_TIMEOUT = 0.5
+#: Seconds between two looks whether another thread has got rid of its text.
+_PAUSE = 0.001
 
 
-class Outlet:
-    """Sends to a robot, if the gate lets it.
+class CommandChannel:
+    """Sends to a robot, if the interlock lets it.
 
     Args:
-        stream: whose connection takes URScript text: the primary interface.
-        safety: the gate.
+        connection: takes URScript text: of the primary interface.
+        monitor: asked before anything is sent.
+        section: the critical section of the robot.
+        clock: seconds that only grow.
     """
 
-    def __init__(self, stream: Callable[[], Stream[Any]], safety: Safety) -> None:
-        self._stream = stream
-        self._safety = safety
+    def __init__(
+        self,
+        connection: Connection,
+        monitor: SafetyMonitor,
+        section: Section,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._connection = connection
+        self._monitor = monitor
+        self._section = section
+        self._clock = clock
+        #: the text of which only a part has left
+        self._unfinished: _Text | None = None
+        self._sent_at = -math.inf
 
-    def motion(self, text: str, *, brakes: bool = False) -> None:
+    def check(self) -> None:
+        """Raise what a motion would be refused with now; waits for what is not known yet of the robot.
+
+        Raises:
+            SafetyStop: a stop holds; NotEnabled if only `safety.enable()` is missing.
+            NotRunning: the robot does not run, or nothing is known of it.
+        """
+        self._prepare()
+        self._monitor.require()
+
+    def _prepare(self) -> None:
+        self._monitor.listen(closely=True)
+        self._monitor.await_news(moves=True)
+
+    def motion(
+        self, text: str, *, is_stop: bool = False, claim: Callable[[], object] = lambda: None, wait: bool = True
+    ) -> None:
         """Send URScript that may move the arm.
 
         Args:
             text: whole lines; the last newline may be left out.
-            brakes: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
+            is_stop: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
                 program that went on while it could not be heard, and can then be stopped.
+            claim: called in the section, whenever it has been decided that the text may leave; what it raises keeps
+                the text from leaving.
+            wait: for what is not known yet of the robot, and for room; False sends now or not at all.
 
         Raises:
             SafetyStop: a stop holds; NotEnabled if only `safety.enable()` is missing.
             NotRunning: the robot does not run, or nothing is known of it.
             RemoteError: it could not be sent.
         """
-        self._safety.attend(closely=True)
-        self._safety.reconsider(moves=True)
-        with self._safety.lock:
-            self._safety.admit(brakes)
-            self._send(text)
+        if wait:
+            self._prepare()
+
+        def decide() -> None:
+            self._monitor.require(is_stop)
+            claim()
+
+        self._send(text, decide, SEND_TIMEOUT if wait else 0.0)
 
     def command(self, text: str) -> None:
         """Send URScript that moves nothing: outputs, payload, popups. It needs no more than a running robot.
@@ -56,23 +101,106 @@ class Outlet:
             NotRunning: the robot does not run, or nothing is known of it.
             RemoteError: it could not be sent.
         """
-        self._safety.attend()
-        self._safety.reconsider(moves=False)
-        with self._safety.lock:
-            self._safety.admit_command()
-            self._send(text)
+        self._monitor.listen()
+        self._monitor.await_news(moves=False)
+        self._send(text, self._monitor.require_running, SEND_TIMEOUT)
 
-    def setpoint(self, send: Callable[[], object], *, brakes: bool = False) -> None:
-        """Let `send` send something that moves the arm, or that `brakes` it, over another connection; it has to be
-        quick.
+    def setpoint(self, send: Callable[[], object], *, is_stop: bool = False) -> None:
+        """Let `send` send something that moves the arm, or that stops it, over another connection; it must not wait.
 
         Raises:
             SafetyStop, NotRunning: as `motion`; `send` was not called.
             Exception: whatever `send` raises.
         """
-        with self._safety.lock:
-            self._safety.admit(brakes)
+        with self._section:
+            refusal = self._monitor.refusal(is_stop)
+            if refusal is None:
+                send()
+                return
+        # Perhaps this program was held up and has not read yet what the robot said meanwhile.
+        self._monitor.await_news(moves=True)
+        with self._section:
+            self._monitor.require(is_stop)
             send()
 
-    def _send(self, text: str) -> None:
-        self._stream()._connection.send((text.rstrip("\n") + "\n").encode(), SEND_TIMEOUT)
+    def discard(self, seconds: float) -> None:
+        """Where anything was sent in the last `seconds`, see to it that it does not arrive any more.
+
+        The connection is aborted, which the stream makes again. What has arrived has arrived.
+        """
+        if self._clock() - self._sent_at <= seconds:
+            self._sent_at = -math.inf
+            self._connection.abort()
+
+    def _send(self, text: str, decide: Callable[[], object], timeout: float) -> None:
+        outgoing = _Text((text.rstrip("\n") + "\n").encode())
+        until = time.monotonic() + timeout
+        while True:
+            with self._section:
+                if self._has_turn(outgoing):
+                    self._send_some(outgoing, decide)
+            if not outgoing.rest:
+                return
+            left = until - time.monotonic()
+            if self._unfinished not in (None, outgoing):
+                time.sleep(max(min(_PAUSE, left), 0.0))
+            elif left > 0.0:
+                self._connection.wait_for_room(left)
+            if left <= 0.0:
+                break
+        with self._section:
+            if outgoing.is_begun:
+                self._give_up()
+        raise LinkTimeout(
+            f"the controller has not taken a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"
+        )
+
+    def _has_turn(self, text: _Text) -> bool:
+        """Nobody else is in the middle of a text. With the section."""
+        if self._unfinished in (None, text):
+            return True
+        if self._unfinished.thread == threading.get_ident():
+            # This is a signal handler, and its own thread waits for room: the controller reads nothing at all.
+            self._give_up()
+            raise ConnectionLost(
+                "the controller had taken only a part of the text before this one, so the connection was aborted"
+            )
+        return False
+
+    def _send_some(self, text: _Text, decide: Callable[[], object]) -> None:
+        """Send what the kernel takes. With the section."""
+        connection = self._connection
+        try:
+            number = connection.counters.connections
+            if text.is_begun and (self._unfinished is not text or number != text.number):
+                raise ConnectionLost(f"{connection.name} was connected anew while a text was sent")
+            text.number = number
+            decide()
+            self._sent_at = self._clock()
+            text.rest = text.rest[connection.send_some(text.rest) :]
+        except BaseException:
+            if text.is_begun:
+                self._give_up()
+            raise
+        self._unfinished = text if text.is_begun and text.rest else None
+
+    def _give_up(self) -> None:
+        """Part of a text has left: nobody must see the rest of it, or take what follows for the rest."""
+        self._connection.abort()
+        self._unfinished = None
+
+
+class _Text:
+    """A text on its way out; `rest` is what has not left."""
+
+    def __init__(self, data: bytes) -> None:
+        self.rest = memoryview(data)
+        self.size = len(data)
+        self.thread = threading.get_ident()
+        #: which connection it leaves by
+        self.number = 0
+
+    @property
+    def is_begun(self) -> bool:
+        """A part of it has left."""
+        return len(self.rest) < self.size

@@ -1,66 +1,322 @@
-"""A program that was sent to the controller, and what has become of it."""
+"""What a motion or a program that was begun is held by, and the one state machine of its life.
+
+========== ========= ============ ===================================
+event      in SENT   in RUNNING   in DONE, CANCELLED, FAILED
+========== ========= ============ ===================================
+BEGIN      RUNNING   -            -
+FINISH     DONE      DONE         -
+CANCEL     CANCELLED CANCELLED    -
+FAIL       FAILED    FAILED       -
+========== ========= ============ ===================================
+
+A dash is no transition: there is no way back, and what ends it first is what it ends with.
+
+`Lifecycle` is the library's side of it, `Handle` what users hold. Both work without a lock: what has ended a life is
+put into a dictionary with `setdefault`, which is one step for threads and for signal handlers alike.
+"""
 
 from __future__ import annotations
 
 import enum
 import logging
-import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
+from linkcore.arguments import check_callable
 from linkcore.errors import LinkError, LinkTimeout
 
+from ..errors import Cancelled
 from ..urscript.text import checked
+from .callbacks import CallbackThread
+from .section import Section
 
-__all__ = ["Program", "ProgramPhase"]
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["TRANSITIONS", "Event", "Handle", "Lifecycle", "Motion", "Phase", "Program"]
 
 _log = logging.getLogger(__name__)
 
-#: Lines of `textmsg` that are kept.
-_TEXTS = 1000
 
-
-class ProgramPhase(enum.Enum):
-    """How far a program has got."""
+class Phase(enum.Enum):
+    """How far a motion or a program has got."""
 
     SENT = "sent"
     RUNNING = "running"
-    FINISHED = "finished"
-    STOPPED = "stopped"
+    DONE = "done"
+    CANCELLED = "cancelled"
     FAILED = "failed"
 
 
-class Program:
-    """What the controller says of a program that was sent to it; made by `robot.script.run`.
+class Event(enum.Enum):
+    """What can happen to it."""
+
+    BEGIN = "begin"
+    FINISH = "finish"
+    CANCEL = "cancel"
+    FAIL = "fail"
+
+
+#: (phase, event) -> the phase after it; nothing happens where there is none.
+TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
+    {
+        (Phase.SENT, Event.BEGIN): Phase.RUNNING,
+        **{
+            (phase, event): after
+            for phase in (Phase.SENT, Phase.RUNNING)
+            for event, after in (
+                (Event.FINISH, Phase.DONE),
+                (Event.CANCEL, Phase.CANCELLED),
+                (Event.FAIL, Phase.FAILED),
+            )
+        },
+    }
+)
+
+#: Key of what has ended a life.
+_END = "end"
+
+
+class Lifecycle:
+    """What becomes of one thing that runs on a robot.
+
+    Args:
+        name: for messages.
+        section: of the robot; left while somebody waits.
+        callbacks: where users are called back.
 
     Attributes:
-        name: as the controller calls it.
+        brake: tells the robot to stop it; may raise `LinkError`. Called where it ends and the arm has to be stopped.
+        handle: what users hold of it; None where they hold nothing.
     """
 
-    def __init__(self, name: str, stop: Callable[[Program], object]) -> None:
+    def __init__(self, name: str, section: Section, callbacks: CallbackThread) -> None:
         self.name = name
-        self._stop = stop
-        self._lock = threading.Lock()
-        self._over = threading.Event()
-        self._phase = ProgramPhase.SENT
-        self._error: LinkError | None = None
-        self._texts: list[str] = []
-        self._callbacks: list[Callable[[Program], object]] = []
+        self.brake: Callable[[], object] = lambda: None
+        self.handle: Handle | None = None
+        self._section = section
+        self._callbacks = callbacks
+        self._is_running = False
+        self._end: dict[str, tuple[Phase, Exception | None]] = {}
+        self._future: Future[None] = Future()
+        # So that nobody who awaits it can cancel the future instead of the motion.
+        self._future.set_running_or_notify_cancel()
+        self._releases: deque[Callable[[], object]] = deque()
+        self._done_callbacks: deque[Callable[[], object]] = deque()
 
     @property
-    def phase(self) -> ProgramPhase:
+    def phase(self) -> Phase:
         """How far it has got."""
-        return self._phase
+        end = self._end.get(_END)
+        if end is not None:
+            return end[0]
+        return Phase.RUNNING if self._is_running else Phase.SENT
+
+    @property
+    def is_over(self) -> bool:
+        """It has ended, whichever way."""
+        return _END in self._end
+
+    @property
+    def error(self) -> Exception | None:
+        """What ended it before its time."""
+        end = self._end.get(_END)
+        return None if end is None else end[1]
+
+    # -- what happens --------------------------------------------------------------------------------
+
+    def begin(self) -> bool:
+        """The controller has begun it. As all of these: False where the table has no such transition."""
+        return self._apply(Event.BEGIN)
+
+    def finish(self) -> bool:
+        """It has come to its own end."""
+        return self._apply(Event.FINISH)
+
+    def cancel(self, why: str, *, brake: bool) -> bool:
+        """It was given up here; with `brake` the arm is stopped."""
+        return self._apply(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
+
+    def fail(self, error: Exception, *, brake: bool = False) -> bool:
+        """It cannot go on; with `brake` the arm is stopped."""
+        return self._apply(Event.FAIL, error, brake)
+
+    def _apply(self, event: Event, error: Exception | None = None, brake: bool = False) -> bool:
+        after = TRANSITIONS.get((self.phase, event))
+        if after is None:
+            return False
+        if after is Phase.RUNNING:
+            self._is_running = True
+            return True
+        mine = (after, error)
+        if self._end.setdefault(_END, mine) is not mine:
+            return False
+        try:
+            if brake:
+                self.brake()
+        except LinkError as failure:
+            # The interlock is closed, or the link gone: then the robot was stopped by other means, or cannot be told.
+            _log.info("%s: the robot was not told to stop: %s", self.name, failure)
+        finally:
+            _drain(self._releases, lambda release: release())
+            if error is None:
+                self._future.set_result(None)
+            else:
+                self._future.set_exception(error)
+            _drain(self._done_callbacks, self._callbacks.call)
+        return True
+
+    # -- who wants to know ---------------------------------------------------------------------------
+
+    def on_end(self, release: Callable[[], object]) -> None:
+        """Call `release` when it ends, in the thread that ends it: the library's own, which neither wait nor raise."""
+        self._releases.append(release)
+        if self.is_over:
+            _drain(self._releases, lambda release: release())
+
+    def call_back(self, callback: Callable[[], object]) -> None:
+        """Call `callback` when it has ended, in the thread for callbacks."""
+        self._done_callbacks.append(callback)
+        if self._future.done():
+            _drain(self._done_callbacks, self._callbacks.call)
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until it has ended; False when time is up.
+
+        Raises:
+            LocalError: in a thread that would have to tell itself.
+        """
+        if not self.is_over:
+            with self._section.waiting():
+                try:
+                    self._future.exception(timeout)
+                except (FutureTimeout, TimeoutError):
+                    return self.is_over
+        return True
+
+    @property
+    def future(self) -> Future[None]:
+        """Settled when it has ended; not to be cancelled."""
+        return self._future
+
+
+def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], object]], object]) -> None:
+    """Use each once, also where two threads do so at the same time."""
+    while True:
+        try:
+            each = waiting.popleft()
+        except IndexError:
+            return
+        use(each)
+
+
+class Handle:
+    """Something that was begun on a robot: a `Motion` or a `Program`.
+
+    Wait for it, await it, or leave it alone: it goes on all the same. As a context manager it is cancelled where the
+    block is left before it is over. Awaiting it and giving that up does not stop the arm; `cancel` does.
+    """
+
+    def __init__(self, life: Lifecycle) -> None:
+        self._life = life
+        life.handle = self
+
+    @property
+    def name(self) -> str:
+        """What it is, such as "move_joints"; of a program the name by which the controller knows it."""
+        return self._life.name
+
+    @property
+    def phase(self) -> Phase:
+        """How far it has got."""
+        return self._life.phase
 
     @property
     def done(self) -> bool:
-        """It has come to an end, whichever."""
-        return self._over.is_set()
+        """It is over, however it ended."""
+        return self._life.is_over
 
     @property
-    def error(self) -> LinkError | None:
-        """Why it did not come to its own end: `CompileError`, `ScriptFailed`, `ProgramStopped`, `SafetyStop`,
-        `NotRunning`, `ConnectionLost` or `LinkTimeout`; None if it did, or is not done."""
-        return self._error
+    def error(self) -> Exception | None:
+        """Why it did not come to its own end: what `wait` raises; None if it did, or is not over."""
+        return self._life.error
+
+    def wait(self, timeout: float = 60.0) -> None:
+        """Wait until it is over. In done callbacks, `on_stop` and `on_text` too, and in subscriptions of the default
+        kind.
+
+        Raises:
+            BadValue: `timeout` is no number of seconds.
+            LocalError: in a callback that was subscribed with ``inline=True``, which would wait for itself.
+            LinkTimeout: it was not over within `timeout` seconds; it goes on.
+            Cancelled: it was cancelled, or preempted by another.
+            SafetyStop, NotRunning: a stop ended it, or the robot stopped running, or is not heard any more.
+            ConnectFailed, ConnectionLost, ProgramStopped, ScriptError, ToleranceExceeded: what else ended it.
+        """
+        if not self._life.wait(checked(timeout, "timeout", 0.0)):
+            raise LinkTimeout(f"{self.name} is {self.phase.value}, and not over within {timeout:g} s; it goes on")
+        error = self._life.error
+        if error is not None:
+            raise error
+
+    def cancel(self) -> None:
+        """End it, and let the arm brake. Returns at once; without effect if it is over.
+
+        Where the arm stands only after that: ``robot.motion.stop().wait()`` returns when it does.
+        """
+        if self._life.cancel("cancelled", brake=True):
+            _log.info("%s was cancelled", self.name)
+
+    def add_done_callback(self, callback: Callable[[Self], object]) -> None:
+        """Call back once it is over, in the robot's thread for callbacks; soon if it is over already.
+
+        The callback may command the robot, and wait. One that is slow keeps other callbacks of the same robot waiting.
+
+        Raises:
+            BadValue: nothing that can be called.
+        """
+        check_callable(callback, "callback")
+        self._life.call_back(lambda: callback(self))
+
+    def __await__(self) -> Generator[Any, None, None]:
+        import asyncio
+
+        return asyncio.wrap_future(self._life.future).__await__()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.cancel()
+
+    def __repr__(self) -> str:
+        error = "" if self.error is None else f": {self.error}"
+        return f"<{type(self).__name__} {self.name} {self.phase.value}{error}>"
+
+
+class Motion(Handle):
+    """A movement under way; made by `robot.motion`."""
+
+    def __init__(self, life: Lifecycle, measure: Callable[[], float] = lambda: 0.0) -> None:
+        super().__init__(life)
+        self._measure = measure
+
+    @property
+    def progress(self) -> float:
+        """How much of it is behind the arm, from 0 to 1; 1 only once it has come to its own end."""
+        return 1.0 if self.phase is Phase.DONE else min(max(self._measure(), 0.0), 1.0)
+
+
+class Program(Handle):
+    """A program that was sent to the controller; made by `robot.script.run`."""
+
+    def __init__(self, life: Lifecycle, texts: deque[str]) -> None:
+        super().__init__(life)
+        self._texts = texts
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -68,67 +324,4 @@ class Program:
 
         A controller does not say which program a line is from: those of a `sec` that runs beside are here too.
         """
-        with self._lock:
-            return tuple(self._texts)
-
-    def wait(self, timeout: float = 60.0) -> None:
-        """Wait until it is done.
-
-        Raises:
-            BadValue: `timeout` is no number of seconds.
-            LinkTimeout: it was not within `timeout` seconds; it goes on.
-            LinkError: `error`, if it did not come to its own end.
-        """
-        if not self._over.wait(checked(timeout, "timeout", 0.0)):
-            raise LinkTimeout(f"program {self.name} is {self._phase.value}, not over within {timeout:g} s")
-        if self._error is not None:
-            raise self._error
-
-    def stop(self) -> None:
-        """Stop it, without waiting until it has; the arm brakes. Without effect if it is done.
-
-        Raises:
-            NotRunning: nothing is known of the robot, so it cannot be stopped from here.
-            RemoteError: it could not be told.
-        """
-        if not self.done:
-            self._stop(self)
-
-    def add_done_callback(self, callback: Callable[[Program], object]) -> None:
-        """Call back once it is done, from the thread that reads; at once and from here if it is already."""
-        with self._lock:
-            if not self._over.is_set():
-                self._callbacks.append(callback)
-                return
-        callback(self)
-
-    # -- the library's side ----------------------------------------------------------------------
-
-    def add_text(self, text: str) -> None:
-        """A line of its `textmsg`."""
-        with self._lock:
-            self._texts.append(text)
-            del self._texts[:-_TEXTS]
-
-    def set_running(self) -> None:
-        """It has begun."""
-        with self._lock:
-            if not self._over.is_set():
-                self._phase = ProgramPhase.RUNNING
-
-    def set_done(self, phase: ProgramPhase, error: LinkError | None = None) -> None:
-        """It has come to an end. Without effect if it had already."""
-        with self._lock:
-            if self._over.is_set():
-                return
-            self._phase, self._error = phase, error
-            self._over.set()
-            callbacks, self._callbacks = self._callbacks, []
-        for callback in callbacks:
-            try:
-                callback(self)
-            except Exception:
-                _log.exception("a done callback of program %s raised", self.name)
-
-    def __repr__(self) -> str:
-        return f"<Program {self.name} {self._phase.value}{'' if self._error is None else f': {self._error}'}>"
+        return tuple(self._texts.copy())  # in one step: another thread may be adding

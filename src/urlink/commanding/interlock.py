@@ -1,8 +1,8 @@
 """The decision whether the arm may be moved, without any input or output of its own.
 
 What each stop means is the vendor's; that only NORMAL and REDUCED let an arm be moved is this library's choice: in
-RECOVERY an arm is to be led out of a place it may not be in, slowly and by a person at the pendant, and of the
-safety modes that no list names nothing is known.
+RECOVERY an arm is to be led out of a place it may not be in, slowly and by a person at the pendant, and of safety
+modes that no list names nothing is known.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from linkcore.errors import BadValue, LinkError
 from ..errors import NotEnabled, NotRunning, SafetyStop
 from ..interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
 
-__all__ = ["STALE", "Gate", "Policy", "Status"]
+__all__ = ["STALE_AFTER", "Interlock", "Policy", "Status"]
 
 #: Whether a person has to call `enable()`: never; once; at first and after every stop.
 Policy = Literal["never", "on_startup", "always"]
 
-#: Seconds after which what was heard last is no longer believed.
-STALE = 1.0
+#: Seconds after which what was heard last is no longer believed, where nobody says otherwise: ten states of the primary
+#: interface.
+STALE_AFTER = 1.0
 
 _MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 _CB2_STOPS = {
@@ -39,13 +40,19 @@ _MASTER_STOPS = {
 
 
 class Status(NamedTuple):
-    """What one source says of the robot; None and False where it says nothing."""
+    """What one source says of the robot; None where it says nothing."""
 
     robot_mode: RobotMode | RobotModeCB2 | None = None
     safety_mode: SafetyMode | None = None
-    is_emergency_stopped: bool = False
-    is_protective_stopped: bool = False
+    is_emergency_stopped: bool | None = None
+    is_protective_stopped: bool | None = None
     master_safety_state: MasterSafetyState | None = None
+
+    def over(self, before: Status | None) -> Status:
+        """What is known after this: what it leaves out is as it was `before` on the same connection."""
+        if before is None:
+            return self
+        return Status._make(old if new is None else new for new, old in zip(self, before, strict=True))
 
     @property
     def cause(self) -> str | None:
@@ -74,26 +81,38 @@ class Status(NamedTuple):
 class _Source:
     def __init__(self) -> None:
         self.status: Status | None = None
-        self.heard = self.lost_at = float("-inf")
-        self.lost: str | None = None
+        self.heard = float("-inf")
+        #: why nothing is known of it: its connection was lost, or the robot fell silent
+        self.absence: str | None = None
 
 
-class Gate:
+class Interlock:
     """Open or closed, from what the sources say and from the policy.
 
-    Every source has to be connected, fresh and clear. A stop that any of them tells of closes the gate, and so do a
-    robot mode that is not running, a lost connection, and silence: it may have been stopped meanwhile.
+    Every source has to be connected, fresh and clear. A stop that any of them tells of closes the interlock, and so do
+    a robot mode that is not running, a lost connection, and a robot that falls silent: it may have been stopped
+    meanwhile.
+
+    What is old is not believed either, whoever is to blame. Where this program was held up and has not yet read what
+    the robot said, new motions are refused until it has; those that run go on, since only `fall_silent` tells of a
+    robot that says nothing.
 
     Args:
         policy: "never", "on_startup" or "always".
+        stale_after: seconds after which what was heard last is no longer believed.
+
+    Attributes:
+        stale_after: the same.
     """
 
-    def __init__(self, policy: Policy = "never") -> None:
-        self.policy = policy
+    def __init__(self, policy: Policy = "never", stale_after: float = STALE_AFTER) -> None:
+        self.stale_after = stale_after
         self._sources: dict[str, _Source] = {}
         self._was_clear = False
-        self._started = False  # enabled at least once
-        self._armed = False  # enabled since it was closed last
+        self._was_enabled = False  # at least once since the policy was set
+        self._is_enabled = False  # since it was closed last
+        self._policy: Policy = "never"
+        self.policy = policy
 
     # -- what is heard ---------------------------------------------------------------------------
 
@@ -106,34 +125,37 @@ class Gate:
         self._sources.pop(source, None)
 
     def hear(self, source: str, status: Status, at: float) -> LinkError | None:
-        """A source said something at the time `at`. The error that ends all motions, if that has closed the gate."""
+        """A source said something at the time `at`. The error that ends all motions, if that has closed it."""
         heard = self._sources.setdefault(source, _Source())
-        if at > heard.lost_at:  # else it waited in a queue while its connection was lost
-            heard.status, heard.heard, heard.lost = status, at, None
-        return self._look(at)
+        heard.status, heard.heard, heard.absence = status.over(heard.status), at, None
+        return self._look()
 
-    def lose(self, source: str, why: str, at: float) -> LinkError | None:
-        """The connection of a source was lost. The error that ends all motions, if that has closed the gate."""
+    def lose(self, source: str, why: str) -> LinkError | None:
+        """The connection of a source was lost. The error that ends all motions, if that has closed it."""
         heard = self._sources.setdefault(source, _Source())
-        back = heard.heard > at, heard.status
-        heard.status, heard.lost, heard.lost_at = None, why, at
-        closed = self._look(at)
-        if back[0]:  # news of the loss came after what was heard on the next connection
-            heard.status, heard.lost = back[1], None
-            self._look(at)
-        return closed
+        heard.status = None
+        heard.absence = f"the connection to the {source} interface is lost, so nothing is known of the robot: {why}"
+        return self._look()
 
-    def look(self, now: float) -> LinkError | None:
-        """Time has passed. The error that ends all motions, if the silence has closed the gate."""
-        return self._look(now)
+    def fall_silent(self, source: str, seconds: float) -> LinkError | None:
+        """The robot has sent nothing for so many seconds, although its source was listened to.
 
-    def _look(self, now: float) -> LinkError | None:
-        hindrance = self.hindrance(now)
-        was_clear, self._was_clear = self._was_clear, hindrance is None
-        if hindrance is not None:
-            self._armed = False
+        The error that ends all motions, if that has closed the interlock.
+        """
+        heard = self._sources.get(source)
+        if heard is not None and heard.absence is None:
+            heard.absence = (
+                f"the robot has said nothing on the {source} interface for {seconds:.1f} s, so nothing is known of it"
+            )
+        return self._look()
+
+    def _look(self) -> LinkError | None:
+        blocked = self._stop() or self._absence()
+        was_clear, self._was_clear = self._was_clear, blocked is None
+        if blocked is not None:
+            self._is_enabled = False
             if was_clear:
-                return hindrance
+                return blocked
         return None
 
     # -- what follows from it ----------------------------------------------------------------------
@@ -141,16 +163,11 @@ class Gate:
     def has_word(self, source: str) -> bool:
         """The source has said something, or its connection is lost."""
         heard = self._sources.get(source)
-        return heard is not None and (heard.status is not None or heard.lost is not None)
+        return heard is not None and (heard.status is not None or heard.absence is not None)
 
     def has_heard_since(self, since: float) -> bool:
         """Every source has said something after that time."""
         return all(heard.heard > since for heard in self._sources.values())
-
-    def status(self, source: str) -> Status | None:
-        """What a source said last on its present connection."""
-        heard = self._sources.get(source)
-        return None if heard is None else heard.status
 
     @property
     def statuses(self) -> list[Status]:
@@ -165,20 +182,39 @@ class Gate:
 
     def absence(self, now: float) -> NotRunning | None:
         """Why even what moves nothing cannot be sent, or None."""
+        return self._absence() or self._staleness(now)
+
+    def blocked(self, now: float) -> SafetyStop | NotRunning | None:
+        """What keeps the arm from being moved, whether enabled or not; None if all is clear."""
+        return self._stop() or self.absence(now)
+
+    def refusal(self, now: float) -> SafetyStop | NotRunning | None:
+        """Why the arm may not be moved; None if it may."""
+        blocked = self.blocked(now)
+        if blocked is None and not self.is_enabled:
+            when = "once" if self.policy == "on_startup" else "at first and after every stop"
+            return NotEnabled(
+                f"not enabled: with the policy {self.policy!r}, call robot.safety.enable() {when}", "not enabled"
+            )
+        return blocked
+
+    @property
+    def is_enabled(self) -> bool:
+        """The policy asks for no `enable()` now."""
+        return self.policy == "never" or (self._was_enabled if self.policy == "on_startup" else self._is_enabled)
+
+    def _stop(self) -> SafetyStop | None:
+        cause = self.cause
+        return None if cause is None else SafetyStop(f"the robot is stopped: {cause}", cause)
+
+    def _absence(self) -> NotRunning | None:
         if not self._sources:
             return NotRunning("nothing has been heard of the robot yet; nothing was sent")
         for name, heard in self._sources.items():
-            if heard.lost is not None:
-                return NotRunning(
-                    f"the connection to the {name} interface is lost, so nothing is known of the robot: {heard.lost}"
-                )
+            if heard.absence is not None:
+                return NotRunning(heard.absence)
             if heard.status is None:
                 return NotRunning(f"nothing has been heard on the {name} interface yet; nothing was sent")
-            if now - heard.heard > STALE:
-                return NotRunning(
-                    f"nothing has been heard on the {name} interface for {now - heard.heard:.1f} s, "
-                    "so nothing is known of the robot"
-                )
         for heard in self._sources.values():
             if heard.status is not None and not heard.status.is_running:
                 mode = heard.status.robot_mode
@@ -187,50 +223,43 @@ class Gate:
             return NotRunning("the robot has not said its mode")
         return None
 
-    def hindrance(self, now: float) -> SafetyStop | NotRunning | None:
-        """What keeps the arm from being moved, whether enabled or not; None if all is clear."""
-        cause = self.cause
-        if cause is not None:
-            return SafetyStop(f"the robot is stopped: {cause}", cause)
-        return self.absence(now)
-
-    @property
-    def is_enabled(self) -> bool:
-        """The policy asks for no `enable()` now."""
-        return self.policy == "never" or (self._started if self.policy == "on_startup" else self._armed)
-
-    def refusal(self, now: float) -> SafetyStop | NotRunning | None:
-        """Why the arm may not be moved; None if it may."""
-        hindrance = self.hindrance(now)
-        if hindrance is None and not self.is_enabled:
-            when = "once" if self.policy == "on_startup" else "at first and after every stop"
-            return NotEnabled(
-                f"not enabled: with the policy {self.policy!r}, call robot.safety.enable() {when}", "not enabled"
-            )
-        return hindrance
+    def _staleness(self, now: float) -> NotRunning | None:
+        for name, heard in self._sources.items():
+            age = now - heard.heard
+            if age > self.stale_after:
+                return NotRunning(
+                    f"nothing has been read from the {name} interface for {age:.1f} s, so nothing is known of the "
+                    "robot: either it is silent, or this program is held up"
+                )
+        return None
 
     # -- what a person does --------------------------------------------------------------------------
 
     def enable(self, now: float) -> None:
-        """Open the gate, if all is clear.
+        """Open it, if all is clear.
 
         Raises:
             SafetyStop: a stop holds.
             NotRunning: the robot does not run, or nothing is known of it.
         """
-        self._look(now)
-        hindrance = self.hindrance(now)
-        if hindrance is not None:
-            raise hindrance
-        self._started = self._armed = True
+        self._look()
+        blocked = self.blocked(now)
+        if blocked is not None:
+            raise blocked
+        self._was_enabled = self._is_enabled = True
 
     @property
     def policy(self) -> Policy:
-        """Whether a person has to enable: "never", "on_startup" or "always"."""
+        """Whether a person has to enable: "never", "on_startup" or "always".
+
+        A change asks for `enable()` anew, where the new policy asks for it at all.
+        """
         return self._policy
 
     @policy.setter
     def policy(self, policy: Policy) -> None:
         if policy not in get_args(Policy):
             raise BadValue(f"{policy!r} is no policy; expected one of {', '.join(get_args(Policy))}")
-        self._policy: Policy = policy
+        if policy != self._policy:
+            self._was_enabled = self._is_enabled = False
+        self._policy = policy

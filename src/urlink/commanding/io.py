@@ -1,30 +1,30 @@
 """`robot.io`: the inputs and outputs of control box and tool.
 
 Outputs are set by programs that run beside the one that moves the arm, and read back from the robot state, which comes
-ten times a second: a new value shows after a tenth of a second or so.
+ten times a second: a new value shows after a tenth of a second or so, and is waited for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
-from linkcore.errors import BadValue
 from linkcore.streaming.stream import Stream
 
-from ..firmware import Firmware
 from ..interfaces.enums import AnalogDomain
 from ..interfaces.primary.robot_state import MasterboardData, RobotState, ToolData
 from ..urscript import commands
+from ..urscript.commands import CONFIGURABLE, STANDARD, TOOL, DigitalBank
 from ..urscript.text import integer
-from .channel import Outlet
+from .settings import Echo, Settings
 
 __all__ = ["IO", "Analog"]
 
 T = TypeVar("T")
 
 #: Seconds to wait for a first state.
-_PATIENCE = 2.0
+_FIRST_STATE = 2.0
+#: Part of its range by which an analogue output may be off: what is shown may be measured.
+_ANALOG = 0.02
 
 
 class Analog(NamedTuple):
@@ -43,77 +43,84 @@ class IO:
     """Inputs and outputs by number, each kind from 0.
 
     Setting raises `BadValue` for an output that this robot has not, before anything is sent; `NotRunning` where the
-    robot does not run or nothing is known of it; and `RemoteError` where it could not be sent. A stop does not matter,
-    as long as the robot runs. Reading raises `LinkTimeout` where no state came for two seconds.
+    robot does not run or nothing is known of it; `NotConfirmed` where the robot does not show the new value within
+    `confirm` seconds, as an e-Series in local control does not; and `RemoteError` where it could not be sent. A stop
+    does not matter, as long as the robot runs. ``confirm=None`` sends and does not wait. In a callback that was
+    subscribed with ``inline=True`` it has to be None, or a `LocalError` says so.
 
-    Args:
-        outlet: by which commands leave.
-        primary: makes the primary stream.
-        firmware: tells the controller's firmware.
+    Reading raises `LinkTimeout` where no state came for two seconds.
     """
 
-    def __init__(
-        self, outlet: Outlet, primary: Callable[[], Stream[RobotState]], firmware: Callable[[], Firmware]
-    ) -> None:
-        self._outlet = outlet
+    def __init__(self, settings: Settings, primary: Stream[RobotState]) -> None:
+        self._settings = settings
         self._primary = primary
-        self._firmware = firmware
 
     # -- outputs -------------------------------------------------------------------------------------
 
-    def set_digital_out(self, number: int, on: bool) -> None:
+    def set_digital_out(self, number: int, on: bool, *, confirm: float | None = 1.0) -> None:
         """Switch standard digital output 0 to 7."""
-        self._set_digital(int(integer(number, 0, 7, "standard digital output")), on)
+        self._set_digital(STANDARD, number, on, confirm)
 
-    def set_configurable_digital_out(self, number: int, on: bool) -> None:
-        """Switch configurable digital output 0 to 7; CB2 has none."""
-        self._set_digital(8 + int(integer(number, 0, 7, "configurable digital output")), on)
+    def set_configurable_digital_out(self, number: int, on: bool, *, confirm: float | None = 1.0) -> None:
+        """Switch configurable digital output 0 to 7; CB2 has none. One that the safety configuration uses does not."""
+        self._set_digital(CONFIGURABLE, number, on, confirm)
 
-    def set_tool_digital_out(self, number: int, on: bool) -> None:
-        """Switch tool output 0 or 1."""
-        self._set_digital(16 + int(integer(number, 0, 1, "tool digital output")), on)
+    def set_tool_digital_out(self, number: int, on: bool, *, confirm: float | None = 1.0) -> None:
+        """Switch tool output 0 or 1. On CB2 nobody knows for sure where it shows, so it is not waited for there."""
+        self._set_digital(TOOL, number, on, confirm)
 
-    def set_analog_out(self, number: int, fraction: float) -> None:
-        """Set analogue output 0 or 1 to a fraction of its range, 0 to 1 (a guess: see `urlink.urscript.commands`)."""
-        self._send(commands.analog_out(self._firmware(), number, fraction))
+    def set_analog_out(self, number: int, fraction: float, *, confirm: float | None = 1.0) -> None:
+        """Set analogue output 0 or 1 to a fraction of its range, 0 to 1: 4 to 20 mA, or 0 to 10 V.
 
-    def set_tool_voltage(self, volts: int) -> None:
+        That it takes a fraction is a guess, see `urlink.urscript.commands`; a real robot confirms it, or refutes it
+        with `NotConfirmed`.
+        """
+        text = commands.secondary(commands.analog_out(self._settings.firmware, number, fraction))
+
+        def shown(board: MasterboardData) -> float:
+            value, domain = _analog_out(board, number)
+            return value / 10.0 if domain == AnalogDomain.VOLTAGE else (value - 0.004) / 0.016
+
+        echo = Echo(MasterboardData, shown, lambda value: abs(value - fraction) <= _ANALOG)
+        self._settings.apply(text, f"analogue output {number}", echo, confirm)
+
+    def set_tool_voltage(self, volts: int, *, confirm: float | None = 1.0) -> None:
         """Supply the tool with 0, 12 or 24 V."""
-        self._send(commands.tool_voltage(volts))
+        echo = Echo(ToolData, lambda tool: tool.tool_output_voltage, lambda value: value == volts)
+        self._settings.apply(commands.secondary(commands.tool_voltage(volts)), "the voltage of the tool", echo, confirm)
 
     def set_flag(self, number: int, on: bool) -> None:
-        """Set flag 0 to 31, which programs can read."""
-        self._send(commands.flag(number, on))
+        """Set flag 0 to 31, which programs can read; but not the one that lets programs begin (31, see `connect`).
+
+        The robot shows flags nowhere, so nothing tells whether it was set.
+        """
+        self._settings.flag(number, on)
 
     # -- what is there -------------------------------------------------------------------------------
 
     def digital_in(self, number: int) -> bool:
         """Standard digital input 0 to 7."""
-        return self._bit(self._masterboard().digital_input_bits, int(integer(number, 0, 7, "standard digital input")))
+        return self._digital_in(STANDARD, number)
 
     def digital_out(self, number: int) -> bool:
         """Standard digital output 0 to 7."""
-        return self._bit(self._masterboard().digital_output_bits, int(integer(number, 0, 7, "standard digital output")))
+        return self._digital_out(STANDARD, number)
 
     def configurable_digital_in(self, number: int) -> bool:
         """Configurable digital input 0 to 7."""
-        index = self._configurable(number, "input")
-        return self._bit(self._masterboard().digital_input_bits, index)
+        return self._digital_in(CONFIGURABLE, number)
 
     def configurable_digital_out(self, number: int) -> bool:
         """Configurable digital output 0 to 7."""
-        index = self._configurable(number, "output")
-        return self._bit(self._masterboard().digital_output_bits, index)
+        return self._digital_out(CONFIGURABLE, number)
 
     def tool_digital_in(self, number: int) -> bool:
         """Tool input 0 or 1. Its bit on CB2, 8 or 9, is inferred from there being only 16."""
-        index = self._tool(number, "input")
-        return self._bit(self._masterboard().digital_input_bits, index)
+        return self._digital_in(TOOL, number)
 
     def tool_digital_out(self, number: int) -> bool:
         """Tool output 0 or 1. Its bit on CB2, 8 or 9, is inferred from there being only 16."""
-        index = self._tool(number, "output")
-        return self._bit(self._masterboard().digital_output_bits, index)
+        return self._digital_out(TOOL, number)
 
     def analog_in(self, number: int) -> Analog:
         """Analogue input 0 or 1 of the control box."""
@@ -125,11 +132,7 @@ class IO:
 
     def analog_out(self, number: int) -> Analog:
         """Analogue output 0 or 1 of the control box."""
-        first = integer(number, 0, 1, "analogue output") == "0"
-        board = self._masterboard()
-        if first:
-            return Analog(board.analog_output_0, board.analog_output_domain_0)
-        return Analog(board.analog_output_1, board.analog_output_domain_1)
+        return Analog(*_analog_out(self._masterboard(), number))
 
     def tool_analog_in(self, number: int) -> Analog:
         """Analogue input 0 or 1 of the tool, which the packets call 2 and 3."""
@@ -146,30 +149,39 @@ class IO:
 
     # -- how -----------------------------------------------------------------------------------------
 
-    def _set_digital(self, number: int, on: bool) -> None:
-        self._send(commands.digital_out(self._firmware(), number, on))
+    def _set_digital(self, bank: DigitalBank, number: int, on: bool, confirm: float | None) -> None:
+        firmware = self._settings.firmware
+        text = commands.secondary(commands.digital_out(firmware, bank, number, on))
+        bit = bank.bit(firmware, number, "output")
+        echo = Echo(MasterboardData, lambda board: _bit(board.digital_output_bits, bit), lambda value: value == on)
+        is_sure = not (firmware.is_cb2 and bank is TOOL)
+        self._settings.apply(text, f"{bank.name} digital output {number}", echo if is_sure else None, confirm)
 
-    def _send(self, statement: str) -> None:
-        self._outlet.command(commands.secondary(statement))
+    def _digital_in(self, bank: DigitalBank, number: int) -> bool:
+        bit = bank.bit(self._settings.firmware, number, "input")
+        return _bit(self._masterboard().digital_input_bits, bit)
+
+    def _digital_out(self, bank: DigitalBank, number: int) -> bool:
+        bit = bank.bit(self._settings.firmware, number, "output")
+        return _bit(self._masterboard().digital_output_bits, bit)
 
     def _masterboard(self) -> MasterboardData:
         return self._newest(MasterboardData)
 
     def _newest(self, kind: type[T]) -> T:
-        feed = self._primary().of(kind)
+        feed = self._primary.of(kind)
         newest = feed.latest
-        return feed.wait(_PATIENCE) if newest is None else newest
+        return feed.wait(_FIRST_STATE) if newest is None else newest
 
-    def _configurable(self, number: int, what: str) -> int:
-        index = 8 + int(integer(number, 0, 7, f"configurable digital {what}"))
-        if self._firmware().is_cb2:
-            raise BadValue(f"firmware {self._firmware()} has no configurable {what}s")
-        return index
+    def __repr__(self) -> str:
+        return "<IO: inputs and outputs by number>"
 
-    def _tool(self, number: int, what: str) -> int:
-        index = int(integer(number, 0, 1, f"tool digital {what}"))
-        return index + (8 if self._firmware().is_cb2 else 16)
 
-    @staticmethod
-    def _bit(bits: int, index: int) -> bool:
-        return bool(bits >> index & 1)
+def _bit(bits: int, index: int) -> bool:
+    return bool(bits >> index & 1)
+
+
+def _analog_out(board: MasterboardData, number: int) -> tuple[float, AnalogDomain]:
+    if integer(number, 0, 1, "analogue output") == "0":
+        return board.analog_output_0, board.analog_output_domain_0
+    return board.analog_output_1, board.analog_output_domain_1

@@ -1,8 +1,9 @@
-"""`robot.script`: programs and lines to the controller, and what it says of them.
+"""The programs of this robot object that run on the controller: what the controller says, turned into events of lives.
 
-The controller tells of a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. That it
-came to its end is told by the program itself, see `urlink.urscript.source`. Whether CB2 sends the key messages is not
-known, so there a program begins with its own first word, and is over once the flag in the robot mode data falls.
+The controller tells of a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
+here has a name of its own, so these messages also say which preempted which. That a program came to its own end is told
+by the program itself, see `urlink.urscript.source`. Whether CB2 sends the key messages is not known, so there a program
+begins with its own first word, and is over once the flag in the robot mode data falls.
 
 Runtime exceptions carry no name. One that comes while a program is awaited is taken for that program's; else it is
 the running program's, unless its text is a compiler's.
@@ -10,234 +11,279 @@ the running program's, unless its text is a compiler's.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import logging
 import os
-import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from linkcore.errors import BadValue, ConnectionLost, LinkError, LinkTimeout
+from linkcore.errors import Closed, ConnectionLost, LinkError, LinkTimeout
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
-from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
+from linkcore.text import printable
 from linkcore.wire.packet import State
 
-from ..errors import CompileError, ProgramStopped, SafetyStop, ScriptError, ScriptFailed
+from ..errors import Cancelled, CompileError, NotRunning, ProgramStopped, ScriptError, ScriptFailed
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
+from ..urscript import commands, programs
 from ..urscript import source as sources
-from ..urscript.source import Wrapped
-from .channel import Outlet
-from .handle import Program, ProgramPhase
-from .safety import Safety
+from ..urscript.source import Permission, Wrapped
+from .callbacks import CallbackThread
+from .channel import CommandChannel
+from .handle import Lifecycle
+from .monitor import SafetyMonitor
+from .section import Section
 
-__all__ = ["Scripts"]
+__all__ = ["Programs"]
 
 _log = logging.getLogger(__name__)
 
-#: Seconds within which a program has to begin, and a `sec`, which takes no time, to be over.
-START_TIMEOUT = 5.0
 #: Seconds after an error within which the controller says that the program is over; then it is taken to be.
 _AFTERMATH = 1.0
 #: Seconds after the beginning of a program by which the flag in the robot mode data shows it: five states.
 _FLAG_LAG = 0.5
-#: Seconds that news of a stop may come after the end of the program that it stopped.
+#: Seconds that news of a stop may come after the end of the program that it stopped: three states.
 _STOP_LAG = 0.3
+#: Seconds before a silence in which what was sent may not have arrived.
+_BEFORE = 0.5
+#: rad/s² with which an arm brakes whose motion is cancelled.
+_DECELERATION = 2.0
 
 _STARTED = "PROGRAM_XXX_STARTED"
 _STOPPED = "PROGRAM_XXX_STOPPED"
 _COMPILER = ("compile_error", "syntax_error")
 
 
+@dataclass(eq=False)
 class _Run:
-    """A program that is not over yet."""
+    """A program that is not over yet.
 
-    def __init__(self, wrapped: Wrapped, program: Program, on_text: Callable[[str], object] | None) -> None:
-        self.wrapped = wrapped
-        self.program = program
-        self.on_text = on_text
-        self.sent = time.monotonic()
-        self.has_begun = False
-        self.begun = 0.0
-        self.is_finished = False  # it has said its last word
-        self.is_asked_to_stop = False
-        self.was_seen = False  # in the robot mode data
-        self.error: ScriptError | None = None
-        self.failed = 0.0
+    Attributes:
+        wrapped: as it was sent.
+        life: what becomes of it.
+        is_motion: it ends as soon as the interlock closes. A program of the user's own ends when the controller says
+            so: it may only be paused.
+        moves_late: it may move the arm if it begins after its life is over: it neither asks for permission nor connects
+            to somebody who is there only as long as it lives.
+        left_alone: what it does when nobody can be heard any more, for messages.
+        on_text: called with each line that it says, in the thread that hears it.
+        on_finish: called when it has come to its own end.
+        sent: when it was.
+        begun: when the controller said so; None as long as it has not.
+        verdict: what it ends with once the controller says that it is over: an error, or True for its own end.
+        is_stopped: the controller said that it is over, and why is not known yet.
+        at: when the verdict was found, or it was stopped.
+        was_seen: in the robot mode data.
+    """
+
+    wrapped: Wrapped
+    life: Lifecycle
+    is_motion: bool
+    moves_late: bool
+    left_alone: str
+    on_text: Callable[[str], object]
+    on_finish: Callable[[], object]
+    sent: float
+    begun: float | None = None
+    verdict: ScriptError | bool = False
+    is_stopped: bool = False
+    at: float = 0.0
+    was_seen: bool = False
 
     @property
     def name(self) -> str:
         return self.wrapped.name
 
 
-class Scripts:
-    """Sends URScript, and keeps account of the programs that it sent.
+class Programs:
+    """Sends programs, and keeps account of those that are not over.
 
     Args:
-        primary: makes the primary stream.
-        outlet: by which everything leaves.
-        safety: knows of stops.
+        primary: the connection whose messages tell of programs.
+        channel: by which everything leaves.
+        monitor: tells when the interlock closes.
+        section, callbacks: of the robot.
+        start_timeout: seconds that a program has to begin, and to be let go on.
+        start_flag: number of the flag by which it is; None lets every program begin at once, however late.
+        rate: tells the cycles of the controller in a second.
+        clock: seconds that only grow.
     """
 
-    def __init__(self, primary: Callable[[], Stream[RobotState]], outlet: Outlet, safety: Safety) -> None:
+    def __init__(
+        self,
+        primary: Connection,
+        channel: CommandChannel,
+        monitor: SafetyMonitor,
+        section: Section,
+        callbacks: CallbackThread,
+        *,
+        start_timeout: float,
+        start_flag: int | None,
+        rate: Callable[[], int],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._primary = primary
-        self._outlet = outlet
-        self._safety = safety
+        self._channel = channel
+        self._monitor = monitor
+        self._section = section
+        self._callbacks = callbacks
+        self._start_timeout = start_timeout
+        self._start_flag = start_flag
+        self._rate = rate
+        self._clock = clock
         self._token = os.urandom(2).hex()  # another process may be sending programs too
         self._numbers = itertools.count(1)
-        self._lock = threading.RLock()
-        self._sending = threading.Lock()
-        self._runs: list[_Run] = []  # in the order in which they were sent
-        self._subscriptions: list[Subscription] = []
+        #: by name, in the order in which they leave; each change is one step, for signal handlers too
+        self._runs: dict[str, _Run] = {}
+        self._subscriptions: tuple[Subscription, ...] = ()
         self._mode: RobotModeData | None = None
         self._has_keys = False  # this controller sends key messages
-
-    # -- what users call ---------------------------------------------------------------------------
-
-    def run(
-        self, source: str, *, wait: bool | float = False, on_text: Callable[[str], object] | None = None
-    ) -> Program:
-        """Send a program; it stops the one that runs, unless it is a `sec`, which runs beside it.
-
-        Args:
-            source: URScript: a whole ``def``, a ``sec``, or bare statements. Where the last thing at the top is a
-                ``def``, which may take no arguments, it is called after what stands above it.
-            wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
-            on_text: called with each line of its `textmsg`, from the thread that reads.
-
-        Returns:
-            the handle. Lines in its errors are those of `source`.
-
-        Raises:
-            BadValue: it cannot be a program: nothing was sent.
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            LinkError: it could not be sent; with `wait`, also what ended it.
-        """
-        token = f"{self._token}_{next(self._numbers)}"
-        return self._send(sources.wrap(source, token), on_text, wait)
-
-    def start(
-        self,
-        body: Sequence[str],
-        *,
-        prefix: str = "urlink",
-        on_text: Callable[[str], object] | None = None,
-        brakes: bool = False,
-    ) -> Program:
-        """Send a program of the library's own; it stops the one that runs.
-
-        Args:
-            body: its lines, without the ``def`` around them.
-            prefix: what its name begins with.
-            on_text: called with each line of `textmsg` while it runs, from the thread that reads.
-            brakes: it can only bring the arm to rest; see `Outlet.motion`.
-
-        Raises:
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            RemoteError: it could not be sent.
-        """
-        name = f"{prefix}_{self._token}_{next(self._numbers)}"
-        return self._send(sources.program(name, body), on_text, False, brakes)
-
-    def send_line(self, line: str) -> None:
-        """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not told.
-
-        It goes through the gate as programs do, since it may move the arm.
-
-        Raises:
-            BadValue: it is not one line.
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            RemoteError: it could not be sent.
-        """
-        if not isinstance(line, str) or not line.strip():
-            raise BadValue(f"{line!r} is no line of URScript")
-        if not all(character == "\t" or character.isprintable() for character in line):
-            raise BadValue(f"{line!r} holds a line break or a control character; expected one line")
-        self._outlet.motion(line)
-
-    def close(self) -> None:
-        """Follow programs no longer."""
-        with self._lock:
-            subscriptions, self._subscriptions = self._subscriptions, []
-        for subscription in subscriptions:
-            subscription.close()
-        self._end_all(lambda run: ConnectionLost(f"closed here while program {run.name} ran; it may still run"))
+        self._is_closed = False
+        monitor.on_close(self._interlock_closed)
+        # What was sent while nothing was heard may not have arrived yet, and nobody will want it by then.
+        monitor.on_silence(lambda seconds: channel.discard(seconds + _BEFORE))
 
     # -- sending -----------------------------------------------------------------------------------
 
-    def _send(
-        self, wrapped: Wrapped, on_text: Callable[[str], object] | None, wait: bool | float, brakes: bool = False
-    ) -> Program:
-        if not isinstance(wait, bool) and not wait > 0:
-            raise BadValue(f"wait is {wait!r}; expected True, False or a positive number of seconds")
-        self._listen()
-        program = Program(wrapped.name, self._stop)
-        run = _Run(wrapped, program, on_text)
-        with self._sending:  # so that they are known in the order in which they leave
-            with self._lock:
-                run.sent = time.monotonic()
-                self._runs.append(run)
-            try:
-                self._outlet.motion(wrapped.text, brakes=brakes)
-            except BaseException:
-                with self._lock, contextlib.suppress(ValueError):  # the connection may have been lost meanwhile
-                    self._runs.remove(run)
-                raise
-        if wait:
-            program.wait(60.0 if wait is True else wait)
-        return program
+    def life(self, name: str) -> Lifecycle:
+        """Of something that is about to be begun."""
+        return Lifecycle(name, self._section, self._callbacks)
 
-    def _stop(self, program: Program) -> None:
-        with self._lock:
-            run = next((each for each in self._runs if each.program is program), None)
-        if run is None:
+    def wrap(self, source: str) -> Wrapped:
+        """A user's source as a program.
+
+        Raises:
+            BadValue: it cannot be one.
+        """
+        return sources.wrap(source, f"{self._token}_{next(self._numbers)}", self._permission)
+
+    def own(self, body: Sequence[str], *, asks: bool = True) -> Wrapped:
+        """The lines of a program of the library's own; without `asks` it begins at once."""
+        return sources.program(self._name("urlink"), body, self._permission if asks else None)
+
+    def _name(self, prefix: str) -> str:
+        return f"{prefix}_{self._token}_{next(self._numbers)}"
+
+    @property
+    def _permission(self) -> Permission | None:
+        if self._start_flag is None:
+            return None
+        return Permission(self._start_flag, max(round(self._start_timeout * self._rate()), 1))
+
+    def start(
+        self,
+        wrapped: Wrapped,
+        life: Lifecycle,
+        *,
+        is_motion: bool = True,
+        is_stop: bool = False,
+        is_linked: bool = False,
+        left_alone: str = "it may still move the arm",
+        on_text: Callable[[str], object] = lambda text: None,
+        on_finish: Callable[[], object] | None = None,
+    ) -> None:
+        """Send a program; it preempts the one that runs, unless it is a `sec`. `_Run` has the other arguments.
+
+        Args:
+            is_stop: it can only bring the arm to rest; see `CommandChannel.motion`.
+            is_linked: it connects back before it moves the arm.
+
+        Raises:
+            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
+            Closed: the robot was closed.
+            RemoteError: it could not be sent.
+        """
+        moves_late = not (wrapped.asks or is_linked or is_stop)
+        run = _Run(wrapped, life, is_motion, moves_late, left_alone, on_text, on_finish or life.finish, self._clock())
+
+        def claim() -> None:
+            if self._is_closed:
+                raise Closed("the robot was closed")
+            if life.error is not None:
+                raise life.error
+            run.sent = self._clock()
+            self._runs[run.name] = run
+            newest = self._newest()
+            if newest is not run and newest is not None and not wrapped.is_secondary:
+                # A signal handler has begun it between these lines: it came later, though it was sent first.
+                raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
+
+        life.on_end(lambda: self._runs.pop(run.name, None))
+        try:
+            self._listen()
+            self._channel.motion(wrapped.text, is_stop=is_stop, claim=claim)
+        except BaseException as error:
+            life.fail(error if isinstance(error, Exception) else Cancelled(f"{life.name} was interrupted"))
+            raise
+
+    def stop(self, life: Lifecycle) -> None:
+        """Stop the program of a life, if it is the newest: one that was sent after it stops it anyway.
+
+        Raises:
+            NotRunning: nothing is known of the robot, so it cannot be stopped from here.
+            RemoteError: it could not be told.
+        """
+        newest = self._newest()
+        if newest is None or newest.life is not life:
             return
-        if run.wrapped.is_secondary:
-            raise BadValue(f"{program.name} is a sec, which takes no time and cannot be stopped")
-        run.is_asked_to_stop = True
-        # A new program stops the one that runs. Where a stop holds, the arm stands already and the gate refuses.
-        name = f"urlink_stop_{self._token}_{next(self._numbers)}"
-        with contextlib.suppress(SafetyStop):
-            self._outlet.motion(f"def {name}():\n  stopj(2.0)\nend", brakes=True)
+        name = self._name("urlink_stop")
+        body = programs.stop(_DECELERATION)
+        self._channel.motion(sources.program(name, body).text, is_stop=True)
+
+    @property
+    def current(self) -> Lifecycle | None:
+        """Of the motion that was begun last, unless it is over or a program of the user's own came after it."""
+        newest = self._newest()
+        return newest.life if newest is not None and newest.is_motion and not newest.life.is_over else None
+
+    def _newest(self) -> _Run | None:
+        """The program that was sent last, unless it is over."""
+        return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
+
+    def close(self) -> None:
+        """Cancel the motion that runs, begin nothing more, and follow programs no longer. Idempotent."""
+        self._is_closed = True
+        newest = self._newest()
+        if newest is not None and newest.is_motion:
+            newest.life.cancel("cancelled, since the robot was closed", brake=True)
+        subscriptions, self._subscriptions = self._subscriptions, ()
+        for subscription in subscriptions:
+            subscription.close(0)
+        for run in self._pending():
+            run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
 
     # -- what the controller says --------------------------------------------------------------------
 
     def _listen(self) -> None:
-        with self._lock:
-            if self._subscriptions:
-                return
-            stream = self._primary()
-            subscriptions: list[Subscription] = []
-            try:
-                subscriptions.append(
-                    stream.subscribe(self._on_packet, State, deadline=START_TIMEOUT, on_deadline=self._on_silence)
-                )
-                subscriptions.append(stream.subscribe(self._on_event, ConnectionEvent))
-            except BaseException:
-                for subscription in subscriptions:
-                    subscription.close(0)
-                raise
-            self._subscriptions = subscriptions
+        if self._subscriptions:
+            return
+        subscriptions: list[Subscription] = []
+        try:
+            subscriptions.append(self._primary.subscribe_inline(State, self.hear))
+            subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, self.hear_event))
+        except BaseException:
+            for subscription in subscriptions:
+                subscription.close(0)
+            raise
+        self._subscriptions = tuple(subscriptions)
 
-    def _on_event(self, event: ConnectionEvent) -> None:
+    def hear_event(self, event: ConnectionEvent) -> None:
+        """Something has happened to the connection."""
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
             return
         why = f": {event.error}" if event.error is not None else ""
-        at = event.received.monotonic
-        self._end_all(
-            lambda run: ConnectionLost(f"the connection was lost while program {run.name} ran; it may still run{why}"),
-            before=at,
-        )
+        for run in self._pending():
+            if run.sent < event.received.monotonic:
+                what = f"the connection was lost while {run.life.name} ran; {self._what_if(run)}{why}"
+                run.life.fail(ConnectionLost(what))
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
-            with self._lock:
-                self._subscriptions = []
+            self._subscriptions = ()
 
-    def _on_silence(self, seconds: float) -> None:
-        self._check_time()
-
-    def _on_packet(self, packet: State) -> None:
+    def hear(self, packet: State) -> None:
+        """The primary interface has said something."""
         if isinstance(packet, RobotState):
             mode = packet.robot_mode_data
             if mode is not None:
@@ -250,7 +296,7 @@ class Scripts:
             self._on_exception(packet)
 
     def _on_key(self, title: str, name: str) -> None:
-        run = self._named(name)
+        run = self._runs.get(name)
         self._has_keys |= title in (_STARTED, _STOPPED)
         if title == _STARTED and run is not None:
             self._begin(run)
@@ -263,60 +309,78 @@ class Scripts:
         for run in self._pending():
             if text == sources.start_marker(run.name):
                 self._begin(run)
+                if run.wrapped.asks:
+                    self._permit(run)
                 return
             if text == sources.finish_marker(run.name):
                 self._begin(run)
-                run.is_finished = True
+                self._judge(run, True)
                 if run.wrapped.is_secondary:
                     self._end(run)
                 return
+            if text == sources.expiry_marker(run.name):
+                why = f"was not let go on within {self._start_timeout:g} s, and has ended without moving the arm"
+                run.life.fail(LinkTimeout(f"{run.life.name} {why}"))
+                return
         for run in self._pending():
-            if run.has_begun and not run.wrapped.is_secondary:
-                run.program.add_text(text)
-                if run.on_text is not None:
-                    try:
-                        run.on_text(text)
-                    except Exception:
-                        _log.exception("on_text of program %s raised", run.name)
+            if run.begun is not None and not run.wrapped.is_secondary:
+                run.on_text(text)
+
+    def _permit(self, run: _Run) -> None:
+        """Let a program go on that asks: it is still wanted, or its life would be over."""
+        assert self._start_flag is not None
+
+        def claim() -> None:
+            if run.life.is_over:
+                raise Cancelled(f"{run.life.name} is over")
+
+        try:
+            permission = commands.secondary(commands.flag(self._start_flag, True))
+            # Without waiting: this thread has more to hear.
+            self._channel.motion(permission, claim=claim, wait=False)
+        except LinkError as error:
+            run.life.fail(error)
 
     def _on_exception(self, message: RuntimeExceptionMessage) -> None:
-        awaited = [run for run in self._pending() if not run.has_begun]
-        running = [run for run in self._pending() if run.has_begun]
-        is_compiler = message.text.startswith(_COMPILER)
+        awaited = [run for run in self._pending() if run.begun is None]
+        running = [run for run in self._pending() if run.begun is not None]
+        text = message.text.strip("\0\n")
+        is_compiler = text.startswith(_COMPILER)
         candidates = awaited or ([] if is_compiler else running)
         if not candidates:
-            _log.warning("the controller complains: %d:%d: %s", message.line, message.column, message.text)
+            _log.warning("the controller complains: %d:%d: %s", message.line, message.column, printable(text))
             return
         run = candidates[-1]
         place = run.wrapped.place(message.line, message.column)
-        kind = ScriptFailed if run.has_begun and not is_compiler else CompileError
-        run.error = kind(*place, run.wrapped.words(message.text.strip("\0\n")))
-        run.failed = time.monotonic()
-        if not run.has_begun or run.wrapped.is_secondary:
+        kind = ScriptFailed if run.begun is not None and not is_compiler else CompileError
+        self._judge(run, kind(*place, run.wrapped.words(text)))
+        if run.begun is None or run.wrapped.is_secondary:
             self._end(run)
 
     def _on_mode(self, mode: RobotModeData) -> None:
         self._mode = mode
         for run in self._pending():
-            if run.wrapped.is_secondary or not run.has_begun:
+            if run.wrapped.is_secondary or run.begun is None:
                 continue
             if mode.is_program_running or mode.is_program_paused:
                 run.was_seen = True
-            elif run.was_seen or run.is_finished or run.error is not None or self._was_missed(run):
+            elif run.was_seen or run.verdict or self._was_missed(run):
                 self._end(run)
         self._check_time()
 
     def _was_missed(self, run: _Run) -> bool:
         """It was over before a state could show it, and no key message tells: the flag has been down for too long."""
-        return not self._has_keys and time.monotonic() - run.begun > _FLAG_LAG
+        return not self._has_keys and run.begun is not None and self._clock() - run.begun > _FLAG_LAG
 
     def _check_time(self) -> None:
-        now = time.monotonic()
+        now = self._clock()
         for run in self._pending():
-            if run.error is not None and now - run.failed > _AFTERMATH:
+            if run.is_stopped and now - run.at > _STOP_LAG:
+                run.life.fail(ProgramStopped(f"{run.life.name} was stopped before its end, from elsewhere"))
+            elif isinstance(run.verdict, ScriptError) and now - run.at > _AFTERMATH:
                 self._end(run)
-            elif (not run.has_begun or run.wrapped.is_secondary) and now - run.sent > START_TIMEOUT:
-                self._finish(run, ProgramPhase.FAILED, self._never_began(run))
+            elif (run.begun is None or run.wrapped.is_secondary) and now - run.sent > self._start_timeout:
+                run.life.fail(self._never_began(run))
 
     def _never_began(self, run: _Run) -> LinkError:
         mode = self._mode
@@ -325,65 +389,69 @@ class Scripts:
         else:
             runs = "a program runs" if mode.is_program_running else "no program runs"
             situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
-        what = "has not ended" if run.has_begun else "has not begun"
-        hint = "" if run.has_begun else "; an e-Series controller takes no programs while it is in local control"
+        what, hint = "ended", ""
+        if run.begun is None:
+            what = "begun"
+            hint = f"; {self._what_if(run)}; an e-Series controller takes no programs while it is in local control"
         return LinkTimeout(
-            f"program {run.name} {what} within {START_TIMEOUT:g} s, and no error was told; {situation}{hint}"
+            f"{run.life.name} has not {what} within {self._start_timeout:g} s, and no error was told; {situation}{hint}"
         )
 
     # -- what becomes of programs ------------------------------------------------------------------
 
     def _pending(self) -> list[_Run]:
-        with self._lock:
-            return list(self._runs)
-
-    def _named(self, name: str) -> _Run | None:
-        return next((run for run in self._pending() if run.name == name), None)
+        return list(self._runs.values())
 
     def _begin(self, run: _Run) -> None:
-        if run.has_begun:
+        if run.begun is not None:
             return
         if not run.wrapped.is_secondary:
             self._replace(run.name, run)
-        run.has_begun, run.begun = True, time.monotonic()
-        run.program.set_running()
+        run.begun = self._clock()
+        run.life.begin()
 
     def _replace(self, name: str, successor: _Run | None) -> None:
         """A program has begun: those sent before it are over, whether told so or not."""
         for run in self._pending():
             if run is successor:
                 return
-            if run.wrapped.is_secondary or (successor is None and not run.has_begun):
+            if run.wrapped.is_secondary or (successor is None and run.begun is None):
                 continue
-            if run.is_finished or run.error is not None or run.is_asked_to_stop:
+            if run.verdict:
                 self._end(run)
+            elif successor is not None:
+                run.life.cancel(f"preempted by {successor.life.name}", brake=False)
+            elif f"_{self._token}_" in name:  # one that was given up since it was sent
+                run.life.cancel(f"preempted by {name}", brake=False)
             else:
-                self._finish(run, ProgramPhase.STOPPED, ProgramStopped(f"program {run.name} was replaced by {name}"))
+                run.life.fail(ProgramStopped(f"{run.life.name} was replaced by {name}, a program from elsewhere"))
+
+    def _judge(self, run: _Run, verdict: ScriptError | bool) -> None:
+        run.verdict, run.at = verdict, self._clock()
 
     def _end(self, run: _Run) -> None:
         """The controller has ended a program; why follows from what was heard before."""
-        if run.error is not None:
-            self._finish(run, ProgramPhase.FAILED, run.error)
-        elif run.is_finished:
-            self._finish(run, ProgramPhase.FINISHED, None)
-        elif run.is_asked_to_stop:
-            self._finish(run, ProgramPhase.STOPPED, ProgramStopped(f"program {run.name} was stopped as asked"))
-        else:
-            newer = any(each is not run and each.sent >= run.sent for each in self._pending())
-            stop = None if newer else self._safety.wait_for_stop(_STOP_LAG)
-            error = stop or ProgramStopped(
-                f"program {run.name} was stopped before its end" + (", by the next one" if newer else "")
-            )
-            self._finish(run, ProgramPhase.STOPPED, error)
+        if isinstance(run.verdict, ScriptError):
+            run.life.fail(run.verdict)
+        elif run.verdict:
+            run.on_finish()
+        elif (newest := self._newest()) is not None and newest is not run and not run.wrapped.is_secondary:
+            run.life.cancel(f"preempted by {newest.life.name}", brake=False)
+        elif (stop := self._monitor.refusal(is_stop=True)) is not None:
+            run.life.fail(stop)
+        elif not run.is_stopped:
+            # News of what stopped it may be on its way.
+            run.is_stopped, run.at = True, self._clock()
 
-    def _end_all(self, why: Callable[[_Run], LinkError], before: float = float("inf")) -> None:
+    def _interlock_closed(self, error: LinkError) -> None:
         for run in self._pending():
-            if run.sent < before:
-                self._finish(run, ProgramPhase.FAILED, why(run))
+            if run.is_stopped:
+                run.life.fail(error)
+            elif run.is_motion:
+                run.life.fail(NotRunning(f"{error}; {self._what_if(run)}") if isinstance(error, NotRunning) else error)
 
-    def _finish(self, run: _Run, phase: ProgramPhase, error: LinkError | None) -> None:
-        with self._lock:
-            if run not in self._runs:
-                return
-            self._runs.remove(run)
-        run.program.set_done(phase, error)
+    def _what_if(self, run: _Run) -> str:
+        """What may still happen to a program that is given up here, for messages."""
+        if run.begun is not None:
+            return run.left_alone
+        return f"if it begins later, {run.left_alone}" if run.moves_late else "it moves nothing if it begins later"

@@ -1,20 +1,25 @@
 """A trajectory as a stream of set-points, one per cycle of the controller.
 
 Each real-time state that arrives is answered with the set-point for its own time, a little ahead: the controller's
-clock paces the stream, so it does not matter how this computer's clock runs, and a state that comes late only makes its
-set-point late. What arrives while this computer was held up is not made up for: the next set-point is for the newest
-state.
+clock paces the stream, so it does not matter how this computer's clock runs.
+
+No set-point leaps, whatever happened before it. While set-points stay away the program on the robot goes on by its last
+step, less and less of it (`urlink.urscript.programs.streaming`). The follower knows how far that is. It goes on from
+there, fades out what lies between that place and the trajectory, and follows the trajectory a tenth faster until it has
+caught up. What is sent is held against the speeds of the joints as well (`urlink.motion.speed_limit`). Where nothing
+that may be sent leads on, it ends with an error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
+from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from .equipment import Equipment
-from .following import Following, Tolerances, TrajectoryFeedback
-from .reverse import ReverseLink
+from ..models import Model
+from .following import Following, Tolerances
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
+from .speed_limit import SpeedLimit
 from .trajectory import Trajectory
 
 __all__ = ["Follower"]
@@ -26,60 +31,143 @@ _AHEAD = 2
 _FADE_SPEED = 0.25
 #: Seconds that this takes at least.
 _FADE_LEAST = 0.2
+#: Factor by which a trajectory may be followed faster to catch up. Chosen: a second makes up for a tenth, and the jump
+#: in speed is no more than an arm takes from point to point of a coarse trajectory.
+_CATCHING_UP = 1.1
+
+
+class _Fade:
+    """A difference that is faded out.
+
+    Args:
+        offset: (6,) rad, at first.
+        begin: s on the trajectory.
+    """
+
+    def __init__(self, offset: Sequence[float], begin: float) -> None:
+        self._offset = list(offset)
+        self._begin = begin
+        self._seconds = max(1.5 * max(map(abs, offset)) / _FADE_SPEED, _FADE_LEAST)
+
+    def at(self, t: float) -> tuple[list[float], list[float]]:
+        """What is left of it at a time, rad, and its speed, rad/s."""
+        rest = 1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0)
+        share, speed = rest * rest * (3.0 - 2.0 * rest), -6.0 * rest * (1.0 - rest) / self._seconds
+        return [share * each for each in self._offset], [speed * each for each in self._offset]
 
 
 class Follower(Following):
-    """Streams a trajectory.
+    """The set-points of a trajectory.
 
     Where the arm does not stand exactly at the first point, the difference is faded out while it moves.
 
     Args:
         servoing: how its set-points are followed.
+        model: the arm; None if it is not known.
     """
 
-    def __init__(
-        self,
-        equipment: Equipment,
-        trajectory: Trajectory,
-        tolerances: Tolerances,
-        feedback: Callable[[TrajectoryFeedback], object] | None,
-        servoing: Servoing,
-    ) -> None:
-        super().__init__(equipment, trajectory, tolerances, feedback)
+    def __init__(self, trajectory: Trajectory, tolerances: Tolerances, servoing: Servoing, model: Model | None) -> None:
+        self._cycle = 1.0 / servoing.firmware.rate
+        super().__init__(trajectory, tolerances, self._cycle)
+        self.farewell = STOP_WORD
         self._servoing = servoing
-        self._ahead = _AHEAD / equipment.firmware.rate
-        self._offset = [0.0] * 6
-        self._fade = _FADE_LEAST
+        # What is late has been coasted, which counts from there.
+        self._limit = SpeedLimit(model, self._cycle, late=0.0)
+        #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
+        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Fade([0.0] * 6, 0.0)
+        #: s that have passed on the trajectory, by the controller's clock; None before it began
+        self._t: float | None = None
+        #: s since the last set-point by the controller's clock, and when it was sent by this computer's
+        self._since = 0.0
+        self._sent = 0.0
+        #: the last set-point, rad, and its time on the trajectory, s
+        self._q = [0.0] * 6
+        self._s = 0.0
+        #: what the program on the robot makes of the last two: by how much it goes on in a cycle, in rad and in s
+        self._step = [0.0] * 6
+        self._pace = 0.0
+        self._is_led = False
 
-    def _body(self, host: str, port: int) -> list[str]:
-        return self._servoing.body(self._equipment.firmware, host, port)
+    def body(self, host: str, port: int, token: int) -> list[str]:
+        """The lines of the program on the robot."""
+        return self._servoing.body(host, port, token)
 
-    def _farewell(self) -> bytes:
-        return STOP_WORD
+    def desired(self, t: float) -> tuple[list[float], list[float]]:
+        """Positions and velocities that the arm is to have at a time."""
+        q, qd = super().desired(t)
+        offset, speed = self._start.at(t)
+        return _sum(q, offset), _sum(qd, speed)
 
-    def _desired(self, t: float) -> tuple[list[float], list[float]]:
-        q, qd, _ = self._trajectory.sample(t)
-        u = t / self._fade
-        if u < 1.0:
-            rest = 1.0 - max(u, 0.0)
-            share = rest * rest * (3.0 - 2.0 * rest)
-            speed = -6.0 * rest * (1.0 - rest) / self._fade
-            q = [each + share * offset for each, offset in zip(q, self._offset, strict=True)]
-            qd = [each + speed * offset for each, offset in zip(qd, self._offset, strict=True)]
-        return q, qd
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """What to say when a state has come; nothing is said twice for the same cycle.
 
-    def _step(self, link: ReverseLink, state: RealtimeState) -> None:
-        link.received()  # it sends nothing, but this shows that it is there
-        if self._t0 is None:
-            if not self._rests(state):
-                self._say(WAIT_WORD)
-                return
+        Raises:
+            BadValue: the arm does not stand where the trajectory begins.
+            LinkTimeout: it does not come to rest.
+            ToleranceExceeded: it is too far from where it should be, or would have to leap.
+        """
+        passed = self._clock.passed(state.time, now)
+        if self._t is None:
+            if not self._rests(state, now):
+                return WAIT_WORD
             here = self._check_start(state)
-            self._offset = [q - first for q, first in zip(here, self._trajectory.q[0].tolist(), strict=True)]
-            self._fade = max(1.5 * max(map(abs, self._offset)) / _FADE_SPEED, _FADE_LEAST)
-            self._t0 = state.time
-        t = state.time - self._t0
-        # First of all: everything else can wait until it is on its way.
-        self._say(setpoint(self._desired(t + self._ahead)[0]))
-        if self._follow_up(state, self._desired(t)[0]):
-            self._conclude()
+            self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
+            self._t, self._s, self._q = 0.0, (_AHEAD - 1) * self._cycle, here
+        else:
+            self._t += passed
+            self._since += passed
+            if self._since < 0.5 * self._cycle:
+                return b""
+        word = self._next(self._t + _AHEAD * self._cycle, now)
+        self._compare(state, self._s - _AHEAD * self._cycle)
+        return word
+
+    def _next(self, wanted: float, now: float) -> bytes:
+        """The next set-point: for the time `wanted` on the trajectory, or as near to that as may be."""
+        missed = self._missed(now)
+        coasted = self._coasting(missed)
+        here = [q + step * coasted for q, step in zip(self._q, self._step, strict=True)]
+        s = self._s + self._pace * coasted
+        if missed:
+            self._gap = _Fade(_difference(here, self.desired(s)[0]), s)
+        most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
+        excess = None
+        for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
+            q = _sum(self.desired(s + ahead)[0], self._gap.at(s + ahead)[0])
+            excess = self._limit.excess(here, q, now)
+            if excess is None:
+                break
+        else:
+            raise ToleranceExceeded(f"the arm would have to leap to go on with its trajectory: {excess}")
+        self._limit.take(here, q, now)
+        if self._is_led:  # the first set-point gives the program no step to go on by
+            self._step = [each / (missed + 1) for each in _difference(q, self._q)]
+            self._pace = (s + ahead - self._s) / (missed + 1)
+        self._is_led = True
+        self._q, self._s = q, s + ahead
+        self._since, self._sent = 0.0, now
+        return setpoint(q)
+
+    def _missed(self, now: float) -> int:
+        """Cycles that the program on the robot has gone without a set-point since the last one.
+
+        They count from when that was sent. The states say it more precisely than this computer's clock, where they
+        come as regularly as they should.
+        """
+        own = now - self._sent
+        since = self._since if abs(self._since - own) <= 0.5 * self._cycle else own
+        return max(round(since / self._cycle) - 1, 0) if self._is_led else 0
+
+    def _coasting(self, missed: int) -> float:
+        """How many of its last steps the program on the robot goes on in so many cycles without a set-point."""
+        missable = self._servoing.missable
+        n = min(missed, missable)
+        return n - n * (n + 1) / (2.0 * missable)
+
+
+def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _difference(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [x - y for x, y in zip(a, b, strict=True)]

@@ -1,29 +1,32 @@
-"""What both ways to follow a trajectory have in common: its beginning, its tolerances, its feedback, its end."""
+"""What both ways to follow a trajectory have in common: the controller's clock, the beginning, the tolerances, the end.
+
+Nothing in here does input or output, and time is told to it: see `urlink.motion.linked` for who does that.
+"""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import JOINTS, FloatArray
-from .equipment import Equipment
-from .linked import LinkedMotion
-from .reverse import ReverseLink
 from .trajectory import Trajectory
 
-__all__ = ["Following", "Tolerances", "TrajectoryFeedback"]
+__all__ = ["ControllerClock", "Following", "Tolerances", "TrajectoryFeedback"]
 
 #: rad/s below which an arm stands.
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
+#: Cycles by which the time between two states may be longer than what this computer's clock knows of. Half of one: a
+#: state more or less is then told apart.
+_TOLERANCE = 0.5
+#: What is left, from state to state, of the time by which states are late. Chosen: late ones arrive within some ten.
+_FORGETTING = 0.9
 
 
 @dataclass(frozen=True)
@@ -64,56 +67,96 @@ class Tolerances:
     start: float
 
 
-class Following(LinkedMotion):
-    """A trajectory that is being followed."""
+class ControllerClock:
+    """How much time passes on the controller, as far as its states can be believed.
 
-    def __init__(
-        self,
-        equipment: Equipment,
-        trajectory: Trajectory,
-        tolerances: Tolerances,
-        feedback: Callable[[TrajectoryFeedback], object] | None,
-    ) -> None:
-        super().__init__("follow", equipment)
+    For a state without a time, from the past, or from a future that this computer's clock knows nothing of, that clock
+    counts, and one cycle at least. States that were late may come together: by as much as they were late the next ones
+    may be further apart than their arrivals.
+
+    Args:
+        cycle: seconds of the controller's cycle.
+    """
+
+    def __init__(self, cycle: float) -> None:
+        self._cycle = cycle
+        self._told: float | None = None
+        self._now = 0.0
+        self._lateness = 0.0
+
+    def passed(self, time: float, now: float) -> float:
+        """Seconds since the last state; 0 for the first.
+
+        Args:
+            time: of the state, on the controller's clock.
+            now: when it came, on a clock of this computer that only grows.
+        """
+        before = self._told, self._now
+        self._told, self._now = time, now
+        if before[0] is None:
+            return 0.0
+        told, own = time - before[0], now - before[1]
+        if not 0.0 <= told <= own + self._lateness + _TOLERANCE * self._cycle:
+            told = max(own, self._cycle)
+        self._lateness = max(self._lateness + own - told, 0.0) * _FORGETTING
+        return told
+
+
+class Following(ABC):
+    """A trajectory that is being followed: what both `Dialogue`s of `urlink.motion.linked` share.
+
+    Args:
+        trajectory: what to follow.
+        tolerances: how closely.
+        cycle: seconds of the controller's cycle.
+
+    Attributes:
+        farewell: what ends the program.
+        survives_its_program: the program may end before the arm has arrived.
+        progress: the part of it that is over.
+        is_over: the arm has arrived, and stands.
+        began: on the clock of the states: when the arm was at the beginning, or would have been, to be at this moment
+            where it is led; None before that.
+    """
+
+    def __init__(self, trajectory: Trajectory, tolerances: Tolerances, cycle: float) -> None:
+        self.farewell = b""
+        self.survives_its_program = False
+        self.progress = 0.0
+        self.is_over = False
+        self.began: float | None = None
         self._trajectory = trajectory
         self._tolerances = tolerances
-        self._feedback = feedback
-        #: s on the controller's clock at which the trajectory began
-        self._t0: float | None = None
-        self._resting_since: float | None = None
-        self._reached = 0.0
+        self._clock = ControllerClock(cycle)
+        self._moving_since: float | None = None
 
-    def _desired(self, t: float) -> tuple[list[float], list[float]]:
+    @abstractmethod
+    def body(self, host: str, port: int, token: int) -> list[str]:
+        """The lines of the program on the robot."""
+
+    @abstractmethod
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """What to say when a state has come."""
+
+    def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
+        """The program has come to its own end."""
+
+    def desired(self, t: float) -> tuple[list[float], list[float]]:
         """Positions and velocities that the arm is to have at a time."""
         q, qd, _ = self._trajectory.sample(t)
         return q, qd
 
-    def _begin(self) -> None:
-        super()._begin()
-        if self._feedback is not None:
-            # On a queue and a thread of its own: it may be slow, and it may raise.
-            self._attend(self._equipment.realtime.subscribe(self._tell))
-
-    def _tell(self, state: RealtimeState) -> None:
-        t0 = self._t0
-        if t0 is None or self._feedback is None or self.done or state.time < t0:
-            return
-        t = state.time - t0
-        q, qd = map(np.array, self._desired(t))
-        self._feedback(TrajectoryFeedback(t, q, qd, state.q_actual, state.qd_actual, q - state.q_actual))
-
-    def _rests(self, state: RealtimeState) -> bool:
+    def _rests(self, state: RealtimeState, now: float) -> bool:
         """Whether the arm stands, so that a trajectory can begin.
 
         Raises:
             LinkTimeout: it does not come to rest.
         """
-        now = time.monotonic()
-        if self._resting_since is None:
-            self._resting_since = now
-        if max(map(abs, state.qd_target.tolist())) < _STANDING:
+        if self._moving_since is None:
+            self._moving_since = now
+        if _stands(state.qd_target):
             return True
-        if now - self._resting_since > _REST_TIMEOUT:
+        if now - self._moving_since > _REST_TIMEOUT:
             raise LinkTimeout(
                 f"the arm did not come to rest within {_REST_TIMEOUT:g} s, so the trajectory did not begin"
             )
@@ -129,42 +172,38 @@ class Following(LinkedMotion):
         self._trajectory.check(near=q, within=self._tolerances.start)
         return list(q)
 
-    def _follow_up(self, state: RealtimeState, desired: Sequence[float]) -> bool:
-        """Whether the arm has arrived, and stands.
+    def _compare(self, state: RealtimeState, t: float) -> None:
+        """Hold the arm against where it should be at the time `t` of the trajectory.
 
         Raises:
             ToleranceExceeded: it is too far away.
         """
-        assert self._t0 is not None
         trajectory, tolerances = self._trajectory, self._tolerances
-        t = state.time - self._t0
-        self._reached = t / trajectory.duration
+        self.began = state.time - t
+        self.progress = t / trajectory.duration
         actual = state.q_actual.tolist()
         if t < trajectory.duration:
             if tolerances.path is not None:
-                self._refuse(desired, actual, tolerances.path, f"{t:.3f} s into its path")
-            return False
+                _refuse(self.desired(t)[0], actual, tolerances.path, f"{t:.3f} s into its path")
+            return
         goal = trajectory.q[-1].tolist()
-        is_there = max(abs(g - a) for g, a in zip(goal, actual, strict=True)) <= tolerances.goal
-        if is_there and max(map(abs, state.qd_actual.tolist())) < _STANDING:
-            return True
-        if t > trajectory.duration + tolerances.goal_time:
-            self._refuse(goal, actual, tolerances.goal, f"{tolerances.goal_time:g} s after the end of its path")
-            return True
-        return False
+        is_there = all(abs(g - a) <= tolerances.goal for g, a in zip(goal, actual, strict=True))
+        if is_there and _stands(state.qd_actual):
+            self.is_over = True
+        elif t > trajectory.duration + tolerances.goal_time:
+            _refuse(goal, actual, tolerances.goal, f"{tolerances.goal_time:g} s after the end of its path")
+            self.is_over = True
 
-    def _refuse(self, desired: Sequence[float], actual: Sequence[float], tolerance: float, when: str) -> None:
-        errors = [abs(d - a) for d, a in zip(desired, actual, strict=True)]
-        error = max(errors)
-        if error > tolerance:
-            joint = errors.index(error)
-            raise ToleranceExceeded(
-                f"{JOINTS[joint]} (joint {joint}) is {error:.4f} rad from where it should be, {when}; "
-                f"the tolerance is {tolerance:g} rad"
-            )
 
-    def _measure(self) -> float:
-        return self._reached
+def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float, when: str) -> None:
+    errors = [abs(d - a) for d, a in zip(desired, actual, strict=True)]
+    worst = max(range(6), key=lambda joint: errors[joint] if errors[joint] == errors[joint] else float("inf"))
+    if not errors[worst] <= tolerance:  # so that NaN is too far as well
+        raise ToleranceExceeded(
+            f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from where it should be, {when}; "
+            f"the tolerance is {tolerance:g} rad"
+        )
 
-    def _step(self, link: ReverseLink, state: RealtimeState) -> None:
-        raise NotImplementedError
+
+def _stands(speeds: FloatArray) -> bool:
+    return all(abs(speed) < _STANDING for speed in speeds.tolist())

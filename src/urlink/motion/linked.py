@@ -1,145 +1,202 @@
-"""Motions whose program on the robot keeps a connection to this computer.
+"""A program on the robot that keeps a connection to this computer, and what is said to it.
 
-No thread is started for them: everything happens when a real-time state arrives, which is once per cycle of the
-controller, and so is paced by its clock. Should no state arrive, that is noticed by the deadline of the subscription.
+Everything happens when a real-time state arrives, which is once per cycle of the controller, and so is paced by its
+clock. What is said is decided by a `Dialogue`, which does no input or output of its own. Should no state arrive, the
+interlock closes after a second, which ends every motion; the program on the robot brakes sooner.
 """
 
 from __future__ import annotations
 
-import contextlib
-import threading
-import time
+from collections.abc import Callable
+from typing import Protocol
 
-from linkcore.errors import ConnectionLost, LinkError, RemoteError
+from linkcore.errors import ConnectionLost, LinkError, LocalError, RemoteError
 from linkcore.streaming.policy import latest
 from linkcore.streaming.subscription import Subscription
 
-from ..commanding.handle import Program, ProgramPhase
+from ..commanding.handle import Lifecycle
 from ..errors import ProgramStopped, ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs
-from .equipment import Equipment
-from .handle import Motion, MotionPhase
+from .context import MotionContext
 from .reverse import ReverseLink
 
-__all__ = ["LinkedMotion"]
+__all__ = ["CONNECT_TIMEOUT", "Dialogue", "LinkedProgram"]
 
 #: Seconds that the program has to connect.
 CONNECT_TIMEOUT = 5.0
-#: Seconds without a real-time state after which the robot counts as gone; its program brakes sooner.
-_SILENCE = 0.5
 #: Seconds after the connection was lost in which the reason may arrive over the other interfaces.
 _GRACE = 1.0
 #: Seconds that the program has to end once it was told to.
 _END_TIMEOUT = 1.0
 
 
-class LinkedMotion(Motion):
-    """A program that connects back, and what is said to it."""
+class Dialogue(Protocol):
+    """What is said to a program, by what it says and by the states of the robot."""
 
-    def __init__(self, name: str, equipment: Equipment) -> None:
-        super().__init__(name, equipment)
+    @property
+    def farewell(self) -> bytes:
+        """What ends the program and brakes; nothing if the program ends by itself."""
+
+    @property
+    def is_over(self) -> bool:
+        """All has been said."""
+
+    @property
+    def survives_its_program(self) -> bool:
+        """The program may come to its own end before all has been said."""
+
+    def body(self, host: str, port: int, token: int) -> list[str]:
+        """The lines of the program, which connects to `host` and `port` and says the token."""
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """What to say when a state has come; raises `LinkError` where it cannot go on."""
+
+    def conclude(self) -> None:
+        """The program has come to its own end."""
+
+
+class LinkedProgram:
+    """The program of one life.
+
+    Args:
+        life: what becomes of it.
+        context: the robot.
+        dialogue: what is said to it.
+        on_linked: called, more than once, when the program has connected and when it will not any more.
+    """
+
+    def __init__(
+        self,
+        life: Lifecycle,
+        context: MotionContext,
+        dialogue: Dialogue,
+        *,
+        on_linked: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._life = life
+        self._context = context
+        self._dialogue = dialogue
+        self._on_linked = on_linked
+        self._clock = context.clock
         self._link: ReverseLink | None = None
-        self._program: Program | None = None
-        self._subscriptions: list[Subscription] = []
+        self._subscription: Subscription | None = None
         self._sent = 0.0
         self._lost: tuple[LinkError, float] | None = None
-        self._last_word: float | None = None
-        self._is_linked = threading.Event()
+        self._concluded: float | None = None
+        self._has_ended = False  # by itself, with something left to say
+        self._has_said_farewell = False
 
-    # -- what the kinds fill in ------------------------------------------------------------------------
+    def begin(self) -> None:
+        """Listen, and send the program.
 
-    def _body(self, host: str, port: int) -> list[str]:
-        """The lines of the program."""
-        raise NotImplementedError
+        Raises:
+            SafetyStop, NotRunning: the arm may not be moved now: no port was opened and nothing was sent.
+            LinkError: what else kept it from beginning. Its life is over then.
+        """
+        life, context = self._life, self._context
+        life.brake = self._brake
+        try:
+            context.channel.check()
+            self._link = link = context.reverse.open()
+            self._sent = self._clock()
+            self._subscription = context.realtime.subscribe(self._on_state, policy=latest)
+            life.on_end(self._release)
+            context.programs.start(
+                # It asks for no permission: nobody listens for its connection once its life is over.
+                context.programs.own(self._dialogue.body(*link.address, link.token), asks=False),
+                life,
+                is_linked=True,
+                left_alone="its program on the robot brakes by itself",
+                on_text=self._on_text,
+                on_finish=self._on_finish,
+            )
+        except BaseException as error:
+            life.fail(error if isinstance(error, Exception) else LocalError(f"{life.name} was interrupted"))
+            self._release()
+            raise
 
-    def _step(self, link: ReverseLink, state: RealtimeState) -> None:
-        """A state has come, and the program is connected."""
-        raise NotImplementedError
+    def say(self, data: bytes) -> None:
+        """Send to the program, through the interlock and only while it is alive.
 
-    def _farewell(self) -> bytes:
-        """What ends the program; nothing if it ends by itself."""
-        return b""
-
-    # -- to be used by them ----------------------------------------------------------------------------
-
-    def _say(self, data: bytes) -> None:
-        """Send to the program, through the gate and only while this goes on."""
-        self._equipment.outlet.setpoint(lambda: self._transmit(data))
+        Raises:
+            SafetyStop, NotRunning: the arm may not be moved now.
+            ConnectionLost: the program is gone.
+            LinkError: what has ended it.
+        """
+        self._context.channel.setpoint(lambda: self._transmit(data))
 
     def _transmit(self, data: bytes) -> None:
-        if self._link is not None and not self.done:
+        if self._life.error is not None:
+            raise self._life.error
+        if self._link is not None:
             self._link.send(data)
 
-    def _conclude(self) -> None:
-        """All is done: let the program end, and then be done."""
-        if self._last_word is None:
-            self._last_word = time.monotonic()  # before it is said: the program may end before this thread goes on
-            if self._farewell():
-                self._say(self._farewell())
+    def finish(self) -> None:
+        """Tell the program to end; its life is over once it has.
 
-    # ----------------------------------------------------------------------------------------------------
+        Raises:
+            LinkError: it could not be told.
+        """
+        if self._concluded is None:
+            self._concluded = self._clock()  # before it is said: the program may end before this thread goes on
+            if self._dialogue.farewell:
+                self._has_said_farewell = True
+                self.say(self._dialogue.farewell)
 
-    def _begin(self) -> None:
-        equipment = self._equipment
-        self._link = link = ReverseLink(equipment.host, equipment.reverse_host, equipment.reverse_port)
-        self._attend(
-            equipment.realtime.subscribe(self._on_state, policy=latest, deadline=_SILENCE, on_deadline=self._on_silence)
-        )
-        self._sent = time.monotonic()
-        program = equipment.scripts.start(self._body(*link.address), on_text=self._on_text)
-        self._program = program
-        program.add_done_callback(self._on_program)
+    @property
+    def is_finishing(self) -> bool:
+        """It has been told to end."""
+        return self._concluded is not None
 
-    def _attend(self, subscription: Subscription) -> None:
-        """Keep a subscription until this is over."""
-        with self._lock:
-            is_late = self._phase is not MotionPhase.MOVING
-            if not is_late:
-                self._subscriptions.append(subscription)
-        if is_late:
-            subscription.close(0)
+    def lose(self, error: LinkError) -> None:
+        """The connection is gone. Whatever stopped the program is told over the primary interface, if it can be."""
+        if self._lost is None:
+            lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes by itself: {error}")
+            self._lost = (lost, self._clock())
+
+    # -- what happens --------------------------------------------------------------------------------
 
     def _on_state(self, state: RealtimeState) -> None:
         link = self._link
-        if link is None or self._program is None or self.done:
+        if link is None or self._life.is_over:
             return
         try:
             self._look(link, state)
         except LinkError as error:
-            self._fail(error, brake=link.is_up)
+            self._life.fail(error, brake=True)
         except Exception as error:
             # A mistake in here must not leave an arm that nobody guides, nor somebody who waits for ever.
-            self._fail(error, brake=True)
+            self._life.fail(error, brake=True)
             raise
 
     def _look(self, link: ReverseLink, state: RealtimeState) -> None:
-        now = time.monotonic()
-        if self._lost is not None:
+        now = self._clock()
+        if self._has_ended:
+            self._dialogue.step(b"", state, now)
+            if self._dialogue.is_over:
+                self._life.finish()
+        elif self._lost is not None:
             if now - self._lost[1] > _GRACE:
-                self._fail(self._lost[0])
-        elif self._last_word is not None:
-            if now - self._last_word > _END_TIMEOUT:
-                self._complete()
-        elif not link.is_up and not link.poll():
-            if now - self._sent > CONNECT_TIMEOUT:
-                self._fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
-        else:
-            self._is_linked.set()
-            try:
-                self._step(link, state)
-            except ConnectionLost as error:
-                self._lose(error)
+                self._life.fail(self._lost[0])
+        elif self._concluded is not None:
+            if now - self._concluded > _END_TIMEOUT:
+                self._life.finish()
+        elif link.is_up or link.poll():
+            self._talk(link, state, now)
+        elif now - self._sent > CONNECT_TIMEOUT:
+            self._life.fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
 
-    def _lose(self, error: LinkError) -> None:
-        """The connection is gone. Whatever stopped the program is told over the primary interface, if it can be."""
-        lost = ConnectionLost(f"the connection of the program on the robot was lost, so it brakes by itself: {error}")
-        self._lost = (lost, time.monotonic())
-
-    def _on_silence(self, seconds: float) -> None:
-        if self._program is not None:
-            silence = ConnectionLost(f"no state of the robot came for {seconds:.2f} s, so set-points cannot be timed")
-            self._fail(self._lost[0] if self._lost is not None else silence, brake=True)
+    def _talk(self, link: ReverseLink, state: RealtimeState, now: float) -> None:
+        self._on_linked()
+        try:
+            answer = self._dialogue.step(link.received(), state, now)
+            if answer:
+                self.say(answer)
+            if self._dialogue.is_over:
+                self.finish()
+        except ConnectionLost as error:
+            self.lose(error)
 
     def _on_text(self, text: str) -> None:
         error: RemoteError
@@ -149,42 +206,37 @@ class LinkedMotion(Motion):
         elif text.startswith(programs.LINK_ENDED):
             error = ConnectionLost("the program on the robot says that its connection ended; it brakes by itself")
         elif text.startswith(programs.STARVED):
-            error = ConnectionLost("nothing came to the program on the robot in time, so it brakes by itself")
+            error = ConnectionLost("nothing came to the program on the robot in time; it brakes by itself")
         elif text.startswith(programs.TOO_FAR):
             error = ToleranceExceeded("the program on the robot says that the first point is too far away")
         else:
             return
-        if self._last_word is None:
-            self._fail(error)
+        if self._concluded is None:
+            self._life.fail(error)
 
-    def _on_program(self, program: Program) -> None:
-        if program.phase is ProgramPhase.FINISHED and self._last_word is not None:
-            self._complete()
-        elif self._lost is not None and program.phase is ProgramPhase.FINISHED:
-            self._fail(self._lost[0])
+    def _on_finish(self) -> None:
+        if self._concluded is not None:
+            self._life.finish()
+        elif self._dialogue.survives_its_program:
+            self._dialogue.conclude()
+            self._has_ended = True
+        elif self._lost is not None:
+            self._life.fail(self._lost[0])
         else:
-            self._fail(program.error or ProgramStopped(f"the program of {self.name} ended before its time"))
-
-    def make_way(self) -> None:
-        super().make_way()
-        # A fixed port is free for the next one only when nobody listens on it; the program will not come any more.
-        if self._equipment.reverse_port and self._link is not None and not self._link.is_up:
-            self._link.close()
+            self._life.fail(ProgramStopped(f"the program of {self._life.name} ended before its time"))
 
     def _brake(self) -> None:
-        link, program = self._link, self._program
-        if link is not None and link.is_up and self._farewell():
-            self._equipment.outlet.setpoint(lambda: link.send(self._farewell()), brakes=True)
-        elif program is not None:
-            program.stop()
+        link = self._link
+        if link is not None and link.is_up and self._dialogue.farewell:
+            self._has_said_farewell = True
+            self._context.channel.setpoint(lambda: link.send(self._dialogue.farewell), is_stop=True)
+        else:
+            self._context.programs.stop(self._life)
 
     def _release(self) -> None:
-        self._is_linked.set()
-        with self._lock:
-            subscriptions, self._subscriptions = self._subscriptions, []
-        for subscription in subscriptions:
-            # Without waiting: this may be the thread that a callback runs in, and a callback may be slow.
-            subscription.close(0)
+        self._on_linked()
+        if self._subscription is not None:
+            # Without waiting: this may be the thread that its callback runs in.
+            self._subscription.close(0)
         if self._link is not None:
-            with contextlib.suppress(OSError):
-                self._link.close()
+            self._link.close(farewell=self._has_said_farewell)

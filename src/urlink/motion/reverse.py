@@ -2,47 +2,90 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import threading
+import random
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, addresses, local_address
 from linkcore.net.transport import TcpTransport
 
-__all__ = ["ReverseLink"]
+from ..urscript.programs import TOKENS
+
+__all__ = ["ReverseLink", "ReversePort"]
 
 _log = logging.getLogger(__name__)
 
-#: Seconds that the robot may take to accept what is sent; the gate is held meanwhile, so a stop waits for it.
-_SEND_TIMEOUT = 0.05
+#: Connections that may be waiting to say who they are; a port that anybody can reach must not gather them.
+_MOST_CANDIDATES = 8
+#: Bytes of a token.
+_TOKEN_SIZE = 4
+
+#: A connection, and what it has said so far.
+_Candidate = tuple[TcpTransport, bytearray]
+
+
+class ReversePort:
+    """Where programs on the robot find this computer.
+
+    Args:
+        robot: where the controller is.
+        host: address at which the robot finds this computer; None for the one on the route to it.
+        port: that its programs connect to; 0 for a free one.
+        peer: address that they connect from; None for the robot's own.
+    """
+
+    def __init__(self, robot: str, host: str | None = None, port: int = 0, peer: str | None = None) -> None:
+        self.robot = robot
+        self.host = host
+        self.port = port
+        self.peer = peer
+        self._link: ReverseLink | None = None
+
+    def open(self) -> ReverseLink:
+        """Wait for the next program.
+
+        A fixed port is free for it only when nobody listens for the one before, whose program will be replaced.
+
+        Raises:
+            BadAddress: the port cannot be listened on.
+            ConnectFailed: there is no route to the robot.
+        """
+        if self.port and self._link is not None:
+            self._link.stop_listening()
+        self._link = ReverseLink(self)
+        return self._link
 
 
 class ReverseLink:
     """A port that waits for one program on the robot, and then its connection.
 
-    Whoever connects from an address that is not the robot's is refused, and the port goes on listening.
+    A program tells that it is the right one by the token that its text holds. Whoever connects from an address that is
+    not the robot's, or says something else, is refused, and the port goes on listening. It is closed as soon as the
+    program has come, and at the latest with the link: a program that the controller begins later finds nobody.
 
     Args:
-        robot: where the controller is.
-        host: address at which the robot finds this computer; None for the one on the route to it.
-        port: 0 for one that is free.
+        where: the robot, and where it finds this computer.
 
     Attributes:
         address: (host, port) that the program is told.
+        token: that it has to say.
 
     Raises:
         BadAddress: the port cannot be listened on.
         ConnectFailed: there is no route to the robot.
     """
 
-    def __init__(self, robot: str, host: str | None = None, port: int = 0) -> None:
-        here = local_address(robot) if host is None else host
+    def __init__(self, where: ReversePort) -> None:
+        here = local_address(where.robot) if where.host is None else where.host
+        self._peers = addresses(where.robot if where.peer is None else where.peer)
         # An address that was given may be one that something in between translates, so it is not one to listen on.
-        self._peers = addresses(robot)
-        self._listener = TcpListener(here if host is None else "", port)
+        self._listener = TcpListener(here if where.host is None else "", where.port)
         self.address = (here, self._listener.address[1])
+        self.token = random.SystemRandom().randrange(TOKENS)
+        self._candidates: list[_Candidate] = []
         self._connection: TcpTransport | None = None
-        self._closing = threading.Lock()
+        self._waiting = b""  # what came right behind the token
         self._is_closed = False
 
     @property
@@ -52,39 +95,78 @@ class ReverseLink:
 
     def poll(self) -> bool:
         """Take the connection, if it has been made; True once it has. Never waits."""
-        if self._connection is None:
-            try:
-                connection = self._listener.accept(0)
-            except (LinkTimeout, ConnectionLost):
-                return False
+        while self._connection is None and (connection := self._accepted()) is not None:
             if connection.host not in self._peers:
-                _log.warning(
-                    "%s connected to the port for a program on the robot and was refused; the robot is at %s",
-                    connection.name,
-                    ", ".join(sorted(self._peers)),
-                )
-                connection.close()
-                return False
-            with self._closing:
-                if self._is_closed:  # by another thread, in the meantime
-                    connection.close()
-                    return False
-                self._connection = connection
-            self._listener.close()
-        return True
+                self._refuse(connection, f"the robot is at {', '.join(sorted(self._peers))}")
+            else:
+                self._candidates.append((connection, bytearray()))
+                if len(self._candidates) > _MOST_CANDIDATES:
+                    self._refuse(self._candidates.pop(0)[0], "it said nothing")
+        for candidate in tuple(self._candidates):
+            if self._connection is None:
+                self._look(candidate)
+        return self._connection is not None
+
+    def _accepted(self) -> TcpTransport | None:
+        while True:
+            try:
+                return self._listener.accept(0)
+            except ConnectionLost:  # it is gone again; perhaps there is another
+                continue
+            except (LinkTimeout, ConnectFailed):
+                return None
+
+    def _look(self, candidate: _Candidate) -> None:
+        """Hear who a candidate is."""
+        connection, said = candidate
+        try:
+            received = connection.receive_waiting()
+        except ConnectionLost:
+            self._drop(candidate)
+            return
+        if received is not None:
+            said += received[0]
+        token = self.token.to_bytes(_TOKEN_SIZE, "big")
+        if said[:_TOKEN_SIZE] == token:
+            self._waiting = bytes(said[_TOKEN_SIZE:])
+            self._connection = connection
+            with contextlib.suppress(ValueError):  # another thread is closing
+                self._candidates.remove(candidate)
+            self.stop_listening()
+            if self._is_closed:  # by another thread, in the meantime
+                connection.abort()
+        elif not token.startswith(said[:_TOKEN_SIZE]):
+            self._drop(candidate)
+            self._refuse(connection, "it is not the program that is waited for")
+
+    def _drop(self, candidate: _Candidate) -> None:
+        candidate[0].abort()
+        with contextlib.suppress(ValueError):  # another thread is closing
+            self._candidates.remove(candidate)
+
+    def _refuse(self, connection: TcpTransport, why: str) -> None:
+        _log.warning("%s connected to the port for a program on the robot and was refused: %s", connection.name, why)
+        connection.abort()
+
+    def stop_listening(self) -> None:
+        """Take no connection any more."""
+        self._listener.close()
+        while self._candidates:
+            self._candidates.pop()[0].abort()
 
     def send(self, data: bytes) -> None:
-        """Send to the program.
+        """Send to the program, now and as a whole.
 
         Raises:
             ConnectionLost: it is gone, or does not read.
         """
-        if self._connection is None:
+        connection = self._connection
+        if connection is None:
             raise ConnectionLost("the program on the robot is not connected")
-        try:
-            self._connection.send(data, _SEND_TIMEOUT)
-        except LinkTimeout as error:
-            raise ConnectionLost(f"{error}; it does not read") from error
+        if connection.send_some(data) < len(data):
+            # Some hundred set-points wait in the kernel by now, and a part of one would shift all that follow.
+            connection.abort()
+            raise ConnectionLost(f"{connection.name}: the program on the robot does not read")
 
     def received(self) -> bytes:
         """What the program has sent since; never waits.
@@ -92,7 +174,7 @@ class ReverseLink:
         Raises:
             ConnectionLost: it is gone.
         """
-        data = b""
+        data, self._waiting = self._waiting, b""
         try:
             while self._connection is not None and (more := self._connection.receive_waiting()) is not None:
                 data += more[0]
@@ -106,18 +188,22 @@ class ReverseLink:
         host, port = self.address
         return ConnectFailed(
             f"the program on the robot could not connect to this computer at {host}:{port}: {why}. Is that an address "
-            "by which the robot reaches it (set another with reverse_host), and does the firewall let it in (a fixed "
-            "port is set with reverse_port)?"
+            "by which the robot reaches it (set another with reverse_host), does the firewall let it in (a fixed port "
+            "is set with reverse_port), and does the robot come from the address that it was connected by (another is "
+            "set with reverse_peer)?"
         )
 
-    def close(self) -> None:
-        """Close the port and the connection; never waits. Idempotent.
+    def close(self, *, farewell: bool = False) -> None:
+        """Close the port and the connection, and discard what has not arrived. Idempotent.
 
-        Set-points that the robot has not acknowledged are discarded. The program sees that its connection ended, and
-        brakes by itself.
+        Args:
+            farewell: what was sent last is meant to arrive; wait for that, for a fraction of a second at most.
         """
-        with self._closing:
-            self._is_closed = True
-        self._listener.close()
-        if self._connection is not None:
-            self._connection.close(0)
+        self._is_closed = True
+        self.stop_listening()
+        connection = self._connection
+        if connection is not None:
+            if farewell:
+                connection.close()
+            else:
+                connection.abort()

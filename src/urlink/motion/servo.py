@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections import deque
+from concurrent.futures import Future, InvalidStateError
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,17 +15,15 @@ from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
 
+from ..commanding.handle import Motion
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import JOINTS, six
-from .equipment import Equipment
-from .linked import CONNECT_TIMEOUT, LinkedMotion
-from .reverse import ReverseLink
+from .context import MotionContext
+from .linked import CONNECT_TIMEOUT, LinkedProgram
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import SpeedLimit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from typing_extensions import Self
 
 __all__ = ["Servo", "ServoStatistics"]
@@ -59,41 +57,58 @@ class ServoStatistics:
     late: int
 
 
-class Servo(LinkedMotion):
+class _Waiting:
+    """What is said to the streaming program by itself: that somebody is there, until the first set-point is sent."""
+
+    farewell = STOP_WORD
+    is_over = False
+    survives_its_program = False
+
+    def __init__(self, servoing: Servoing) -> None:
+        self._servoing = servoing
+        #: rad; where the arm is led
+        self.here: list[float] | None = None
+        self.has_begun = False
+
+    def body(self, host: str, port: int, token: int) -> list[str]:
+        return self._servoing.body(host, port, token)
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        if self.has_begun:
+            return b""
+        self.here = state.q_target.tolist()
+        return WAIT_WORD
+
+    def conclude(self) -> None: ...
+
+
+class Servo(Motion):
     """A loop's line to the joints; made by `robot.motion.servo`, and open within a ``with`` block.
 
     Send a set-point in each of the controller's cycles, or in each of your own. Leaving the block stops the arm.
 
-    Args:
+    Attributes:
         rate: set-points a second that are meant to be sent.
-        servoing: how set-points are followed.
-        begin: begins it, in place of any other motion.
     """
 
-    def __init__(
-        self,
-        equipment: Equipment,
-        rate: float,
-        servoing: Servoing,
-        begin: Callable[[Servo], object],
-    ) -> None:
-        super().__init__("servo", equipment)
+    def __init__(self, context: MotionContext, rate: float, servoing: Servoing) -> None:
+        life = context.programs.life("servo")
+        super().__init__(life)
         self.rate = rate
-        self._servoing = servoing
-        self._start_in_place = begin
-        self._here: list[float] | None = None
+        self._context = context
+        self._dialogue = _Waiting(servoing)
+        self._is_entered = False
+        #: settled once the program has connected, or will not any more
+        self._linked: Future[None] = Future()
+        self._program = LinkedProgram(life, context, self._dialogue, on_linked=self._link_up)
         self._last: list[float] | None = None
         self._sent_at = 0.0
         self._count = self._late = 0
         self._began = 0.0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
-        model = equipment.model
-        self._positions: list[tuple[float, float]] = (
-            [(-math.inf, math.inf)] * 6
-            if model is None
-            else [(low, high) for low, high in model.position_limits.tolist()]
-        )
-        self._speed_limit = SpeedLimit(model, 1.0 / rate)
+        model = context.model
+        self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()
+        self._limit = SpeedLimit(model, 1.0 / rate)
 
     def __enter__(self) -> Self:
         """Upload the program and wait until it has connected.
@@ -101,23 +116,36 @@ class Servo(LinkedMotion):
         Raises:
             ConnectFailed: it did not.
             SafetyStop, NotRunning: the arm may not be moved now.
+            LocalError: the servo was used before; or in a callback that was subscribed with ``inline=True``.
             LinkError: what else kept it from beginning.
         """
-        self._start_in_place(self)
-        if not self._is_linked.wait(CONNECT_TIMEOUT + 1.0):
+        if self._is_entered:
+            raise LocalError("the servo has been used before; each is good for one block")
+        self._is_entered = True
+        self._program.begin()
+        try:
+            with self._context.section.waiting():
+                self._linked.result(CONNECT_TIMEOUT + 1.0)
+        except (FutureTimeout, TimeoutError):
             self.cancel()
-            raise LinkTimeout(f"{self.name}: no connection within {CONNECT_TIMEOUT:g} s")
-        if self._error is not None:
-            raise self._error
+            raise LinkTimeout(f"{self.name}: no connection within {CONNECT_TIMEOUT:g} s") from None
+        except BaseException:
+            self.cancel()
+            raise
+        if self.error is not None:
+            raise self.error
         return self
+
+    def _link_up(self) -> None:
+        if not self._linked.done():
+            # Two threads may come here at once.
+            with contextlib.suppress(InvalidStateError):
+                self._linked.set_result(None)
 
     def __exit__(self, *exc: object) -> None:
         """Stop the arm, and wait until it stands or two seconds are over. Does not raise what ended it before."""
         try:
-            self._conclude()
-        except LinkError as error:
-            self._fail(error)
-        try:
+            self._program.finish()
             self.wait(_END_TIMEOUT)
         except LinkError:
             self.cancel()
@@ -131,24 +159,25 @@ class Servo(LinkedMotion):
                 `urlink.motion.speed_limit`.
 
         Raises:
-            BadValue: not six finite numbers, out of reach in that time, or beyond a limit of the arm; nothing was sent.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, MotionCancelled: it is over.
+            BadValue: not six finite numbers, too fast, or beyond a limit of the arm; nothing was sent.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
             LocalError: not within the block.
         """
-        if not self._is_linked.is_set():
+        if not self._linked.done():
             raise LocalError("a servo takes set-points within its block: with robot.motion.servo() as servo: ...")
-        if self.done or self._last_word is not None:
-            raise self._error or Closed("the block of the servo was left")
-        now = time.monotonic()
-        values = self._checked(q)
+        if self.done or self._program.is_finishing:
+            raise self.error or Closed("the block of the servo was left")
+        now = self._context.clock()
+        values = self._checked(q, now)
         try:
-            self._say(setpoint(values))
+            self._program.say(setpoint(values))
         except LinkError as error:
             raise self._reason(error) from error
+        self._limit.take(self._last or values, values, now)
         if self._last is None:
+            self._dialogue.has_begun = True
             self._began = now
         else:
-            self._speed_limit.take(self._last, values)
             interval = now - self._sent_at
             self._intervals.append(interval)
             if interval * self.rate > 1.5:
@@ -167,21 +196,19 @@ class Servo(LinkedMotion):
         mean = (self._sent_at - self._began) / (self._count - 1)
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
 
-    # ----------------------------------------------------------------------------------------------------
-
-    def _checked(self, q: ArrayLike) -> list[float]:
+    def _checked(self, q: ArrayLike, now: float) -> list[float]:
         values: list[float] = six(q, "q").tolist()
-        for joint, (value, (low, high)) in enumerate(zip(values, self._positions, strict=True)):
+        for joint, (value, (low, high)) in enumerate(zip(values, self._ranges, strict=True)):
             if not low <= value <= high:
                 raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; expected {low:.4f} to {high:.4f}")
         if self._last is not None:
-            excess = self._speed_limit.excess(self._last, values)
+            excess = self._limit.excess(self._last, values, now)
             if excess is not None:
                 raise BadValue(excess)
             return values
-        here = self._here
+        here = self._dialogue.here
         if here is None:
-            here = self._equipment.state().q_target.tolist()
+            here = self._context.state().q_target.tolist()
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(
@@ -192,20 +219,8 @@ class Servo(LinkedMotion):
 
     def _reason(self, error: LinkError) -> Exception:
         """Why nothing can be sent: what the robot says of it, where it says something in time."""
-        if not self.done and self._lost is None:
-            self._lose(error)
-        with contextlib.suppress(FutureTimeout, TimeoutError):
-            self._future.exception(_REASON)
-        return self._error or error
-
-    def _body(self, host: str, port: int) -> list[str]:
-        return self._servoing.body(self._equipment.firmware, host, port)
-
-    def _farewell(self) -> bytes:
-        return STOP_WORD
-
-    def _step(self, link: ReverseLink, state: RealtimeState) -> None:
-        link.received()  # it sends nothing, but this shows that it is there
-        if self._last is None:
-            self._here = state.q_target.tolist()
-            self._say(WAIT_WORD)
+        if not self.done:
+            self._program.lose(error)
+            with contextlib.suppress(LinkError):
+                self.wait(_REASON)
+        return self.error or error

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
-from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, streaming
+from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, missable, streaming
 
 __all__ = ["STOP_WORD", "WAIT_WORD", "Servoing", "setpoint"]
 
@@ -29,16 +29,29 @@ class Servoing:
     """How set-points are followed.
 
     Attributes:
+        firmware: of the controller.
         watchdog: seconds without one after which the robot brakes.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
     """
 
+    firmware: Firmware
     watchdog: float
     lookahead_time: float
     gain: float
 
-    def body(self, firmware: Firmware, host: str, port: int) -> list[str]:
+    @property
+    def missable(self) -> int:
+        """Cycles without a set-point after which the robot brakes."""
+        return missable(self.watchdog, self.firmware.rate)
+
+    def body(self, host: str, port: int, token: int) -> list[str]:
         """The lines of the program that connects to `host` and `port` for its set-points."""
         return streaming(
-            firmware, host, port, watchdog=self.watchdog, lookahead_time=self.lookahead_time, gain=self.gain
+            self.firmware,
+            host,
+            port,
+            token,
+            watchdog=self.watchdog,
+            lookahead_time=self.lookahead_time,
+            gain=self.gain,
         )

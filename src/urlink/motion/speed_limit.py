@@ -5,16 +5,16 @@ here, whoever computed it. A joint that is led by x rad uses x / (its largest sp
 second that passes adds one, up to a ceiling:
 
 - one period of the set-points and `EARLY`, as long as they leave evenly;
-- after a late one, its lateness in addition, `LATE` at most, for the set-points that follow it at once. Meanwhile the
-  program on the robot goes on by its last step (`urlink.urscript.programs.streaming`), so to catch up is no leap. The
-  first set-point that is on time again gives up the rest.
+- after a late one, its lateness in addition (`LATE` at most, where nothing else is said), for the set-points that
+  follow it at once. Meanwhile the program on the robot goes on by its last step
+  (`urlink.urscript.programs.streaming`), so to catch up is no leap. The first set-point that is on time again gives up
+  the rest.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from ..models import Model
 from ..vectors import JOINTS
@@ -41,20 +41,22 @@ class SpeedLimit:
     Args:
         model: whose speeds count; None for an arm that is not known, which gets that of the fastest.
         period: seconds between two set-points.
-        clock: seconds that only grow.
+        late: seconds of lateness that may be made up for at once.
+
+    The argument `now` of its methods is in seconds of a clock that only grows.
     """
 
-    def __init__(self, model: Model | None, period: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, model: Model | None, period: float, late: float = LATE) -> None:
         self._speeds = [_FASTEST] * 6 if model is None else model.max_speed.tolist()
-        self._clock = clock
         self._period = min(period, LONGEST_PERIOD)
         self._even = self._period + EARLY
+        self._late = late
         self._budget = [self._even] * 6
-        self._at = clock()
+        self._at = math.inf
 
-    def excess(self, before: Sequence[float], after: Sequence[float]) -> str | None:
+    def excess(self, before: Sequence[float], after: Sequence[float], now: float) -> str | None:
         """What is too fast about going on from `before` to `after` (6, rad) now; None if nothing is."""
-        budgets = self._budgets(self._clock())
+        budgets = self._budgets(now)
         for joint, (here, there, speed, seconds) in enumerate(zip(before, after, self._speeds, budgets, strict=True)):
             most = speed * seconds + _SLACK
             if not abs(there - here) <= most:  # so that NaN is too far as well
@@ -64,9 +66,8 @@ class SpeedLimit:
                 )
         return None
 
-    def take(self, before: Sequence[float], after: Sequence[float]) -> None:
+    def take(self, before: Sequence[float], after: Sequence[float], now: float) -> None:
         """What `excess` let through has been sent."""
-        now = self._clock()
         self._budget = [
             max(seconds - abs(there - here) / speed, 0.0)
             for here, there, speed, seconds in zip(before, after, self._speeds, self._budgets(now), strict=True)
@@ -77,7 +78,7 @@ class SpeedLimit:
         """What each joint has at this time."""
         passed = max(now - self._at, 0.0)
         if passed > 1.5 * self._period:
-            ceiling = self._even + min(passed - self._period, LATE)
+            ceiling = self._even + min(passed - self._period, self._late)
             return [min(left + passed, ceiling) for left in self._budget]
         if passed > 0.5 * self._period:
             return [min(left + passed, self._even) for left in self._budget]

@@ -6,22 +6,17 @@ so points should be further apart in time than an answer takes.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 from linkcore.errors import ConnectionLost
 
-from ..commanding.handle import Program, ProgramPhase
 from ..errors import ProgramStopped
+from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import waypoints
 from ..urscript.text import number
-from .equipment import Equipment
-from .following import Following, Tolerances, TrajectoryFeedback
-from .reverse import ReverseLink
+from .following import Following, Tolerances
 from .trajectory import Trajectory
 
-__all__ = ["WaypointFollower"]
+__all__ = ["WaypointServer"]
 
 #: Seconds between two lines of the program, which are a heartbeat apart, after which it counts as gone.
 _SILENCE = 3.0
@@ -29,72 +24,71 @@ _SILENCE = 3.0
 _LONGEST_LINE = 32
 
 
-class WaypointFollower(Following):
+class WaypointServer(Following):
     """Serves the points of a trajectory.
 
     The first point is the one where the arm stands, so that it leaves from there without a jump.
 
     Args:
+        firmware: of the controller.
         lookahead_time, gain: of ``servoj``.
     """
 
     def __init__(
-        self,
-        equipment: Equipment,
-        trajectory: Trajectory,
-        tolerances: Tolerances,
-        feedback: Callable[[TrajectoryFeedback], object] | None,
-        *,
-        lookahead_time: float,
-        gain: float,
+        self, trajectory: Trajectory, tolerances: Tolerances, firmware: Firmware, lookahead_time: float, gain: float
     ) -> None:
-        super().__init__(equipment, trajectory, tolerances, feedback)
+        super().__init__(trajectory, tolerances, 1.0 / firmware.rate)
+        self._firmware = firmware
         self._lookahead_time = lookahead_time
         self._gain = gain
         self._line = b""
         self._requests: list[int] = []
         self._heard: float | None = None
-        self._is_served = False
         self._has_arrived = False
-        self._is_over = False
+        #: s that have passed on the trajectory; None before it began
+        self._t: float | None = None
 
-    def _body(self, host: str, port: int) -> list[str]:
+    def body(self, host: str, port: int, token: int) -> list[str]:
+        """The lines of the program on the robot."""
         return waypoints.interpolating(
-            self._equipment.firmware,
+            self._firmware,
             host,
             port,
+            token,
             is_quintic=self._trajectory.is_quintic,
             lookahead_time=self._lookahead_time,
             gain=self._gain,
         )
 
-    def _step(self, link: ReverseLink, state: RealtimeState) -> None:
-        now = time.monotonic()
-        if self._has_arrived:
-            if self._t0 is None or self._follow_up(state, self._desired(state.time - self._t0)[0]):
-                self._conclude()
-                if self._is_over:
-                    self._complete()
-            return
-        self._read(link.received(), now)
-        while self._requests and self._answer(self._requests[0], state):
-            self._requests.pop(0)
-        if self._has_arrived or self._t0 is None:
-            return
-        assert self._heard is not None
-        if now - self._heard > _SILENCE:
-            raise ConnectionLost(f"the program on the robot has said nothing for {_SILENCE:g} s")
-        t = state.time - self._t0
-        if t < self._trajectory.duration:
-            self._follow_up(state, self._desired(t)[0])
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        """What to say when a state has come, and what the program has said since the last one.
 
-    def _on_program(self, program: Program) -> None:
-        if program.phase is ProgramPhase.FINISHED and self._is_served:
-            # It may be over, and its connection closed, before its last line was read.
-            self._lost = None
-            self._has_arrived = self._is_over = True
-        else:
-            super()._on_program(program)
+        Raises:
+            BadValue: the arm does not stand where the trajectory begins.
+            ConnectionLost: the program has said nothing for too long.
+            LinkTimeout: the arm does not come to rest.
+            ProgramStopped: what comes is no request.
+            ToleranceExceeded: the arm is too far from where it should be.
+        """
+        passed = self._clock.passed(state.time, now)
+        if self._t is not None:
+            self._t += passed
+        self._read(received, now)
+        answers = []
+        while self._requests and (answer := self._answer(self._requests[0], state, now)) is not None:
+            answers.append(answer)
+            self._requests.pop(0)
+        if self._t is not None and (self._has_arrived or self._t < self._trajectory.duration):
+            self._compare(state, self._t)
+        elif self._has_arrived:
+            self.is_over = True
+        if not self._has_arrived and self._heard is not None and now - self._heard > _SILENCE:
+            raise ConnectionLost(f"the program on the robot has said nothing for {_SILENCE:g} s")
+        return b"".join(answers)
+
+    def conclude(self) -> None:
+        """The program has come to its own end, so the arm was led to the last point."""
+        self._has_arrived = True
 
     def _read(self, data: bytes, now: float) -> None:
         """Take apart the lines of the program."""
@@ -109,27 +103,25 @@ class WaypointFollower(Following):
             except ValueError:
                 raise ProgramStopped(f"the program on the robot does not speak in numbers: {line[:50]!r}") from None
 
-    def _answer(self, request: int, state: RealtimeState) -> bool:
-        """Answer one request; False if it has to wait."""
+    def _answer(self, request: int, state: RealtimeState, now: float) -> bytes | None:
+        """The answer to one request; None if it has to wait."""
         if request == waypoints.ARRIVED:
             self._has_arrived = True
-        elif request == waypoints.BEAT:
-            self._say(b"(1)\r\n")
-        elif request == 0:
-            if not self._rests(state):
-                return False
-            self._say(self._point(0, self._check_start(state)))
-        else:
-            if request == 2:
-                # It has just handed over the first point to go to, and moves from now on.
-                self._t0 = state.time
-            if request < len(self._trajectory):
-                self._say(self._point(request, self._trajectory.q[request].tolist()))
-            else:
-                self._is_served = True
-                zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
-                self._say(_answer(waypoints.NO_MORE, zeros))
-        return True
+            return b""
+        if request == waypoints.BEAT:
+            return b"(1)\r\n"
+        if request == 0:
+            return self._point(0, self._check_start(state)) if self._rests(state, now) else None
+        if request == 2 and self._t is None:
+            # It has just handed over the first point to go to, and moves from now on.
+            self._t = 0.0
+        if 0 < request < len(self._trajectory):
+            return self._point(request, self._trajectory.q[request].tolist())
+        # All points are handed over: the program may come to its end before its last line was read.
+        # All points are handed over: the program may come to its end before its last line was read.
+        self.survives_its_program = True
+        zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
+        return _line(waypoints.NO_MORE, zeros)
 
     def _point(self, index: int, q: list[float]) -> bytes:
         trajectory = self._trajectory
@@ -137,8 +129,8 @@ class WaypointFollower(Following):
         if trajectory.qdd is not None:
             numbers += trajectory.qdd[index].tolist()
         since = trajectory.time[index] - trajectory.time[max(index - 1, 0)]
-        return _answer(index, [*numbers, float(since)])
+        return _line(index, [*numbers, float(since)])
 
 
-def _answer(index: int, numbers: list[float]) -> bytes:
+def _line(index: int, numbers: list[float]) -> bytes:
     return f"({index}, {', '.join(map(number, numbers))})\r\n".encode()

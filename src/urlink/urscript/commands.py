@@ -14,6 +14,7 @@ from 5.10, and the line ``set speed`` (reports of users). What is not:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from linkcore.errors import BadValue
 from linkcore.wire.version import Since
@@ -22,6 +23,10 @@ from urlink.firmware import Firmware
 from .text import boolean, integer, number, pose, quoted, vector
 
 __all__ = [
+    "CONFIGURABLE",
+    "STANDARD",
+    "TOOL",
+    "DigitalBank",
     "analog_out",
     "digital_out",
     "flag",
@@ -48,23 +53,51 @@ def secondary(*statements: str) -> str:
     return "\n".join(["sec urlink_command():", *(f"  {statement}" for statement in statements), "end"]) + "\n"
 
 
-def digital_out(firmware: Firmware, number: int, on: bool) -> str:
-    """Switch a digital output: 0-7 of the box, 8-15 configurable, 16-17 of the tool.
+class DigitalBank(NamedTuple):
+    """Digital inputs or outputs that are counted from 0; the one place that knows which is which bit.
+
+    Attributes:
+        name: in messages, and in the names of functions.
+        size: how many there are.
+        first: bit of the first in the robot state, on CB3 and e-Series.
+        first_of_cb2: the same on CB2, where it is the number of the function too; None if there are none.
+    """
+
+    name: str
+    size: int
+    first: int
+    first_of_cb2: int | None
+
+    def bit(self, firmware: Firmware, number: int, what: str) -> int:
+        """Which bit of the robot state is input or output `number`.
+
+        Raises:
+            BadValue: there is no such one.
+        """
+        index = int(integer(number, 0, self.size - 1, f"{self.name} digital {what}"))
+        if not firmware.is_cb2:
+            return self.first + index
+        if self.first_of_cb2 is None:
+            raise BadValue(f"firmware {firmware} has no {self.name} digital {what}s")
+        return self.first_of_cb2 + index
+
+
+STANDARD = DigitalBank("standard", 8, 0, 0)
+CONFIGURABLE = DigitalBank("configurable", 8, 8, None)
+TOOL = DigitalBank("tool", 2, 16, 8)
+
+
+def digital_out(firmware: Firmware, bank: DigitalBank, number: int, on: bool) -> str:
+    """Switch a digital output.
 
     Raises:
         BadValue: there is no such output, or `on` is neither True nor False.
     """
-    digits = int(integer(number, 0, 17, "digital output"))
-    value = boolean(on, f"digital output {digits}")
+    bit = bank.bit(firmware, number, "output")
+    value = boolean(on, f"{bank.name} digital output {number}")
     if firmware.is_cb2:
-        if 8 <= digits < 16:
-            raise BadValue(f"firmware {firmware} has no configurable outputs")
-        return f"set_digital_out({digits if digits < 8 else digits - 8}, {value})"
-    if digits < 8:
-        return f"set_standard_digital_out({digits}, {value})"
-    if digits < 16:
-        return f"set_configurable_digital_out({digits - 8}, {value})"
-    return f"set_tool_digital_out({digits - 16}, {value})"
+        return f"set_digital_out({bit}, {value})"
+    return f"set_{bank.name}_digital_out({int(number)}, {value})"
 
 
 def analog_out(firmware: Firmware, output: int, fraction: float) -> str:

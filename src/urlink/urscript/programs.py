@@ -4,10 +4,12 @@ Assignments in a thread or a nested function reach the variables of the program 
 drivers rely on; nothing here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are
 written out element by element, since arithmetic on whole lists came late.
 
-Two of the programs open a socket back to this computer (reference ur-script, sections 2 and 5): the one in
-`urlink.urscript.waypoints`, and `streaming`. That reads seven big-endian int32 per set-point: six joints in millionths
-of a rad, and what to do, one of `STOP`, `FOLLOW` and `WAIT`. The answer of ``socket_read_binary_integer`` begins with
-the count that was read; after two seconds without anything, or once the link is gone, that is less than seven.
+Two of the programs open a socket back to this computer, as those of public drivers do: the one in
+`urlink.urscript.waypoints`, and `streaming`. Both say first which program they are, by a token that only this text
+holds, since whoever else finds the port must not be taken for the robot. `streaming` then reads seven big-endian int32
+per set-point: six joints in millionths of a rad, and what to do, one of `STOP`, `FOLLOW` and `WAIT`. The answer of
+``socket_read_binary_integer`` begins with the count that was read; after two seconds without anything, or once the link
+is gone, that is less than seven.
 
 What ends such a program before its time it says with a ``textmsg``: `NO_CONNECTION`, `LINK_ENDED`, `STARVED`,
 `TOO_FAR`.
@@ -29,10 +31,13 @@ __all__ = [
     "SCALE",
     "STARVED",
     "STOP",
+    "TOKENS",
     "TOO_FAR",
     "WAIT",
     "each",
+    "introduction",
     "lines",
+    "missable",
     "move_joints",
     "move_linear",
     "servo_cycle",
@@ -42,6 +47,8 @@ __all__ = [
     "streaming",
 ]
 
+#: How many tokens there are: what a signed 32-bit integer holds.
+TOKENS = 1 << 31
 #: What a set-point is multiplied by.
 SCALE = 1_000_000
 #: The last of the seven numbers: brake and end, go to this set-point, or do nothing yet.
@@ -103,6 +110,7 @@ def streaming(
     firmware: Firmware,
     host: str,
     port: int,
+    token: int,
     *,
     watchdog: float = 0.1,
     lookahead_time: float = 0.1,
@@ -116,12 +124,13 @@ def streaming(
 
     Args:
         host: address at which the robot reaches this computer.
+        token: by which it tells that it is the program that is waited for.
         watchdog: seconds without a set-point after which it brakes.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
         deceleration: rad/s² with which it brakes.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
-    missable = max(math.ceil(watchdog * firmware.rate), 2)
+    most_missed = missable(watchdog, firmware.rate)
     text = f"""
         target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         mode = {WAIT}
@@ -155,9 +164,9 @@ def streaming(
               last = goal
               q = goal
               {servo}
-            elif missed < {missable}:
+            elif missed < {most_missed}:
               missed = missed + 1
-              share = 1.0 - missed / {number(missable)}
+              share = 1.0 - missed / {number(most_missed)}
               q = [{each("q[{i}] + step[{i}] * share")}]
               {servo}
             else:
@@ -169,6 +178,7 @@ def streaming(
           stopj({number(deceleration)})
         end
         if socket_open({quoted(host)}, {integer(port, 1, 65535)}):
+          {introduction(token)}
           servo_thread = run servo()
           reading = True
           while reading:
@@ -199,6 +209,16 @@ def streaming(
         end
     """
     return lines(text)
+
+
+def missable(watchdog: float, rate: int) -> int:
+    """Cycles without a set-point after which the streaming program brakes: `watchdog` seconds, and two at least."""
+    return max(math.ceil(watchdog * rate), 2)
+
+
+def introduction(token: int) -> str:
+    """What a program says first over its connection: four bytes, the highest first."""
+    return f"socket_send_int({integer(token, 0, TOKENS - 1)})"
 
 
 def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:

@@ -5,6 +5,13 @@ What the user wrote stands between as a function that is called, so that its own
 `halt` and a stop from elsewhere are none. That a function may be declared within a program, and threads and functions
 within that, is how public drivers' programs look; how deep the nesting may go is not known.
 
+A text may be read by the controller long after it was sent: the network was away, or the controller itself was held up.
+By then nobody may want it any more. So a program that may move the arm asks before it does (`Permission`): it clears a
+flag, says that it begins, and waits, cycle by cycle and for a bounded time, for the flag to be set. Whoever sent it
+answers with a `sec` that sets the flag, but only if it is still wanted. Without an answer the program ends, and the arm
+has not moved. Flags are read and set by every generation, and one that a `sec` sets is seen by the program beside it:
+public drivers set flags so. What is not known is how long a real controller takes from the `textmsg` to the `sec`.
+
 The check counts what opens a block and what ends one. The controller judges the rest.
 """
 
@@ -16,9 +23,10 @@ from typing import Literal, NamedTuple
 
 from linkcore.errors import BadValue
 
+from .commands import flag
 from .text import identifier, quoted
 
-__all__ = ["Wrapped", "finish_marker", "program", "start_marker", "wrap"]
+__all__ = ["Permission", "Wrapped", "expiry_marker", "finish_marker", "program", "start_marker", "wrap"]
 
 #: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
 LARGEST = 1 << 20
@@ -32,6 +40,18 @@ _UNFINISHED = re.compile(r"(?:[-+*/%=<>,(\[]|\b(?:and|or|not|xor))$")
 _NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
 
 
+class Permission(NamedTuple):
+    """What a program waits for before it moves the arm.
+
+    Attributes:
+        flag: number of the flag that is set to let it go on.
+        cycles: of the controller, for which it waits.
+    """
+
+    flag: int
+    cycles: int
+
+
 class Wrapped(NamedTuple):
     """A program as it is sent.
 
@@ -43,6 +63,7 @@ class Wrapped(NamedTuple):
         above: the same for all others.
         indent: columns by which the user's lines are moved to the right.
         lines: how many lines the user wrote.
+        asks: it waits for permission.
     """
 
     name: str
@@ -52,6 +73,7 @@ class Wrapped(NamedTuple):
     above: int
     indent: int
     lines: int
+    asks: bool
 
     def place(self, line: int, column: int) -> tuple[int, int]:
         """Line and column in what the user wrote, of those in the text that was sent."""
@@ -81,6 +103,11 @@ def finish_marker(name: str) -> str:
     return f"{name} finished"
 
 
+def expiry_marker(name: str) -> str:
+    """What a program says that ends because it was not let go on."""
+    return f"{name} was not permitted to go on"
+
+
 def _read(source: str) -> list[str]:
     """The lines of a source.
 
@@ -103,7 +130,7 @@ def _read(source: str) -> list[str]:
     return lines
 
 
-def wrap(source: str, token: str) -> Wrapped:
+def wrap(source: str, token: str, permission: Permission | None = None) -> Wrapped:
     """A user's source as it is sent.
 
     Statements at the top run in order. Where the last thing at the top is a function (`def`), it is the program and is
@@ -111,6 +138,7 @@ def wrap(source: str, token: str) -> Wrapped:
 
     Args:
         token: makes the name unique.
+        permission: what it waits for; None to begin at once. A `sec`, which may not take time, never waits.
 
     Raises:
         BadValue: nothing to run, a block without its `end` or an `end` without its block, a last statement that is
@@ -126,24 +154,55 @@ def wrap(source: str, token: str) -> Wrapped:
         last = [item for item in items if item.word == "def"][-1]
         called = _called(lines[last.first], last.first)
         called_line = f"{called}()"
-    return _program(f"{called or 'urlink'}_{token}", lines, called_line)
+    return _program(f"{called or 'urlink'}_{token}", lines, called_line, permission)
 
 
-def program(name: str, body: Sequence[str]) -> Wrapped:
+def program(name: str, body: Sequence[str], permission: Permission | None = None) -> Wrapped:
     """The lines of a program of the library's own as they are sent."""
-    return _program(identifier(name), list(body), "")
+    return _program(identifier(name), list(body), "", permission)
 
 
-def _program(name: str, lines: list[str], last: str) -> Wrapped:
+def _program(name: str, lines: list[str], last: str, permission: Permission | None) -> Wrapped:
+    begin = [f"textmsg({quoted(start_marker(name))})"]
+    if permission is not None:
+        begin = _asking(name, begin, permission)
     body = [
         f"def {name}():",
-        f"{_INDENT}textmsg({quoted(start_marker(name))})",
+        *(_INDENT + line for line in begin),
         *(_INDENT + line if line.strip() else "" for line in lines),
         *([_INDENT + last] if last else []),
         f"{_INDENT}textmsg({quoted(finish_marker(name))})",
         "end",
     ]
-    return Wrapped(name, "\n".join(body) + "\n", False, 2, 2, len(_INDENT), len(lines))
+    above = 1 + len(begin)
+    return Wrapped(
+        name,
+        "\n".join(body) + "\n",
+        is_secondary=False,
+        first=above,
+        above=above,
+        indent=len(_INDENT),
+        lines=len(lines),
+        asks=permission is not None,
+    )
+
+
+def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
+    """`begin`, and then the wait for the answer."""
+    is_permitted = f"get_flag({permission.flag})"
+    return [
+        flag(permission.flag, False),
+        *begin,
+        "urlink_cycles = 0",
+        f"while urlink_cycles < {permission.cycles} and not {is_permitted}:",
+        f"{_INDENT}urlink_cycles = urlink_cycles + 1",
+        f"{_INDENT}sync()",
+        "end",
+        f"if not {is_permitted}:",
+        f"{_INDENT}textmsg({quoted(expiry_marker(name))})",
+        f"{_INDENT}halt",
+        "end",
+    ]
 
 
 def _secondary(lines: list[str], item: _Item, token: str) -> Wrapped:
@@ -161,7 +220,16 @@ def _secondary(lines: list[str], item: _Item, token: str) -> Wrapped:
         f"{_INDENT}textmsg({quoted(finish_marker(name))})",
         "end",
     ]
-    return Wrapped(name, "\n".join(text) + "\n", True, -item.first, 1 - item.first, 0, len(lines))
+    return Wrapped(
+        name,
+        "\n".join(text) + "\n",
+        is_secondary=True,
+        first=-item.first,
+        above=1 - item.first,
+        indent=0,
+        lines=len(lines),
+        asks=False,
+    )
 
 
 def _kind(items: list[_Item]) -> Literal["def", "sec", "body"]:

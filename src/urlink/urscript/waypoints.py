@@ -11,7 +11,7 @@ import math
 from textwrap import dedent, indent
 
 from ..firmware import Firmware
-from .programs import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, each, lines, servo_cycle
+from .programs import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, each, introduction, lines, servo_cycle
 from .text import integer, number, quoted
 
 __all__ = ["ARRIVED", "BEAT", "NO_MORE", "interpolating", "numbers_of_point"]
@@ -36,6 +36,7 @@ def interpolating(
     firmware: Firmware,
     host: str,
     port: int,
+    token: int,
     *,
     is_quintic: bool,
     lookahead_time: float = 0.1,
@@ -51,6 +52,7 @@ def interpolating(
 
     Args:
         host: address at which the robot reaches this computer.
+        token: by which it tells that it is the program that is waited for.
         is_quintic: waypoints have accelerations.
         lookahead_time, gain: of ``servoj``.
         deceleration: rad/s² with which it brakes.
@@ -157,6 +159,7 @@ def interpolating(
           end
         end
         if socket_open({quoted(host)}, {integer(port, 1, 65535)}):
+          {introduction(token)}
           n = 0
           asking = True
           while asking and not leave:

@@ -12,7 +12,7 @@ from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.commanding import programs as module
-from urlink.commanding.handle import Program, ProgramPhase
+from urlink.commanding.handle import Phase, Program
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 
@@ -33,7 +33,7 @@ def run(robot: StandIn, source: str = "movej(q)") -> Program:
 
 def test_sent_running_finished(robot: StandIn) -> None:
     program = run(robot, "def job():\n  textmsg(1)\nend")
-    assert program.phase is ProgramPhase.SENT
+    assert program.phase is Phase.SENT
     assert program.name.startswith("job_")
     assert robot.sent == [
         f"def {program.name}():\n"
@@ -46,11 +46,11 @@ def test_sent_running_finished(robot: StandIn) -> None:
         "end\n"
     ]
     robot.begins(program)
-    until(lambda: program.phase is ProgramPhase.RUNNING)
+    until(lambda: program.phase is Phase.RUNNING)
     robot.text("half way")
     robot.comes_to_its_end(program)
     program.wait(5)
-    assert (program.phase, program.error, program.texts) == (ProgramPhase.FINISHED, None, ("half way",))
+    assert (program.phase, program.error, program.texts) == (Phase.DONE, None, ("half way",))
     program.stop()  # without effect
     assert len(robot.sent) == 1
 
@@ -73,7 +73,7 @@ def test_stopped_from_elsewhere(robot: StandIn) -> None:
     robot.is_stopped(program)
     with pytest.raises(ProgramStopped, match="before its end"):
         program.wait(5)
-    assert program.phase is ProgramPhase.STOPPED
+    assert program.phase is Phase.FAILED
 
 
 def test_stopped_on_purpose(robot: StandIn) -> None:
@@ -98,7 +98,7 @@ def test_replaced_by_the_next(robot: StandIn, is_told: bool) -> None:
     robot.begins(two)
     with pytest.raises(ProgramStopped, match=r"replaced by|by the next one"):
         one.wait(5)
-    until(lambda: two.phase is ProgramPhase.RUNNING)
+    until(lambda: two.phase is Phase.RUNNING)
 
 
 def test_replaced_by_somebody_else(robot: StandIn) -> None:
@@ -136,14 +136,14 @@ def test_does_not_compile(
     with pytest.raises(CompileError) as caught:
         program.wait(5)
     assert (caught.value.line, caught.value.column, caught.value.text) == (*place, words)
-    assert program.phase is ProgramPhase.FAILED
+    assert program.phase is Phase.FAILED
 
 
 def test_fails_while_it_runs(robot: StandIn) -> None:
     program = run(robot, "a = 1\nb = a / 0")
     robot.begins(program)
     robot.exception(4, 7, "division by zero")
-    until(lambda: program.phase is ProgramPhase.RUNNING)
+    until(lambda: program.phase is Phase.RUNNING)
     assert not program.done
     robot.is_stopped(program)
     with pytest.raises(ScriptFailed, match="line 2, column 5: division by zero"):
@@ -164,7 +164,7 @@ def test_without_key_messages(robot: StandIn) -> None:
     robot.state(runs=False)
     robot.text(f"{program.name} started")
     robot.state(runs=False)  # older than the beginning, for all we know
-    until(lambda: program.phase is ProgramPhase.RUNNING)
+    until(lambda: program.phase is Phase.RUNNING)
     robot.state(runs=True)
     robot.text(f"{program.name} finished")
     robot.state(runs=True)
@@ -181,7 +181,7 @@ def test_without_key_messages(robot: StandIn) -> None:
 def test_without_key_messages_and_over_between_two_states(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     program = run(robot)
     robot.text(f"{program.name} started")
-    until(lambda: program.phase is ProgramPhase.RUNNING)
+    until(lambda: program.phase is Phase.RUNNING)
     robot.state(runs=False)
     robot.text("heard")
     until(lambda: program.texts == ("heard",))
@@ -271,7 +271,7 @@ def test_secondary_runs_beside(robot: StandIn) -> None:
     robot.exception(3, 3, "compile_error_name_not_found:set_standard:")
     with pytest.raises(CompileError, match="line 2, column 3"):
         wrong.wait(5)
-    assert program.phase is ProgramPhase.RUNNING
+    assert program.phase is Phase.RUNNING
     robot.comes_to_its_end(program)
     program.wait(5)
 

@@ -16,7 +16,7 @@ from urlink.interfaces.enums import AnalogDomain, RobotMode, SafetyMode
 
 
 def io_of(robot: StandIn) -> IO:
-    return IO(robot.outlet, lambda: robot.primary, lambda: robot.firmware)
+    return IO(robot.channel, lambda: robot.primary, lambda: robot.firmware)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 import urlink
 from tests.waiting import until
-from urlink.commanding.handle import ProgramPhase
+from urlink.commanding.handle import Phase
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 
 FIRMWARES = ("sim://ur5?firmware=1.8", "sim://ur5?firmware=3.4", "sim://ur5e?firmware=5.11")
@@ -27,7 +27,7 @@ def robot() -> Iterator[urlink.Robot]:
 def test_runs_to_its_end(address: str) -> None:
     with urlink.connect(address) as robot:
         program = robot.script.run('def job():\n  textmsg("one")\n  sleep(0.05)\n  textmsg("two")\nend', wait=20.0)
-        assert program.phase is ProgramPhase.FINISHED
+        assert program.phase is Phase.DONE
         assert program.texts == ("one", "two")
 
 
@@ -62,27 +62,27 @@ def test_runtime_errors(robot: urlink.Robot) -> None:
     with pytest.raises(ScriptFailed) as caught:
         program.wait(20)
     assert caught.value.line == 3
-    assert program.phase is ProgramPhase.FAILED
+    assert program.phase is Phase.FAILED
 
 
 def test_the_next_stops_the_one_that_runs(robot: urlink.Robot) -> None:
     one = robot.script.run(LONG)
-    until(lambda: one.phase is ProgramPhase.RUNNING)
+    until(lambda: one.phase is Phase.RUNNING)
     two = robot.script.run("sleep(0.02)", wait=20.0)
-    assert two.phase is ProgramPhase.FINISHED
+    assert two.phase is Phase.DONE
     with pytest.raises(ProgramStopped):
         one.wait(20)
 
 
 def test_secondary_runs_beside(robot: urlink.Robot) -> None:
     long = robot.script.run(LONG)
-    until(lambda: long.phase is ProgramPhase.RUNNING)
+    until(lambda: long.phase is Phase.RUNNING)
     robot.script.run("sec lamp():\n  set_standard_digital_out(2, True)\nend", wait=20.0)
     until(lambda: robot.io.digital_out(2))
     robot.io.set_digital_out(2, False)
     robot.io.set_tool_voltage(24)
     until(lambda: not robot.io.digital_out(2) and robot.io.tool_voltage == 24)
-    assert long.phase is ProgramPhase.RUNNING
+    assert long.phase is Phase.RUNNING
     long.stop()
     with pytest.raises(ProgramStopped, match="as asked"):
         long.wait(20)
@@ -106,7 +106,7 @@ def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
     controller = robot.controller
     assert controller is not None
     program = robot.script.run(LONG)
-    until(lambda: program.phase is ProgramPhase.RUNNING)
+    until(lambda: program.phase is Phase.RUNNING)
     controller.faults.emergency_stop()
     with pytest.raises((SafetyStop, NotRunning)) as caught:
         program.wait(20)
@@ -124,7 +124,7 @@ def test_a_cut_connection_is_told_and_a_person_can_go_on(robot: urlink.Robot) ->
     controller = robot.controller
     assert controller is not None
     program = robot.script.run(LONG)
-    until(lambda: program.phase is ProgramPhase.RUNNING)
+    until(lambda: program.phase is Phase.RUNNING)
     controller.faults.cut("primary")
     with pytest.raises(urlink.ConnectionLost, match="may still run"):
         program.wait(20)

@@ -31,10 +31,10 @@ def test_nothing_connects_before_it_is_used(robot: StandIn) -> None:
     assert robot.safety.mode is SafetyMode.NORMAL
     assert robot.safety.robot_mode is RobotMode.RUNNING
     assert (robot.slow.opened, robot.fast.opened) == (1, 0)
-    robot.outlet.command("set_tool_voltage(0)")
+    robot.channel.command("set_tool_voltage(0)")
     assert robot.fast.opened == 0
     robot.state()
-    robot.outlet.motion("movej(q)")
+    robot.channel.motion("movej(q)")
     assert robot.fast.opened == 1
     assert robot.sent == ["set_tool_voltage(0)\n", "movej(q)\n"]
 
@@ -48,14 +48,14 @@ def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: StandIn) -> Non
     assert isinstance(heard[0], SafetyStop)
     assert heard[0].cause == robot.safety.cause == "protective stop"
     with pytest.raises(SafetyStop, match="protective stop"):
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
     with pytest.raises(SafetyStop, match="protective stop"):
-        robot.outlet.setpoint(heard.clear)
-    robot.outlet.command("set_tool_voltage(0)")
+        robot.channel.setpoint(heard.clear)
+    robot.channel.command("set_tool_voltage(0)")
     assert robot.sent == ["set_tool_voltage(0)\n"]
     robot.state()
     robot.safety.wait_enabled(5)
-    robot.outlet.motion("movej(q)")
+    robot.channel.motion("movej(q)")
     remove()
     robot.state(safety=SafetyMode.FAULT)
     until(lambda: not robot.safety.is_enabled)
@@ -105,7 +105,7 @@ def test_a_lost_connection_is_no_knowledge(robot: StandIn, is_fast: bool) -> Non
     assert isinstance(heard[0], NotRunning)
     assert "is lost" in str(heard[0])
     with pytest.raises(NotRunning, match="pulled"):
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
     robot.state()
     robot.safety.wait_enabled(5)
 
@@ -119,14 +119,14 @@ def test_silence_is_no_knowledge(robot: StandIn, monkeypatch: pytest.MonkeyPatch
     until(lambda: heard)
     assert isinstance(heard[0], NotRunning)
     with pytest.raises(NotRunning, match="nothing has been heard"):
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
     assert robot.sent == []
 
 
 def test_nothing_heard_at_all(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(safety, "_FIRST_WORD", 0.05)
     with pytest.raises(NotRunning, match="yet; nothing was sent"):
-        robot.outlet.command("set_tool_voltage(0)")
+        robot.channel.command("set_tool_voltage(0)")
     assert robot.safety.mode is None
     assert robot.safety.robot_mode is None
 
@@ -136,18 +136,18 @@ def test_nobody_there(robot: StandIn) -> None:
     robot.realtime._connection._transport = robot.fast
     robot.state()
     with pytest.raises(ConnectFailed, match="refused"):
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
     robot.state()
-    robot.outlet.command("set_tool_voltage(0)")  # for which the primary interface is enough
+    robot.channel.command("set_tool_voltage(0)")  # for which the primary interface is enough
     robot.state()
-    robot.outlet.motion("movej(q)")  # by now somebody is
+    robot.channel.motion("movej(q)")  # by now somebody is
 
 
 def test_policies_over_the_streams() -> None:
     with StandIn(policy="always") as robot:
         robot.clear()
         with pytest.raises(NotEnabled, match="enable"):
-            robot.outlet.motion("movej(q)")
+            robot.channel.motion("movej(q)")
         robot.safety.wait_until_clear(5)
         with pytest.raises(LinkTimeout, match="not enabled"):
             robot.safety.wait_enabled(0.01)
@@ -178,7 +178,7 @@ def test_listening_more_closely_closes_nothing() -> None:
         robot.safety.enable()
         heard: list[LinkError] = []
         robot.safety.on_stop(heard.append)
-        mover = threading.Thread(target=robot.outlet.motion, args=("movej(q)",))
+        mover = threading.Thread(target=robot.channel.motion, args=("movej(q)",))
         mover.start()
         until(lambda: robot.fast.opened == 1)
         before = robot.primary.stats.decoded
@@ -211,13 +211,13 @@ def test_cb2() -> None:
     with StandIn("1.8") as robot:
         robot.clear()
         assert robot.safety.mode is None
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
         robot.state(RobotModeCB2.SECURITY_STOPPED, protective=True)
         until(lambda: robot.safety.cause == "protective stop")
         robot.state(RobotModeCB2.NO_POWER)
         until(lambda: robot.safety.cause is None)
         with pytest.raises(NotRunning, match="NO_POWER"):
-            robot.outlet.motion("movej(q)")
+            robot.channel.motion("movej(q)")
         robot.state(master=MasterSafetyState.SAFEGUARD_STOP)
         until(lambda: robot.safety.cause == "safeguard stop")
     assert robot.sent == ["movej(q)\n"]
@@ -235,7 +235,7 @@ def test_a_stop_waits_for_what_is_being_sent(robot: StandIn) -> None:
         assert go_on.wait(10)
         order.append("sent")
 
-    sender = threading.Thread(target=robot.outlet.setpoint, args=(send,))
+    sender = threading.Thread(target=robot.channel.setpoint, args=(send,))
     sender.start()
     assert inside.wait(10)
     before = robot.primary.stats.received
@@ -262,7 +262,7 @@ def test_callbacks_are_called_without_the_lock(robot: StandIn) -> None:
         robot.state(safety=SafetyMode.PROTECTIVE_STOP)
         until(lambda: robot.safety.cause)
         with pytest.raises(SafetyStop):
-            robot.outlet.setpoint(lambda: None)
+            robot.channel.setpoint(lambda: None)
     assert stopped.wait(10)
 
 
@@ -285,7 +285,7 @@ def test_closed(robot: StandIn) -> None:
     robot.clear()
     robot.primary.close()
     with pytest.raises(Closed):
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
 
 
 def test_closing_shuts_the_gate(robot: StandIn) -> None:
@@ -295,5 +295,5 @@ def test_closing_shuts_the_gate(robot: StandIn) -> None:
     robot.safety.close()
     assert isinstance(heard[0], NotRunning)
     with pytest.raises(NotRunning, match="closed here"):
-        robot.outlet.motion("movej(q)")
+        robot.channel.motion("movej(q)")
     assert robot.sent == []

@@ -47,7 +47,6 @@ class Line:
         self.subscribers: dict[type, Callable[[Any], object]] = {}
         self.on_silence: Callable[[float], object] | None = None
         self.sent: list[str] = []
-        self._connection = self  # a stream sends by it
 
     def subscribe(self, callback: Callable[[Any], object], kind: type, **options: Any) -> mock.Mock:
         self.subscribers[kind] = callback
@@ -212,7 +211,7 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
     def brake(self) -> None:
         """What can only bring the arm to rest needs nobody to enable it; a stop refuses it all the same."""
         try:
-            self.outlet.motion("stopj(2.0)", brakes=True)
+            self.outlet.motion("stopj(2.0)", is_stop=True)
         except (SafetyStop, NotRunning):
             assert self.hindrance is not None
         else:

@@ -11,7 +11,7 @@ from urlink.models import model
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
-from urlink.urscript.source import program
+from urlink.urscript.source import Permission, program
 
 
 class Line:
@@ -53,7 +53,9 @@ class Line:
 class Bench:
     """Runs the lines of a program; `q` is where the arm is led, cycle by cycle, and `texts` what the program says."""
 
-    def __init__(self, body: Sequence[str], firmware: Firmware, q: Sequence[float] = HOME) -> None:
+    def __init__(
+        self, body: Sequence[str], firmware: Firmware, q: Sequence[float] = HOME, permission: Permission | None = None
+    ) -> None:
         self.firmware = firmware
         self.model = model("UR5e" if firmware.is_e_series else "UR5")
         self.period = 1.0 / firmware.rate
@@ -62,7 +64,8 @@ class Bench:
         self.sockets = Line()
         self.texts: list[str] = []
         self.path: list[list[float]] = []
-        script = compile_script(program("tried", body).text, firmware)
+        self.flags = [False] * 32
+        script = compile_script(program("tried", body, permission).text, firmware)
         self.execution = Execution(script, cast(World, self))
 
     @property
@@ -89,6 +92,16 @@ class Bench:
             self.execution.advance()
             assert self.execution.error is None, self.execution.error
             self.path.append(list(self.motion.advance(self.period).q))
+
+    def watch_servoj(self, tell: Callable[[list[float]], object]) -> None:
+        """Tell what each ``servoj`` is told."""
+        servoj = self.motion.servoj
+
+        def watched(q: Sequence[float], t: float, lookahead_time: float, gain: float) -> object:
+            tell(list(q))
+            return servoj(q, t, lookahead_time, gain)
+
+        self.motion.servoj = watched  # type: ignore[method-assign,assignment]
 
     @property
     def said(self) -> list[str]:

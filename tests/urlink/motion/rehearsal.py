@@ -7,13 +7,15 @@ import re
 import socket
 import struct
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
-from urlink.identity import Identity
 from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.motion import Motions
+from urlink.motion.context import MotionContext
+from urlink.motion.motions import Motions
+from urlink.motion.reverse import ReversePort
 from urlink.urscript.source import finish_marker, start_marker
 
 PATIENCE = 10.0
@@ -25,11 +27,20 @@ HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
 class Rehearsal(StandIn):
     """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `word`."""
 
-    def __init__(self, firmware: str = "5.11", model: str = "UR5e", port: int = 0) -> None:
-        super().__init__(firmware)
-        identity = Identity(self.firmware, True, model)
+    def __init__(self, firmware: str = "5.11", model: str = "UR5e", port: int = 0, **options: Any) -> None:
+        super().__init__(firmware, model=model, **options)
+        reverse = ReversePort("127.0.0.1", port=port)
         self.motion = Motions(
-            self.script, self.outlet, self.safety, self.realtime, lambda: identity, "127.0.0.1", None, port
+            MotionContext(
+                self.programs,
+                self.channel,
+                self.realtime,
+                lambda: self.identity,
+                reverse,
+                self.section,
+                # Motions go by the clock of the test: one cycle passes with each state.
+                clock=lambda: self.time,
+            )
         )
         self.q = list(HOME)
         self.qd = [0.0] * 6
@@ -46,7 +57,6 @@ class Rehearsal(StandIn):
     def close(self) -> None:
         if self.link is not None:
             self.link.close()
-        self.motion.close()
         super().close()
 
     def tick(self, away: float = 0.0) -> None:
@@ -87,13 +97,21 @@ class Rehearsal(StandIn):
     @property
     def program(self) -> str:
         """Name of the program that was sent last."""
-        found = re.match(r"def (\w+)\(\):", self.sent[-1])
-        assert found is not None
-        return found[1]
+        return re.match(r"def (\w+)\(\):", self.uploaded)[1]  # type: ignore[index]
+
+    @property
+    def uploaded(self) -> str:
+        """Text of the program that was sent last."""
+        return next(text for text in reversed(self.sent) if text.startswith("def "))
 
     def begin(self) -> None:
-        self.key("PROGRAM_XXX_STARTED", self.program)
-        self.text(start_marker(self.program))
+        """The program that was sent last begins, and is let go on if it asks."""
+        name, sent = self.program, len(self.sent)
+        is_asking = "get_flag(" in self.uploaded
+        self.key("PROGRAM_XXX_STARTED", name)
+        self.text(start_marker(name))
+        if is_asking:
+            until(lambda: len(self.sent) > sent)
 
     def finish(self, name: str | None = None) -> None:
         """It comes to its end."""
@@ -108,9 +126,12 @@ class Rehearsal(StandIn):
 
     @property
     def port(self) -> int:
-        found = re.search(r'socket_open\("127\.0\.0\.1", (\d+)\)', self.sent[-1])
-        assert found is not None
-        return int(found[1])
+        return int(re.search(r'socket_open\("127\.0\.0\.1", (\d+)\)', self.uploaded)[1])  # type: ignore[index]
+
+    @property
+    def token(self) -> bytes:
+        """What the program says first."""
+        return int(re.search(r"socket_send_int\((\d+)\)", self.uploaded)[1]).to_bytes(4, "big")  # type: ignore[index]
 
     def connect(self) -> None:
         """The program that was sent last begins and connects."""
@@ -118,6 +139,7 @@ class Rehearsal(StandIn):
         if self.link is not None:
             self.link.close()
         self.link = socket.create_connection(("127.0.0.1", self.port), PATIENCE)
+        self.link.sendall(self.token)
         self._rest = b""
 
     def word(self) -> tuple[list[float], int] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections.abc import Callable
@@ -14,9 +15,10 @@ from hypothesis import strategies as st
 from linkcore.errors import BadAddress, BadValue, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from tests.urlink.motion.rehearsal import FOLLOW, PATIENCE, STOP, WAIT, Rehearsal, turned
 from tests.waiting import until
-from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.commanding.handle import Motion, Phase
+from urlink.errors import Cancelled, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.interfaces.enums import SafetyMode
-from urlink.motion import Motion, MotionPhase, TrajectoryFeedback
+from urlink.motion import TrajectoryFeedback
 from urlink.motion.trajectory import Trajectory
 
 #: A tenth of a radian there and back.
@@ -53,7 +55,7 @@ def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehea
         words.append((robot.time, *word))
     robot.finish()
     motion.wait(PATIENCE)
-    assert motion.phase is MotionPhase.DONE
+    assert motion.phase is Phase.DONE
     assert motion.progress == 1.0
     t0 = words[0][0]
     for time, q, what in words:
@@ -165,9 +167,9 @@ def test_cancelled_half_way(robot: Rehearsal) -> None:
     assert robot.word() is None
     for _ in range(5):
         robot.tick()
-    with pytest.raises(MotionCancelled):
+    with pytest.raises(Cancelled):
         motion.wait(PATIENCE)
-    assert motion.phase is MotionPhase.CANCELLED
+    assert motion.phase is Phase.CANCELLED
     assert 0.4 < motion.progress < 0.6
     assert len(robot.sent) == 1
 
@@ -175,7 +177,7 @@ def test_cancelled_half_way(robot: Rehearsal) -> None:
 def test_a_block_that_is_left_cancels(robot: Rehearsal) -> None:
     with begun(robot) as motion:
         assert not motion.done
-    assert motion.phase is MotionPhase.CANCELLED
+    assert motion.phase is Phase.CANCELLED
 
 
 @pytest.mark.parametrize("low_bandwidth", [False, True])
@@ -229,16 +231,17 @@ def test_the_program_says_that_the_link_is_gone(robot: Rehearsal, word: str) -> 
 def test_the_program_is_stopped_at_the_pendant(robot: Rehearsal) -> None:
     motion = begun(robot)
     robot.vanish()
+    robot.until(lambda: motion.done)
     with pytest.raises(ProgramStopped):
         motion.wait(PATIENCE)
 
 
-def test_no_states_come(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.linked._SILENCE", 0.05)
+def test_no_states_come(robot: Rehearsal) -> None:
     motion = begun(robot)
-    with pytest.raises(ConnectionLost, match=r"no state of the robot came"):
+    robot.fast.put(ConnectionLost("pulled"))
+    with pytest.raises(NotRunning, match=r"pulled; its program on the robot brakes by itself"):
         motion.wait(PATIENCE)
-    assert robot.word() in (([0.0] * 6, STOP), None)
+    assert robot.word() is None
 
 
 def test_off_its_path(robot: Rehearsal) -> None:
@@ -297,16 +300,58 @@ def test_a_port_that_is_taken(rehearsal: Callable[..., Rehearsal], robot: Rehear
 def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
     robot.motion.follow(PATH)
     port = robot.port
-    robot.motion.close()
+    robot.programs.close()
     fixed = rehearsal(port=port)
     waiting = fixed.motion.follow(PATH)
     connected = begun(fixed)
     after = begun(fixed)
     assert fixed.port == port
     for each in (waiting, connected):
-        with pytest.raises(MotionCancelled, match="superseded by follow"):
+        with pytest.raises(Cancelled, match="preempted by follow"):
             each.wait(PATIENCE)
     after.cancel()
+
+
+def test_a_port_is_kept_where_the_next_motion_is_refused(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
+    robot.motion.follow(PATH)
+    port = robot.port
+    robot.programs.close()
+    fixed = rehearsal(port=port)
+    waiting = fixed.motion.follow(PATH)
+    fixed.safety.policy = "always"
+    with pytest.raises(NotEnabled):
+        fixed.motion.follow(PATH)
+    fixed.safety.enable()
+    fixed.connect()
+    while not (word := fixed.obey()) or word[1] != FOLLOW:
+        assert word is not None
+    assert waiting.phase is Phase.RUNNING
+    waiting.cancel()
+
+
+def test_a_program_that_begins_after_its_handle_failed_finds_nobody(robot: Rehearsal) -> None:
+    motion = robot.motion.follow(PATH)
+    port = robot.port
+    robot.fast.put(ConnectionLost("pulled"))
+    with pytest.raises(NotRunning, match="it moves nothing if it begins later"):
+        motion.wait(PATIENCE)
+    robot.begin()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), PATIENCE)
+
+
+def test_a_stranger_on_the_robot_does_not_get_the_set_points(robot: Rehearsal) -> None:
+    motion = robot.motion.follow(PATH)
+    with socket.create_connection(("127.0.0.1", robot.port), PATIENCE) as stranger:
+        stranger.sendall(b"0\n\n\n")
+        robot.connect()
+        while not (word := robot.obey()) or word[1] != FOLLOW:
+            assert word is not None
+        assert motion.phase is Phase.RUNNING
+        stranger.settimeout(PATIENCE)
+        with contextlib.suppress(ConnectionError):
+            assert stranger.recv(100) == b""
+    motion.cancel()
 
 
 # -- point by point --------------------------------------------------------------------------------------

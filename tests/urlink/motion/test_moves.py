@@ -7,12 +7,13 @@ from collections.abc import Callable
 
 import pytest
 
-from linkcore.errors import BadValue, Closed, LinkTimeout
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal, turned
 from tests.waiting import until
-from urlink.errors import MotionCancelled, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.commanding.handle import Motion, Phase
+from urlink.errors import Cancelled, CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
-from urlink.motion import Motion, MotionPhase
+from urlink.urscript.source import expiry_marker, start_marker
 
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
     (lambda r: r.motion.move_joints([0] * 6), "move_joints", "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05)"),
@@ -48,21 +49,99 @@ def test_sends_one_program_and_ends_with_it(
     assert motion.name == name
     assert f"\n  {text}\n" in robot.sent[0]
     assert not motion.done
+    assert motion.phase is Phase.SENT
     assert [robot.motion.current] == [motion]
     told: list[Motion] = []
     motion.add_done_callback(told.append)
     robot.begin()
+    until(lambda: motion.phase is Phase.RUNNING)
     robot.finish()
     motion.wait(PATIENCE)
-    assert (motion.phase, motion.error, motion.progress) == (MotionPhase.DONE, None, 1.0)
-    assert told == [motion]
+    assert (motion.phase, motion.error, motion.progress) == (Phase.DONE, None, 1.0)
+    until(lambda: told == [motion])
     motion.add_done_callback(told.append)
-    assert told == [motion, motion]
+    until(lambda: told == [motion, motion])
+    sent = len(robot.sent)
     motion.cancel()
-    assert motion.phase is MotionPhase.DONE
+    assert motion.phase is Phase.DONE
     assert [robot.motion.current] == [None]
-    assert len(robot.sent) == 1
+    assert len(robot.sent) == sent
     assert repr(motion) == f"<Motion {name} done>"
+
+
+@pytest.mark.parametrize(("move", "name", "text"), MOVES)
+def test_is_let_go_on_once_it_has_begun(
+    robot: Rehearsal, move: Callable[[Rehearsal], Motion], name: str, text: str
+) -> None:
+    """But for what only brings the arm to rest, which begins whenever it comes."""
+    move(robot)
+    robot.begin()
+    if name == "stop":
+        assert len(robot.sent) == 1
+        assert "get_flag" not in robot.sent[0]
+    else:
+        assert robot.sent[1:] == ["sec urlink_command():\n  set_flag(31, True)\nend\n"]
+        assert "\n  while urlink_cycles < 2500 and not get_flag(31):\n" in robot.sent[0]
+
+
+def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(start_timeout=0.2)
+    late = robot.motion.move_joints(HOME)
+    robot.until(lambda: late.done)
+    with pytest.raises(LinkTimeout, match=r"not begun within 0\.2 s.*moves nothing if it begins later.*local control"):
+        late.wait(0)
+    robot.key("PROGRAM_XXX_STARTED", robot.program)
+    robot.text(start_marker(robot.program))
+    robot.text("heard")
+    after = robot.script.run("sleep(1)")
+    robot.begin()
+    assert [text.split("(")[0] for text in robot.sent] == [
+        f"def {robot.program.rpartition('_')[0]}_1",
+        f"def {after.name}",
+        "sec urlink_command",
+    ]
+
+
+def test_one_that_was_cancelled_before_it_began_is_not_let_go_on(robot: Rehearsal) -> None:
+    motion = robot.motion.move_joints(HOME)
+    name = robot.program
+    motion.cancel()
+    robot.key("PROGRAM_XXX_STARTED", name)
+    robot.text(start_marker(name))
+    after = robot.motion.stop()
+    robot.begin()
+    robot.finish()
+    after.wait(PATIENCE)
+    assert not any("set_flag(31, True)" in text for text in robot.sent)
+
+
+def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
+    motion = robot.motion.move_joints(HOME)
+    robot.key("PROGRAM_XXX_STARTED", robot.program)
+    robot.text(expiry_marker(robot.program))
+    robot.key("PROGRAM_XXX_STOPPED", robot.program)
+    with pytest.raises(LinkTimeout, match=r"not let go on within 5 s, and has ended without moving the arm"):
+        motion.wait(PATIENCE)
+
+
+def test_a_stop_between_its_beginning_and_the_permission(robot: Rehearsal) -> None:
+    motion = robot.motion.move_joints(HOME)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    robot.key("PROGRAM_XXX_STARTED", robot.program)
+    robot.text(start_marker(robot.program))
+    with pytest.raises(SafetyStop):
+        motion.wait(PATIENCE)
+    robot.text("heard")
+    assert len(robot.sent) == 1
+
+
+def test_without_a_flag_it_begins_at_once(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(start_flag=None, start_timeout=0.2)
+    motion = robot.motion.move_joints(HOME)
+    assert "get_flag" not in robot.sent[0]
+    robot.until(lambda: motion.done)
+    with pytest.raises(LinkTimeout, match="if it begins later, the arm may still move"):
+        motion.wait(0)
 
 
 @pytest.mark.parametrize(("move", "name", "text"), MOVES)
@@ -139,7 +218,7 @@ def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
     robot.q = turned(0.5)
     robot.show()
     assert motion.progress == pytest.approx(0.75)
-    with pytest.raises(LinkTimeout, match=r"move_joints is not over within 0\.01 s"):
+    with pytest.raises(LinkTimeout, match=r"move_joints is sent, and not over within 0\.01 s; it goes on"):
         motion.wait(0.01)
 
 
@@ -149,55 +228,60 @@ def test_waiting_for_no_number_of_seconds(robot: Rehearsal, timeout: object) -> 
         robot.motion.stop().wait(timeout)  # type: ignore[arg-type]
 
 
-def test_superseded(robot: Rehearsal) -> None:
+def test_preempted(robot: Rehearsal) -> None:
     first = robot.motion.move_joints(HOME)
     robot.begin()
-    name = robot.program
-    second = robot.motion.move_joints(turned(1))
-    with pytest.raises(MotionCancelled, match="move_joints was superseded by move_joints"):
-        first.wait(PATIENCE)
-    first.cancel()  # without effect: not its arm any more
-    assert len(robot.sent) == 2
+    name, sent = robot.program, len(robot.sent)
+    second = robot.motion.move_linear([0.1, 0.2, 0.3, 0, 0, 0])
+    assert robot.motion.current is second
+    first.cancel()  # ends it, and stops nothing: the arm is the other's
+    assert len(robot.sent) == sent + 1
     robot.key("PROGRAM_XXX_STOPPED", name)
     robot.begin()
     robot.finish()
     second.wait(PATIENCE)
 
 
-def test_what_is_refused_supersedes_nothing(robot: Rehearsal) -> None:
+@pytest.mark.parametrize("is_told", [True, False])
+def test_preempted_when_the_controller_says_so(robot: Rehearsal, is_told: bool) -> None:
     first = robot.motion.move_joints(HOME)
     robot.begin()
+    name = robot.program
+    second = robot.motion.move_linear([0.1, 0.2, 0.3, 0, 0, 0])
+    if is_told:
+        robot.key("PROGRAM_XXX_STOPPED", name)
+    else:
+        robot.begin()
+    with pytest.raises(Cancelled, match="move_joints was preempted by move_linear"):
+        first.wait(PATIENCE)
+    assert not second.done
+    second.cancel()
+
+
+def test_what_does_not_begin_preempts_nothing(robot: Rehearsal) -> None:
+    first = robot.motion.move_joints(HOME)
+    robot.begin()
+    name = robot.program
     with pytest.raises(BadValue):
         robot.motion.move_joints([9] * 6)
-    robot.slow.refusal = ConnectionError("not sent")
-    with pytest.raises(ConnectionError):
+    robot.slow.refusal = ConnectionLost("not sent")
+    with pytest.raises(ConnectionLost):
         robot.motion.move_joints(HOME)
+    second = robot.motion.move_joints(HOME)
+    robot.exception(3, 1, "compile_error")
+    with pytest.raises(CompileError):
+        second.wait(PATIENCE)
     assert not first.done
-    robot.finish(_name(robot.sent[0]))
+    assert robot.motion.current is first
+    robot.finish(name)
     first.wait(PATIENCE)
-
-
-def test_what_ended_it_while_another_was_refused_is_not_lost(robot: Rehearsal) -> None:
-    first = robot.motion.move_joints(HOME)
-    robot.begin()
-    first.make_way()
-    robot.vanish()
-    until(lambda: first._held)
-    assert not first.done
-    first.go_on()
-    with pytest.raises(ProgramStopped):
-        first.wait(0)
-
-
-def _name(text: str) -> str:
-    return text.removeprefix("def ").partition("(")[0]
 
 
 def test_cancelled(robot: Rehearsal) -> None:
     with robot.motion.move_joints(HOME) as motion:
         robot.begin()
-    assert motion.phase is MotionPhase.CANCELLED
-    with pytest.raises(MotionCancelled, match="was cancelled"):
+    assert motion.phase is Phase.CANCELLED
+    with pytest.raises(Cancelled, match="was cancelled"):
         motion.wait(0)
     assert "stopj" in robot.sent[-1]
 
@@ -208,17 +292,44 @@ def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
     robot.state(safety=SafetyMode.SAFEGUARD_STOP)
     with pytest.raises(SafetyStop):
         motion.wait(PATIENCE)
+    sent = len(robot.sent)
     motion.cancel()
-    assert len(robot.sent) == 1
+    assert len(robot.sent) == sent
+
+
+@pytest.mark.parametrize(
+    ("move", "left"),
+    [
+        (lambda r: r.motion.move_joints(HOME), "the arm may still move, to the end of the motion"),
+        (lambda r: r.motion.speed_joints([0.1] * 6, duration=3), "the arm brakes by itself, 3 s after it began"),
+    ],
+)
+def test_a_robot_that_is_lost_says_what_may_still_move(
+    robot: Rehearsal, move: Callable[[Rehearsal], Motion], left: str
+) -> None:
+    motion = move(robot)
+    robot.begin()
+    until(lambda: motion.phase is Phase.RUNNING)
+    robot.fast.put(ConnectionLost("pulled"))
+    with pytest.raises(NotRunning, match=f"realtime interface is lost.*pulled; {left}"):
+        motion.wait(PATIENCE)
+
+
+def test_a_robot_that_is_lost_before_it_began(robot: Rehearsal) -> None:
+    motion = robot.motion.move_joints(HOME)
+    robot.fast.put(ConnectionLost("pulled"))
+    with pytest.raises(NotRunning, match="pulled; it moves nothing if it begins later"):
+        motion.wait(PATIENCE)
 
 
 def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.begin()
     robot.vanish()
-    with pytest.raises(ProgramStopped):
+    robot.until(lambda: motion.done)
+    with pytest.raises(ProgramStopped, match="before its end, from elsewhere"):
         motion.wait(PATIENCE)
-    assert motion.phase is MotionPhase.FAILED
+    assert motion.phase is Phase.FAILED
 
 
 def test_failed_on_the_controller(robot: Rehearsal) -> None:
@@ -241,7 +352,7 @@ def test_awaited(robot: Rehearsal) -> None:
         await motion
         cancelled = robot.motion.move_joints(HOME)
         cancelled.cancel()
-        with pytest.raises(MotionCancelled):
+        with pytest.raises(Cancelled):
             await cancelled
 
     asyncio.run(move())
@@ -256,24 +367,32 @@ def test_speeds_one_after_the_other(robot: Rehearsal) -> None:
     for i in range(50):
         motions.append(robot.motion.speed_joints([i / 100, 0, 0, 0, 0, 0], duration=0.1))
         robot.begin()
+        until(lambda: motions[-1].phase is Phase.RUNNING)
         robot.tick()
     assert [motion.done for motion in motions] == [True] * 49 + [False]
-    assert all(isinstance(motion.error, MotionCancelled) for motion in motions[:-1])
+    assert all(isinstance(motion.error, Cancelled) for motion in motions[:-1])
     assert not any("stopj" in text.split("speedj")[0] for text in robot.sent)
+    # The first asks before it moves the arm. The others go on with what moves, and to ask would make it stutter.
+    assert ["get_flag" in text for text in robot.sent if text.startswith("def ")] == [True] + [False] * 49
     robot.finish()
     motions[-1].wait(PATIENCE)
 
 
 def test_time_is_the_progress_of_a_speed(robot: Rehearsal) -> None:
     motion = robot.motion.speed_joints([0] * 6, duration=0.01)
-    until(lambda: motion.progress == 1.0)
+    assert motion.progress == 0.0
+    robot.time += 0.004
+    assert motion.progress == pytest.approx(0.4)
+    robot.time += 1.0
+    assert motion.progress == 1.0
     assert not motion.done
 
 
 def test_closed(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
-    robot.motion.close()
-    robot.motion.close()
-    assert motion.phase is MotionPhase.CANCELLED
+    robot.programs.close()
+    robot.programs.close()
+    assert motion.phase is Phase.CANCELLED
+    assert "stopj" in robot.sent[-1]
     with pytest.raises(Closed):
         robot.motion.stop()

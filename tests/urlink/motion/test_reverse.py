@@ -9,14 +9,14 @@ import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost
 from tests.waiting import until
-from urlink.motion.reverse import ReverseLink
+from urlink.motion.reverse import ReverseLink, ReversePort
 
 PATIENCE = 10.0
 
 
 @pytest.fixture
 def link() -> Iterator[ReverseLink]:
-    link = ReverseLink("127.0.0.1")
+    link = ReversePort("127.0.0.1").open()
     yield link
     link.close()
     link.close()
@@ -30,14 +30,21 @@ def test_listens_on_the_route_to_the_robot_at_a_free_port(link: ReverseLink) -> 
     assert not link.is_up
 
 
+def token(link: ReverseLink) -> bytes:
+    return link.token.to_bytes(4, "big")
+
+
 def test_takes_one_program(link: ReverseLink) -> None:
     with socket.create_connection(link.address, PATIENCE) as program:
+        assert not link.poll()
+        program.sendall(token(link)[:1])
+        assert not link.poll()
+        program.sendall(token(link)[1:] + b"0\n")
         until(link.poll)
-        assert link.received() == b""
-        program.sendall(b"0\n")
+        received = bytearray(link.received())
         program.sendall(b"-1\n")
-        received = bytearray()
         until(lambda: received.extend(link.received()) or len(received) == 5)  # type: ignore[func-returns-value]
+        assert received == b"0\n-1\n"
         link.send(b"answer")
         assert program.recv(100) == b"answer"
         with pytest.raises(ConnectionRefusedError):
@@ -47,7 +54,8 @@ def test_takes_one_program(link: ReverseLink) -> None:
 def test_a_program_that_is_gone(link: ReverseLink) -> None:
     with pytest.raises(ConnectionLost):
         link.send(b"before it came")
-    with socket.create_connection(link.address, PATIENCE):
+    with socket.create_connection(link.address, PATIENCE) as program:
+        program.sendall(token(link))
         until(link.poll)
 
     def look() -> bool:
@@ -59,7 +67,8 @@ def test_a_program_that_is_gone(link: ReverseLink) -> None:
 
 
 def test_a_program_that_does_not_read(link: ReverseLink) -> None:
-    with socket.create_connection(link.address, PATIENCE):
+    with socket.create_connection(link.address, PATIENCE) as program:
+        program.sendall(token(link))
         until(link.poll)
 
         def send_on() -> None:
@@ -68,39 +77,144 @@ def test_a_program_that_does_not_read(link: ReverseLink) -> None:
 
         with pytest.raises(ConnectionLost, match="does not read"):
             send_on()
+        # What comes next would be read as the rest of what went before.
+        with pytest.raises(ConnectionLost):
+            link.send(b"answer")
+
+
+@pytest.mark.parametrize("is_meant_to_arrive", [True, False])
+def test_what_is_given_up_is_discarded(link: ReverseLink, is_meant_to_arrive: bool) -> None:
+    with socket.create_connection(link.address, PATIENCE) as program:
+        program.sendall(token(link))
+        until(link.poll)
+        link.send(b"farewell")
+        link.close(farewell=is_meant_to_arrive)
+        if is_meant_to_arrive:
+            assert program.recv(100) == b"farewell"
+            assert program.recv(100) == b""
+        else:
+            program.settimeout(PATIENCE)
+            assert is_reset(program)
+
+
+def is_reset(program: socket.socket) -> bool:
+    try:
+        while program.recv(100):
+            pass
+    except ConnectionError:
+        return True
+    return False
+
+
+def is_refused(stranger: socket.socket) -> bool:
+    try:
+        return stranger.recv(100) == b""
+    except ConnectionError:
+        return True
+
+
+def serves(link: ReverseLink) -> None:
+    """The program itself still finds the port."""
+    assert not link.is_up
+    with socket.create_connection(link.address, PATIENCE) as program:
+        program.sendall(token(link))
+        until(link.poll)
+        link.send(b"set-point")
+        assert program.recv(100) == b"set-point"
+
+
+def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
+    with socket.create_connection(link.address, PATIENCE, source_address=("127.0.0.77", 0)) as stranger:
+        stranger.sendall(token(link))
+        until(lambda: link.poll() or caplog.records)
+        assert "127.0.0.77" in caplog.text
+        assert "the robot is at 127.0.0.1" in caplog.text
+        assert is_refused(stranger)
+        serves(link)
+
+
+@pytest.mark.parametrize("said", [b"\xff\xff\xff\xff", b"0\n", b"GET / HTTP/1.0\r\n\r\n"])
+def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    with socket.create_connection(link.address, PATIENCE) as stranger:
+        stranger.sendall(said)
+        until(lambda: link.poll() or caplog.records)
+        assert "not the program that is waited for" in caplog.text
+        assert is_refused(stranger)
+        serves(link)
+
+
+def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
+    strangers = []
+    for _ in range(12):
+        strangers.append(socket.create_connection(link.address, PATIENCE))
+        until(lambda: not link.poll())
+    assert is_refused(strangers[0])
+    serves(link)
+    for stranger in strangers:
+        assert is_refused(stranger)
+        stranger.close()
+
+
+def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink) -> None:
+    for _ in range(3):
+        socket.create_connection(link.address, PATIENCE).close()
+        link.poll()
+    serves(link)
+
+
+def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
+    with socket.create_connection(link.address, PATIENCE) as program:
+        link.poll()
+        link.close()
+        assert is_refused(program)
+    assert not link.poll()
+
+
+def test_another_address_that_programs_come_from() -> None:
+    link = ReversePort("127.0.0.1", peer="127.0.0.77").open()
+    with socket.create_connection(link.address, PATIENCE, source_address=("127.0.0.77", 0)) as program:
+        program.sendall(token(link))
+        until(link.poll)
+    link.close()
 
 
 def test_an_address_that_something_translates() -> None:
     # It belongs to no network card here, so all of them are listened on.
-    link = ReverseLink("127.0.0.1", "192.0.2.7")
+    link = ReversePort("127.0.0.1", "192.0.2.7").open()
     assert link.address[0] == "192.0.2.7"
-    with socket.create_connection(("127.0.0.1", link.address[1]), PATIENCE):
+    with socket.create_connection(("127.0.0.1", link.address[1]), PATIENCE) as program:
+        program.sendall(token(link))
         until(link.poll)
     link.close()
+
+
+def test_a_fixed_port_waits_for_the_newest_program() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    where = ReversePort("127.0.0.1", port=port)
+    first = where.open()
+    second = where.open()
+    assert first.address == second.address == ("127.0.0.1", port)
+    # The program of the first, which the controller begins late, is not taken for that of the second.
+    with socket.create_connection(second.address, PATIENCE) as late:
+        late.sendall(token(first))
+        assert not first.poll()
+        until(lambda: not second.poll() and is_refused(late))
+    serves(second)
+    first.close()
+    second.close()
 
 
 def test_says_what_to_try(link: ReverseLink) -> None:
     error = link.absence("refused")
     assert isinstance(error, ConnectFailed)
-    for part in (f"127.0.0.1:{link.address[1]}", "refused", "reverse_host", "reverse_port", "firewall"):
+    for part in (f"127.0.0.1:{link.address[1]}", "refused", "reverse_host", "reverse_port", "reverse_peer", "firewall"):
         assert part in str(error)
 
 
 def test_where_nobody_can_listen(link: ReverseLink) -> None:
     with pytest.raises(BadAddress):
-        ReverseLink("127.0.0.1", None, link.address[1])
+        ReversePort("127.0.0.1", None, link.address[1]).open()
     with pytest.raises(ConnectFailed):
-        ReverseLink("no-such-host.invalid")
-
-
-def test_a_stranger_is_refused_and_the_robot_still_served(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
-    stranger = socket.create_connection(link.address, PATIENCE, source_address=("127.0.0.77", 0))
-    with stranger:
-        until(lambda: link.poll() or caplog.records)
-        assert not link.is_up
-        assert "127.0.0.77" in caplog.text
-        assert stranger.recv(100) == b""
-        with socket.create_connection(link.address, PATIENCE) as program:
-            until(link.poll)
-            link.send(b"set-point")
-            assert program.recv(100) == b"set-point"
+        ReversePort("no-such-host.invalid").open()

@@ -11,9 +11,10 @@ import pytest
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LocalError
 from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.waiting import until
-from urlink.errors import MotionCancelled, ProgramStopped, SafetyStop
+from urlink.commanding.handle import Phase
+from urlink.errors import Cancelled, ProgramStopped, SafetyStop
 from urlink.interfaces.enums import SafetyMode
-from urlink.motion import MotionPhase, Servo
+from urlink.motion import Servo
 
 
 class Beside:
@@ -71,12 +72,12 @@ def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: s
         for i in range(10):
             servo.send(turned(0.001 * i))
             assert next_set_point(robot) == pytest.approx(turned(0.001 * i), abs=1e-6)
-    assert servo.phase is MotionPhase.DONE
+    assert servo.phase is Phase.DONE
     assert robot.word() is None
     assert len(robot.sent) == 1
     with pytest.raises(Closed, match="was left"):
         servo.send(HOME)
-    with pytest.raises(LocalError, match="begun before"):
+    with pytest.raises(LocalError, match="used before"):
         servo.__enter__()
 
 
@@ -87,15 +88,28 @@ def test_outside_of_its_block(robot: Rehearsal) -> None:
 
 
 def test_statistics(robot: Rehearsal) -> None:
-    with opened(robot, rate=1000.0) as servo:
+    """Of a loop that means to send each 2 ms, and is 2 ms late with every tenth set-point."""
+    with opened(robot) as servo:
         assert servo.stats.count == 0
-        for _ in range(101):
+        for n in range(101):
             servo.send(HOME)
+            robot.time += 0.004 if n % 10 == 9 else 0.002
         stats = servo.stats
-    assert stats.count == 101
-    assert stats.mean > 0.0
-    assert 0.0 <= stats.p50 <= stats.p99 <= stats.max
-    assert 0 <= stats.late <= 100
+    assert (stats.count, stats.late) == (101, 10)
+    assert stats.mean == pytest.approx(0.0022)
+    assert (stats.p50, stats.max) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.002))
+    assert stats.p99 == pytest.approx(0.002)
+
+
+def test_too_fast_is_refused_and_the_loop_can_go_on(robot: Rehearsal) -> None:
+    with opened(robot) as servo:
+        for n in range(10):
+            servo.send(turned(0.001 * n))
+            robot.time += 0.002
+        with pytest.raises(BadValue, match=r"q\[5\].*0\.0100 rad from the last set-point; at most 0\.0094 rad"):
+            servo.send(turned(0.019))
+        servo.send(turned(0.015))
+        assert servo.stats.count == 11
 
 
 @pytest.mark.parametrize(
@@ -161,7 +175,7 @@ def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch
 def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
     with opened(robot) as servo:
         robot.vanish()
-        until(lambda: servo.done)
+        robot.until(lambda: servo.done)
         with pytest.raises(ProgramStopped):
             servo.send(HOME)
 
@@ -170,7 +184,9 @@ def test_superseded(robot: Rehearsal) -> None:
     with opened(robot) as servo:
         servo.send(HOME)
         motion = robot.motion.move_joints(HOME)
-        with pytest.raises(MotionCancelled, match="superseded by move_joints"):
+        robot.begin()
+        until(lambda: servo.done)
+        with pytest.raises(Cancelled, match="preempted by move_joints"):
             servo.send(HOME)
         motion.cancel()
 

@@ -11,8 +11,9 @@ import pytest
 import urlink
 from linkcore.errors import BadValue, ConnectionLost
 from tests.waiting import until
-from urlink.errors import MotionCancelled, SafetyStop
-from urlink.motion import Motion, MotionPhase, TrajectoryFeedback
+from urlink.commanding.handle import Motion, Phase
+from urlink.errors import Cancelled, SafetyStop
+from urlink.motion import TrajectoryFeedback
 from urlink.motion.linked import LinkedMotion
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
@@ -82,7 +83,7 @@ def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: st
     told: list[TrajectoryFeedback] = []
     motion = robot.motion.follow(path, low_bandwidth=low_bandwidth, feedback=told.append)
     motion.wait(PATIENCE)
-    assert motion.phase is MotionPhase.DONE
+    assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
     assert len(told) > 10
     assert max(float(np.abs(each.error).max()) for each in told) < 0.15
@@ -98,7 +99,7 @@ def test_cancelled_in_the_middle(
     motion = robot.motion.follow(tool_path(robot), low_bandwidth=low_bandwidth)
     half_way(motion)
     motion.cancel()
-    with pytest.raises(MotionCancelled):
+    with pytest.raises(Cancelled):
         motion.wait(PATIENCE)
     goes_on(robot, low_bandwidth)
 
@@ -171,7 +172,7 @@ def test_a_closed_loop(connect: Callable[[str, str], Robot], arm: str, firmware:
             if count > robot.firmware.rate:
                 break
         assert servo.stats.count > 0.5 * robot.firmware.rate
-    assert servo.phase is MotionPhase.DONE
+    assert servo.phase is Phase.DONE
     assert stands(robot)
 
 

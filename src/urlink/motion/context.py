@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from linkcore.streaming.stream import Stream
 
-from ..commanding.channel import Outlet
-from ..commanding.programs import Scripts
-from ..commanding.safety import Safety
+from ..commanding.channel import CommandChannel
+from ..commanding.programs import Programs
+from ..commanding.section import Section
 from ..firmware import Firmware
 from ..identity import Identity
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model, UnknownModel, model
+from .reverse import ReversePort
 
-__all__ = ["Equipment"]
+__all__ = ["MotionContext"]
 
 
 @dataclass(frozen=True)
-class Equipment:
+class MotionContext:
     """The robot, as motions use it.
 
     Attributes:
-        scripts: uploads programs.
-        outlet: sends set-points.
-        safety: tells of stops.
+        programs: uploads programs.
+        channel: sends set-points.
         realtime: where the joints are, and the controller's clock.
         identity: tells who the controller is.
-        host: where the controller is.
-        reverse_host: address at which the robot finds this computer; None to find it out.
-        reverse_port: port that its programs connect to; 0 for a free one.
+        reverse: where its programs connect to.
+        section: of the robot; left while somebody waits.
+        clock: seconds that only grow.
     """
 
-    scripts: Scripts
-    outlet: Outlet
-    safety: Safety
+    programs: Programs
+    channel: CommandChannel
     realtime: Stream[RealtimeState]
     identity: Callable[[], Identity]
-    host: str
-    reverse_host: str | None
-    reverse_port: int
+    reverse: ReversePort
+    section: Section
+    clock: Callable[[], float] = time.monotonic
 
     @property
     def firmware(self) -> Firmware:
@@ -60,6 +60,11 @@ class Equipment:
         """The newest state, or the next one.
 
         Raises:
+            LocalError: there is none yet, and this is the thread that would have to read it.
             LinkTimeout, RemoteError: none comes.
         """
-        return self.realtime.latest or self.realtime.wait()
+        newest = self.realtime.latest
+        if newest is not None:
+            return newest
+        with self.section.waiting():
+            return self.realtime.wait()

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Sequence
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.streaming.stream import Stream
+from linkcore.errors import BadValue, LocalError
 
-from ..commanding.channel import Outlet
-from ..commanding.programs import Scripts
-from ..commanding.safety import Safety
-from ..identity import Identity
+from ..commanding.handle import Motion, Phase
+from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import programs
 from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
-from .equipment import Equipment
+from .context import MotionContext
 from .follower import Follower
-from .following import Tolerances, TrajectoryFeedback
-from .handle import Motion
+from .following import Following, Tolerances, TrajectoryFeedback
+from .linked import LinkedProgram
 from .servo import Servo
 from .setpoints import Servoing
 from .trajectory import Trajectory
-from .uploaded import UploadedMotion, arriving, lasting
-from .waypoints import WaypointFollower
+from .waypoints import WaypointServer
 
 __all__ = ["Motions"]
 
@@ -37,40 +32,24 @@ _LEAST, _HOUR = 1e-3, 3600.0
 #: rad/s² and m/s² beyond which a number is a mistake.
 _HARDEST = 100.0
 
-_Kind = TypeVar("_Kind", bound=Motion)
-
 
 class Motions:
     """Moves the arm. Nothing here waits for the arm: each method returns the handle of a motion under way.
 
-    A motion that is begun supersedes the one that runs, whose `wait` then raises `MotionCancelled`. All of them raise
+    A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All of them raise
     `BadValue` for arguments that make no sense or are beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or
     `NotRunning` where the arm may not be moved now; nothing was sent then.
-
-    Made by `Robot`.
     """
 
-    def __init__(
-        self,
-        scripts: Scripts,
-        outlet: Outlet,
-        safety: Safety,
-        realtime: Stream[RealtimeState],
-        identity: Callable[[], Identity],
-        host: str,
-        reverse_host: str | None,
-        reverse_port: int,
-    ) -> None:
-        self._equipment = Equipment(scripts, outlet, safety, realtime, identity, host, reverse_host, reverse_port)
-        self._lock = threading.Lock()
-        self._current: Motion | None = None
-        self._is_closed = False
+    def __init__(self, context: MotionContext) -> None:
+        self._context = context
 
     @property
     def current(self) -> Motion | None:
-        """The motion that runs, or None."""
-        current = self._current
-        return None if current is None or current.done else current
+        """The motion that was begun last, as long as it is not over; None without one."""
+        life = self._context.programs.current
+        handle = None if life is None else life.handle
+        return handle if isinstance(handle, Motion) else None
 
     # -- one command -----------------------------------------------------------------------------------
 
@@ -86,15 +65,14 @@ class Motions:
             time: seconds that it is to take; then speed and acceleration do not matter.
         """
         goal = six(q, "q")
-        model = self._equipment.model
+        model = self._context.model
         if model is not None:
             _within(model, goal)
             checked(speed, "speed", _LEAST, float(model.max_speed.max()))
         body = programs.move_joints(
             goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
         )
-        gauge = arriving(goal, lambda state: state.q_actual)
-        return self._begin(UploadedMotion("move_joints", self._equipment, body, gauge))
+        return self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual))
 
     def move_linear(
         self, pose: ArrayLike, speed: float = 0.25, acceleration: float = 1.2, *, time: float | None = None
@@ -112,8 +90,7 @@ class Motions:
             goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
         )
         # Of the pose only the position: one rotation has more than one vector.
-        gauge = arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
-        return self._begin(UploadedMotion("move_linear", self._equipment, body, gauge))
+        return self._upload("move_linear", body, _arriving(goal[:3], lambda state: state.tool_vector_actual[:3]))
 
     def speed_joints(self, qd: ArrayLike, acceleration: float = 1.4, *, duration: float = 0.5) -> Motion:
         """Turn the joints at a speed, and brake when time is up.
@@ -127,13 +104,13 @@ class Motions:
             duration: seconds until it brakes.
         """
         speeds = six(qd, "qd")
-        model = self._equipment.model
+        model = self._context.model
         if model is not None:
             for joint, (value, limit) in enumerate(zip(speeds.tolist(), model.max_speed.tolist(), strict=True)):
                 checked(value, f"qd[{joint}] ({JOINTS[joint]})", -limit, limit)
         duration = checked(duration, "duration", _LEAST, _HOUR)
-        body = programs.speed_joints(self._equipment.firmware, speeds.tolist(), _acceleration(acceleration), duration)
-        return self._begin(UploadedMotion("speed_joints", self._equipment, body, lasting(duration)))
+        body = programs.speed_joints(self._context.firmware, speeds.tolist(), _acceleration(acceleration), duration)
+        return self._speed("speed_joints", body, duration)
 
     def speed_linear(self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5) -> Motion:
         """Move the tool at a speed in the base frame, and brake when time is up; see `speed_joints`.
@@ -145,8 +122,8 @@ class Motions:
         """
         speeds = six(xd, "xd")
         duration = checked(duration, "duration", _LEAST, _HOUR)
-        body = programs.speed_linear(self._equipment.firmware, speeds.tolist(), _acceleration(acceleration), duration)
-        return self._begin(UploadedMotion("speed_linear", self._equipment, body, lasting(duration)))
+        body = programs.speed_linear(self._context.firmware, speeds.tolist(), _acceleration(acceleration), duration)
+        return self._speed("speed_linear", body, duration)
 
     def stop(self, acceleration: float = 2.0) -> Motion:
         """Brake all joints with so many rad/s². Done when the arm stands.
@@ -155,7 +132,7 @@ class Motions:
         `safety.enable()` was called; where a stop holds it is refused, and the arm stands.
         """
         body = programs.stop(_acceleration(acceleration))
-        return self._begin(UploadedMotion("stop", self._equipment, body, brakes=True))
+        return self._upload("stop", body, is_stop=True)
 
     # -- programs that talk back -------------------------------------------------------------------------
 
@@ -195,33 +172,26 @@ class Motions:
         """
         if not isinstance(trajectory, Trajectory):
             raise BadValue(f"{trajectory!r} is no Trajectory")
-        equipment = self._equipment
-        if low_bandwidth and equipment.firmware.is_cb2:
-            raise LocalError(f"firmware {equipment.firmware} cannot interpolate by itself: without low_bandwidth only")
+        context, firmware = self._context, self._context.firmware
+        if low_bandwidth and firmware.is_cb2:
+            raise LocalError(f"firmware {firmware} cannot interpolate by itself: without low_bandwidth only")
         tolerances = Tolerances(
             None if path_tolerance is None else checked(path_tolerance, "path_tolerance", 1e-6, 100.0),
             checked(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
             checked(goal_time, "goal_time", 0.0, _HOUR),
             checked(start_tolerance, "start_tolerance", 1e-6, 1.0),
         )
-        servoing = _servoing(watchdog, lookahead_time, gain)
-        trajectory.check(equipment.model)
-        running = self.current
-        if running is None:
+        servoing = _servoing(firmware, watchdog, lookahead_time, gain)
+        model = context.model
+        trajectory.check(model)
+        if self.current is None:
             # Otherwise it is looked at once the arm stands, after the motion before.
-            trajectory.check(near=equipment.state().q_target, within=tolerances.start)
+            trajectory.check(near=context.state().q_target, within=tolerances.start)
         if low_bandwidth:
-            return self._begin(
-                WaypointFollower(
-                    equipment,
-                    trajectory,
-                    tolerances,
-                    feedback,
-                    lookahead_time=servoing.lookahead_time,
-                    gain=servoing.gain,
-                )
-            )
-        return self._begin(Follower(equipment, trajectory, tolerances, feedback, servoing))
+            following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
+        else:
+            following = Follower(trajectory, tolerances, servoing, model)
+        return self._follow(following, feedback)
 
     def servo(
         self,
@@ -242,38 +212,92 @@ class Motions:
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain: see `follow`.
         """
-        servoing = _servoing(watchdog, lookahead_time, gain)
-        pace = float(self._equipment.firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
-        return Servo(self._equipment, pace, servoing, self._begin)
+        firmware = self._context.firmware
+        servoing = _servoing(firmware, watchdog, lookahead_time, gain)
+        pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
+        return Servo(self._context, pace, servoing)
 
     # ----------------------------------------------------------------------------------------------------
 
-    def close(self) -> None:
-        """Cancel the motion that runs, and begin no more. Idempotent."""
-        with self._lock:
-            self._is_closed = True
-            current = self._current
-        if current is not None:
-            current.cancel()
+    def _upload(
+        self,
+        name: str,
+        body: Sequence[str],
+        gauge: Callable[[RealtimeState], float] = lambda state: 0.0,
+        *,
+        is_stop: bool = False,
+        asks: bool = True,
+        left_alone: str = "the arm may still move, to the end of the motion",
+    ) -> Motion:
+        """A motion that is one short program: sent, and then the controller's affair."""
+        context = self._context
+        life = context.programs.life(name)
+        life.brake = lambda: context.programs.stop(life)
 
-    def _begin(self, motion: _Kind) -> _Kind:
-        """Start a motion in place of the one that runs."""
-        with self._lock:
-            if self._is_closed:
-                raise Closed("the robot was closed")
-            before = self.current
-            if before is not None:
-                before.make_way()
-            try:
-                motion.start()
-            except BaseException:
-                if before is not None:
-                    before.go_on()
-                raise
-            self._current = motion
-        if before is not None:
-            before.supersede(motion)
+        def measure() -> float:
+            state = context.realtime.latest
+            return 0.0 if state is None else gauge(state)
+
+        motion = Motion(life, measure)
+        wrapped = context.programs.own(body, asks=asks and not is_stop)
+        context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
         return motion
+
+    def _speed(self, name: str, body: Sequence[str], duration: float) -> Motion:
+        current = self.current
+        # To ask first would make the arm stutter. It need not: what is read too late moves the arm for `duration`.
+        goes_on = current is not None and current.phase is Phase.RUNNING and current.name.startswith("speed_")
+        clock = self._context.clock
+        began = clock()
+        return self._upload(
+            name,
+            body,
+            lambda state: (clock() - began) / duration,
+            asks=not goes_on,
+            left_alone=f"the arm brakes by itself, {duration:g} s after it began",
+        )
+
+    def _follow(self, following: Following, feedback: Callable[[TrajectoryFeedback], object] | None) -> Motion:
+        """A motion whose program is told where to go while it runs."""
+        life = self._context.programs.life("follow")
+        motion = Motion(life, lambda: following.progress)
+        LinkedProgram(life, self._context, following).begin()
+        if feedback is not None:
+            # On a queue and a thread of its own: it may be slow, and it may raise.
+            subscription = self._context.realtime.subscribe(_reporter(following, feedback))
+            life.on_end(lambda: subscription.close(0))
+        return motion
+
+    def __repr__(self) -> str:
+        return f"<Motions current={self.current!r}>"
+
+
+def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) -> Callable[[RealtimeState], float]:
+    """By the way left to a goal: of all coordinates, the one that is furthest; from the first state that is seen."""
+    whole: list[float] = []
+
+    def gauge(state: RealtimeState) -> float:
+        left = float(np.abs(goal - where(state)).max())
+        if not whole:
+            whole.append(left)
+        return 1.0 - left / whole[0] if whole[0] > 0.0 else 1.0
+
+    return gauge
+
+
+def _reporter(
+    following: Following, feedback: Callable[[TrajectoryFeedback], object]
+) -> Callable[[RealtimeState], None]:
+    """Tells with each state where the arm is on its trajectory."""
+
+    def report(state: RealtimeState) -> None:
+        began = following.began
+        if began is not None and not following.is_over and state.time >= began:
+            t = state.time - began
+            q, qd = map(np.array, following.desired(t))
+            feedback(TrajectoryFeedback(t, q, qd, state.q_actual, state.qd_actual, q - state.q_actual))
+
+    return report
 
 
 def _rates(speed: float, acceleration: float) -> tuple[float, float]:
@@ -284,8 +308,9 @@ def _acceleration(value: float) -> float:
     return checked(value, "acceleration", _LEAST, _HARDEST)
 
 
-def _servoing(watchdog: float, lookahead_time: float, gain: float) -> Servoing:
+def _servoing(firmware: Firmware, watchdog: float, lookahead_time: float, gain: float) -> Servoing:
     return Servoing(
+        firmware,
         checked(watchdog, "watchdog", 0.01, 10.0),
         checked(lookahead_time, "lookahead_time", 0.03, 0.2),
         checked(gain, "gain", 100.0, 2000.0),

@@ -1,0 +1,295 @@
+"""What the streams of a robot tell the interlock, and who is told when it closes."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from linkcore.errors import LinkError
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.wire.packet import State
+
+from ..interfaces.primary.robot_message import SafetyModeMessage
+from ..interfaces.primary.robot_state import RobotState
+from ..interfaces.realtime.packets import RealtimeState
+from .callbacks import CallbackThread
+from .interlock import Interlock, Status
+from .section import Section
+
+__all__ = ["SafetyMonitor"]
+
+#: Seconds that a source has for its first word.
+_FIRST_WORD = 2.0
+#: Seconds within which every source that speaks at all speaks again: the primary interface does ten times a second.
+_NEXT_WORD = 0.25
+
+_Stop = Callable[[LinkError], object]
+
+
+class _Listening:
+    """What has to be taken back to listen no more."""
+
+    def __init__(self) -> None:
+        self.is_over = False
+        self._ends: list[Callable[[], object]] = []
+
+    def add(self, end: Callable[[], object]) -> None:
+        self._ends.append(end)
+
+    def end(self) -> None:
+        self.is_over = True
+        while self._ends:
+            self._ends.pop()()
+
+
+class SafetyMonitor:
+    """Keeps an interlock up to date, and answers for it.
+
+    It listens from its first use on: to the primary interface at 10 Hz, and from the first motion on to the real-time
+    interface too, so that a stop is heard within a cycle or two. It is called by the threads that read, so that it
+    hears everything in the order in which it came.
+
+    Args:
+        primary, realtime: the connections.
+        interlock: decides.
+        section: of the robot; the interlock is asked and changed in it.
+        callbacks: where users are called back.
+        clock: seconds that only grow.
+
+    Attributes:
+        clock: the same.
+    """
+
+    def __init__(
+        self,
+        primary: Connection,
+        realtime: Connection,
+        interlock: Interlock,
+        section: Section,
+        callbacks: CallbackThread,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._connections = {"primary": primary, "realtime": realtime}
+        self._interlock = interlock
+        self._section = section
+        self._callbacks = callbacks
+        self.clock = clock
+        self._listening: dict[str, _Listening] = {}
+        #: of those who wait for news; lists, since appending and removing are one step for signal handlers too
+        self._waiting: list[SimpleQueue[None]] = []
+        self._hooks: list[_Stop] = []
+        self._silence_hooks: list[Callable[[float], object]] = []
+        self._stop_callbacks: dict[object, _Stop] = {}
+
+    # -- questions -----------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def decision(self) -> Iterator[Interlock]:
+        """The interlock, to be asked or changed by a person; whoever waits for news is told afterwards."""
+        with self._section:
+            yield self._interlock
+        self._wake()
+
+    def refusal(self, is_stop: bool = False) -> LinkError | None:
+        """Why what moves the arm may not be sent now; what can only bring it to rest needs nobody to enable it."""
+        with self._section:
+            now = self.clock()
+            return self._interlock.blocked(now) if is_stop else self._interlock.refusal(now)
+
+    def require(self, is_stop: bool = False) -> None:
+        """Raise what `refusal` says."""
+        refusal = self.refusal(is_stop)
+        if refusal is not None:
+            raise refusal
+
+    def require_running(self) -> None:
+        """As `require`, for what moves nothing: a stop does not matter as long as the robot runs.
+
+        Raises:
+            NotRunning: it does not, or nothing is known of it.
+        """
+        with self._section:
+            absence = self._interlock.absence(self.clock())
+        if absence is not None:
+            raise absence
+
+    # -- waiting for news ----------------------------------------------------------------------------
+
+    def listen(self, closely: bool = False) -> None:
+        """Listen, if not done yet, and wait for the first word; `closely` on the real-time interface too.
+
+        Raises:
+            RemoteError: the first connection could not be made.
+            Closed: the robot was closed.
+        """
+        for name in ("primary", "realtime") if closely else ("primary",):
+            if name in self._listening:
+                continue
+            self._subscribe(name)
+            if self._section.may_wait:
+                self.wait_for(lambda interlock, name=name: interlock.has_word(name), _FIRST_WORD)  # type: ignore[misc]
+            with self._section:
+                # Only now: a source that has just been asked must not close an interlock that was open.
+                self._interlock.expect(name)
+
+    def await_news(self, moves: bool) -> None:
+        """Where something is in the way, wait for the next word of every source: the last one may be overtaken.
+
+        So who has just switched the arm on, and was told so by the dashboard, need not wait himself; and a program that
+        was held up reads first what has come meanwhile.
+        """
+        began = self.clock()
+
+        def is_settled(interlock: Interlock) -> bool:
+            now = self.clock()
+            in_the_way = interlock.blocked(now) if moves else interlock.absence(now)
+            return in_the_way is None or interlock.has_heard_since(began)
+
+        if self._section.may_wait:
+            self.wait_for(is_settled, _NEXT_WORD)
+
+    def wait_for(self, condition: Callable[[Interlock], object], timeout: float) -> bool:
+        """Wait until the interlock is such; False when time is up.
+
+        Raises:
+            LocalError: in a thread that would have to hear the news itself.
+        """
+        until = time.monotonic() + timeout
+        news: SimpleQueue[None] = SimpleQueue()
+        self._waiting.append(news)
+        try:
+            while not self._is(condition):
+                with self._section.waiting():
+                    try:
+                        news.get(timeout=max(until - time.monotonic(), 0.0))
+                    except Empty:
+                        return self._is(condition)
+            return True
+        finally:
+            self._waiting.remove(news)
+
+    def _is(self, condition: Callable[[Interlock], object]) -> bool:
+        with self._section:
+            return bool(condition(self._interlock))
+
+    @property
+    def is_connected(self) -> bool:
+        """What is listened to is connected; the interlock hears of a loss a moment later than others may."""
+        names = tuple(self._listening)
+        return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
+
+    # -- who is told ---------------------------------------------------------------------------------
+
+    def on_close(self, hook: _Stop) -> None:
+        """Call `hook` at once when the interlock closes, in the thread that heard of it, which it must not keep."""
+        self._hooks.append(hook)
+
+    def on_silence(self, hook: Callable[[float], object]) -> None:
+        """Call `hook` with the seconds for which the robot has said nothing, once they are too many; as `on_close`."""
+        self._silence_hooks.append(hook)
+
+    def on_stop(self, callback: _Stop) -> Callable[[], None]:
+        """Call a user's callback when the interlock closes, in the thread for callbacks; returns what takes it away."""
+        key = object()
+        self._stop_callbacks[key] = callback
+
+        def remove() -> None:
+            self._stop_callbacks.pop(key, None)
+
+        return remove
+
+    # -- what is heard -------------------------------------------------------------------------------
+
+    def _subscribe(self, name: str) -> None:
+        connection = self._connections[name]
+        hear: Callable[[Any], None] = self._hear_primary if name == "primary" else self._hear_realtime
+        kind: type = State if name == "primary" else RealtimeState
+        listening = _Listening()
+        try:
+            listening.add(
+                connection.subscribe_inline(ConnectionEvent, partial(self._hear_event, name, listening)).close
+            )
+            listening.add(connection.subscribe_inline(kind, hear).close)
+            # The reader tells of silence, and no clock: this program may have been held up itself.
+            seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
+            listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
+        except BaseException:
+            listening.end()
+            with self._section:
+                self._interlock.forget(name)
+            raise
+        if self._listening.setdefault(name, listening) is not listening:
+            listening.end()  # another thread, or a signal handler of this one, was quicker
+            return
+        newest = connection.fan_out.newest(RobotState if name == "primary" else RealtimeState)
+        if newest is not None:
+            hear(newest)
+        if connection.state is not ConnectionState.CONNECTED:
+            self._observe(lambda: self._interlock.lose(name, "not connected at present"))
+
+    def _hear_event(self, name: str, listening: _Listening, event: ConnectionEvent) -> None:
+        if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED) or listening.is_over:
+            return
+        why = str(event.error or "closed")
+        self._observe(lambda: self._interlock.lose(name, why))
+        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
+            self._listening.pop(name, None)
+            listening.end()
+
+    def _fall_silent(self, name: str, seconds: float) -> None:
+        self._observe(lambda: self._interlock.fall_silent(name, seconds))
+        for hook in tuple(self._silence_hooks):
+            hook(seconds)
+
+    def _hear_primary(self, packet: State) -> None:
+        if isinstance(packet, RobotState):
+            mode, board = packet.robot_mode_data, packet.masterboard_data
+            if mode is None:
+                return
+            status = Status(
+                mode.robot_mode,
+                board.safety_mode if board is not None else None,
+                mode.is_emergency_stopped,
+                mode.is_protective_stopped,
+                board.master_safety_state if board is not None else None,
+            )
+        elif isinstance(packet, SafetyModeMessage):
+            status = Status(safety_mode=packet.safety_mode)
+        else:
+            return
+        self._hear("primary", status, packet)
+
+    def _hear_realtime(self, state: RealtimeState) -> None:
+        self._hear("realtime", Status(state.robot_mode, state.safety_mode), state)
+
+    def _hear(self, name: str, status: Status, packet: State) -> None:
+        at = packet.received.monotonic if packet.received is not None else self.clock()
+        self._observe(lambda: self._interlock.hear(name, status, at))
+
+    def _observe(self, change: Callable[[], LinkError | None]) -> None:
+        with self._section:
+            closed = change()
+        if closed is not None:
+            for hook in tuple(self._hooks):
+                hook(closed)
+            for callback in tuple(self._stop_callbacks.values()):
+                self._callbacks.call(callback, closed)
+        self._wake()
+
+    def _wake(self) -> None:
+        for news in tuple(self._waiting):
+            news.put(None)
+
+    # -- its end -------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Listen no more, and let nothing through."""
+        for name, listening in tuple(self._listening.items()):
+            listening.end()
+            self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]

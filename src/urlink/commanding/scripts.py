@@ -1,0 +1,105 @@
+"""`robot.script`: programs and lines of URScript, as users send them."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from linkcore.arguments import check_callable
+from linkcore.errors import BadValue
+
+from ..urscript.text import checked
+from .callbacks import CallbackThread
+from .channel import CommandChannel
+from .handle import Program
+from .programs import Programs
+
+__all__ = ["Scripts"]
+
+#: Seconds that `run(wait=True)` waits.
+_RUN_TIMEOUT = 60.0
+#: Lines of `textmsg` that are kept of a program.
+_TEXTS = 1000
+
+
+class Scripts:
+    """Sends URScript."""
+
+    def __init__(self, programs: Programs, channel: CommandChannel, callbacks: CallbackThread) -> None:
+        self._programs = programs
+        self._channel = channel
+        self._callbacks = callbacks
+
+    def run(
+        self,
+        source: str | os.PathLike[str],
+        *,
+        wait: bool | float = False,
+        on_text: Callable[[str], object] | None = None,
+    ) -> Program:
+        """Send a program; it preempts the one that runs, unless it is a `sec`, which runs beside it.
+
+        Args:
+            source: URScript, or the path (`pathlib.Path`) of a file with it: a whole ``def``, a ``sec``, or bare
+                statements. Where the last thing at the top is a ``def``, which may take no arguments, it is called
+                after what stands above it.
+            wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
+            on_text: called with each line of its `textmsg`, in the robot's thread for callbacks.
+
+        Returns:
+            the handle. Lines in its errors are those of `source`.
+
+        Raises:
+            BadValue: it cannot be a program, or the file cannot be read: nothing was sent.
+            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
+            LinkError: it could not be sent; with `wait`, also what ended it.
+        """
+        seconds = _RUN_TIMEOUT if wait is True else 0.0 if wait is False else checked(wait, "wait", 0.0)
+        if on_text is not None:
+            check_callable(on_text, "on_text")
+        wrapped = self._programs.wrap(_text(source) if isinstance(source, os.PathLike) else source)
+        life = self._programs.life(wrapped.name)
+        life.brake = lambda: self._programs.stop(life)
+        texts: deque[str] = deque(maxlen=_TEXTS)
+        program = Program(life, texts)
+
+        def hear(text: str) -> None:
+            texts.append(text)
+            if on_text is not None:
+                self._callbacks.call(on_text, text)
+
+        self._programs.start(wrapped, life, is_motion=False, left_alone="it may still run", on_text=hear)
+        if seconds:
+            program.wait(seconds)
+        return program
+
+    def send_line(self, line: str) -> None:
+        """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not told.
+
+        It goes through the interlock as programs do, since it may move the arm. It asks nobody before it does: a line
+        that the controller reads late, because it was held up itself, is carried out late.
+
+        Raises:
+            BadValue: it is not one line.
+            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
+            RemoteError: it could not be sent.
+        """
+        if not isinstance(line, str) or not line.strip():
+            raise BadValue(f"{line!r} is no line of URScript")
+        if not all(character == "\t" or character.isprintable() for character in line):
+            raise BadValue(f"{line!r} holds a line break or a control character; expected one line")
+        self._channel.motion(line)
+
+    def __repr__(self) -> str:
+        return "<Scripts: run() sends a program, send_line() a line>"
+
+
+def _text(path: os.PathLike[str]) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
+    except OSError as error:
+        raise BadValue(f"cannot read {path}: {error.strerror or error}") from error

@@ -1,0 +1,77 @@
+"""The critical section of one robot: what is decided in it holds until what follows from it has been done.
+
+Python calls signal handlers in the main thread between any two instructions, so also between two within the section.
+A handler that stops the arm must get in: the lock is re-entrant. If the handler then waits, for the stop to be done,
+other threads have to get in too, or what it waits for could never be told: `waiting` lets the lock go meanwhile.
+
+Nothing in this package waits while it is in the section, so that only a signal handler can be the one that lets it go.
+What the main thread had decided before may be out of date when it goes on. It then sends at most one text or one
+set-point too many, and both are harmless: a text asks for permission before it moves the arm
+(`urlink.urscript.source`), and whoever reads set-points has been stopped by the handler.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+
+from linkcore.errors import LocalError
+
+__all__ = ["Section"]
+
+
+class Section:
+    """A lock around decisions, as a context manager.
+
+    Args:
+        delivers: whether the current thread has to hand over what others wait for: it reads a stream.
+    """
+
+    def __init__(self, delivers: Callable[[], bool] = lambda: False) -> None:
+        self._lock = threading.RLock()
+        self._delivers = delivers
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *exc: object) -> None:
+        self._lock.release()
+
+    @property
+    def may_wait(self) -> bool:
+        """The current thread can wait for what a robot says: it is not the one that has to hear it."""
+        return not self._delivers()
+
+    def check_waiting(self) -> None:
+        """Refuse to wait where that would be in vain.
+
+        Raises:
+            LocalError: the current thread would wait for itself.
+        """
+        if not self.may_wait:
+            raise LocalError(
+                "this thread reads a stream of the robot (a callback that was subscribed with inline=True runs in it), "
+                "so what is waited for could not be heard; wait in another thread, or use add_done_callback"
+            )
+
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Let others in for as long as this thread waits.
+
+        Raises:
+            LocalError: the current thread would wait for itself.
+        """
+        self.check_waiting()
+        depth = 0
+        try:
+            while True:
+                self._lock.release()
+                depth += 1
+        except RuntimeError:  # not held by this thread, or not any more
+            pass
+        try:
+            yield
+        finally:
+            for _ in range(depth):
+                self._lock.acquire()

@@ -1,0 +1,225 @@
+"""What moves nothing and stays: payload, tool centre point, speed slider; and whether it has taken effect.
+
+An e-Series controller in local control ignores what comes over the network, without a word. So each setting that the
+robot shows in its own states is waited for there. By the public layouts of the packets, the real-time state shows the
+payload from 5.10 on, the robot state the offset of the tool from 3.2 on, and in every generation the slider, the
+outputs and the voltage of the tool. Popups and flags show nowhere. That the "speed fraction" of CB2 is its slider is
+not known, and which bits are its tool outputs neither: they are not waited for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from queue import Empty, SimpleQueue
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from linkcore.errors import BadValue, LinkError
+from linkcore.streaming.connection import Connection
+
+from ..errors import NotConfirmed
+from ..firmware import Firmware
+from ..identity import Identity
+from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
+from ..interfaces.realtime.packets import RealtimeState
+from ..models import MODELS
+from ..urscript import commands
+from ..urscript.text import checked
+from .channel import CommandChannel
+from .section import Section
+
+__all__ = ["Echo", "Settings"]
+
+T = TypeVar("T")
+
+#: Factor by which a mass may exceed the payload of the arm. Software updates have raised that of some arms by a quarter
+#: (UR10e from 10 to 12.5 kg, UR20 from 20 to 25 kg); `urlink.models` has the latest figures, this leaves room for the
+#: next.
+_PAYLOAD_MARGIN = 1.25
+#: m, rad, kg: what a setting may differ by from what it was set to; texts carry ten digits.
+_EXACT = 1e-6
+#: The same for the slider, whose place on the pendant is a whole percentage.
+_SLIDER = 0.005
+#: The first firmware that shows the payload, and the first that shows a slider.
+_SHOWS_PAYLOAD, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 0)
+
+
+class Echo(NamedTuple, Generic[T]):
+    """Where a robot shows a setting.
+
+    Attributes:
+        kind: class of the packet.
+        shown: what a packet shows; None if it shows nothing of it.
+        is_right: whether that is what was set.
+    """
+
+    kind: type[T]
+    shown: Callable[[T], Any]
+    is_right: Callable[[Any], bool]
+
+
+class Settings:
+    """Sends settings, and waits until the robot shows them.
+
+    Args:
+        channel: by which they leave.
+        primary, realtime: the connections whose states show them.
+        identity: tells who the controller is.
+        section: of the robot.
+        is_remote: asks whether an e-Series is in remote control; None if nobody can tell. It must be quick.
+        start_flag: the flag by which programs are let go on, which is nobody else's; None if there is none.
+    """
+
+    def __init__(
+        self,
+        channel: CommandChannel,
+        primary: Connection,
+        realtime: Connection,
+        identity: Callable[[], Identity],
+        section: Section,
+        is_remote: Callable[[], bool | None],
+        start_flag: int | None,
+    ) -> None:
+        self._channel = channel
+        self._primary = primary
+        self._realtime = realtime
+        self._identity = identity
+        self._section = section
+        self._is_remote = is_remote
+        self._start_flag = start_flag
+
+    @property
+    def firmware(self) -> Firmware:
+        """What the controller runs."""
+        return self._identity().firmware
+
+    def payload(
+        self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, confirm: float | None
+    ) -> None:
+        """See `Robot.set_payload`."""
+        identity = self._identity()
+        statement = commands.payload(identity.firmware, mass, cog, inertia)
+        arm = None if identity.model is None else MODELS.get(identity.model)
+        if arm is not None and mass > arm.payload * _PAYLOAD_MARGIN:
+            raise BadValue(f"payload mass is {mass:g} kg; a {arm.name} carries {arm.payload:g} kg")
+        wanted = [mass, *(() if cog is None else cog)]
+
+        def shown(state: RealtimeState) -> list[float] | None:
+            if state.payload_mass is None or state.payload_cog is None:
+                return None
+            return [state.payload_mass, *state.payload_cog.tolist()][: len(wanted)]
+
+        echo = Echo(RealtimeState, shown, lambda values: _close(values, wanted))
+        self.apply(
+            commands.secondary(statement), "the payload", echo if identity.firmware >= _SHOWS_PAYLOAD else None, confirm
+        )
+
+    def tcp(self, pose: Sequence[float], confirm: float | None) -> None:
+        """See `Robot.set_tcp`."""
+        text = commands.secondary(commands.tcp(pose))
+        wanted = [float(each) for each in pose]
+
+        def shown(info: CartesianInfo) -> list[float] | None:
+            x, rest = info.tcp_offset_X, (info.tcp_offset_Y, info.tcp_offset_Z)
+            turn = (info.tcp_offset_Rx, info.tcp_offset_Ry, info.tcp_offset_Rz)
+            return None if x is None else [float(each or 0.0) for each in (x, *rest, *turn)]
+
+        echo = Echo(
+            CartesianInfo,
+            shown,
+            lambda values: _close(values[:3], wanted[:3]) and _same_rotation(values[3:], wanted[3:]),
+        )
+        self.apply(text, "the tool centre point", echo if self.firmware >= (3, 2) else None, confirm)
+
+    def speed_slider(self, fraction: float, confirm: float | None) -> None:
+        """See `Robot.set_speed_slider`."""
+        echo = Echo(
+            RobotModeData, lambda mode: mode.target_speed_fraction, lambda value: abs(value - fraction) <= _SLIDER
+        )
+        text = commands.speed_slider(fraction)
+        self.apply(text, "the speed slider", echo if self.firmware >= _SHOWS_SLIDER else None, confirm)
+
+    def popup(self, text: str, title: str, warning: bool, error: bool) -> None:
+        """See `Robot.popup`."""
+        self._channel.command(commands.secondary(commands.popup(text, title, warning, error)))
+
+    def flag(self, number: int, on: bool) -> None:
+        """See `IO.set_flag`."""
+        statement = commands.flag(number, on)
+        if number == self._start_flag:
+            raise BadValue(
+                f"flag {number} lets uploaded programs begin; another one is set with connect(start_flag=...)"
+            )
+        self._channel.command(commands.secondary(statement))
+
+    def apply(self, text: str, what: str, echo: Echo[T] | None, confirm: float | None) -> None:
+        """Send a setting, and wait until the robot shows it.
+
+        Args:
+            text: whole lines of URScript.
+            what: it sets, for messages.
+            echo: where it shows; None if nowhere.
+            confirm: seconds to wait; None not to wait.
+
+        Raises:
+            BadValue: `confirm` is no number of seconds.
+            LocalError: this is the thread that would have to hear it.
+            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+            NotConfirmed: the robot does not show it in time.
+            RemoteError: it could not be sent.
+        """
+        timeout = None if confirm is None else checked(confirm, "confirm", 1e-3)
+        if timeout is None or echo is None:
+            self._channel.command(text)
+            return
+        self._section.check_waiting()
+        shown: list[Any] = [None]
+        is_shown: SimpleQueue[None] = SimpleQueue()
+
+        def look(packet: T) -> None:
+            value = echo.shown(packet)
+            if value is not None:
+                shown[0] = value
+                if echo.is_right(value):
+                    is_shown.put(None)
+
+        connection = self._realtime if echo.kind is RealtimeState else self._primary
+        with connection.subscribe_inline(echo.kind, look):
+            self._channel.command(text)
+            try:
+                with self._section.waiting():
+                    is_shown.get(timeout=timeout)
+            except Empty:
+                raise self._not_confirmed(what, shown[0], timeout) from None
+
+    def _not_confirmed(self, what: str, shown: Any, timeout: float) -> NotConfirmed:
+        is_remote: bool | None = None
+        if self.firmware.is_e_series:
+            with contextlib.suppress(LinkError):
+                is_remote = self._is_remote()
+        if is_remote is False:
+            why = "The robot is in local control, in which an e-Series ignores what comes over the network"
+        elif is_remote is None and self.firmware.is_e_series:
+            why = "In local control an e-Series ignores what comes over the network: look at the pendant"
+        else:
+            why = "Perhaps the controller was held up, or its installation or another program sets it too"
+        state = "nothing of it" if shown is None else f"{shown}"
+        return NotConfirmed(
+            f"{what} was sent, and the robot did not show it within {timeout:g} s: its states show {state}. {why}."
+        )
+
+
+def _close(values: Sequence[float], wanted: Sequence[float], tolerance: float = _EXACT) -> bool:
+    return all(abs(value - each) <= tolerance for value, each in zip(values, wanted, strict=True))
+
+
+def _same_rotation(values: Sequence[float], wanted: Sequence[float]) -> bool:
+    """Whether two rotation vectors turn the same way: one of them may go the longer way round."""
+    if _close(values, wanted):
+        return True
+    angle = math.hypot(*wanted)
+    return any(
+        angle > 0.0 and _close(values, [each * (1.0 + turn / angle) for each in wanted])
+        for turn in (2.0 * math.pi, -2.0 * math.pi)
+    )

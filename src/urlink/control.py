@@ -1,0 +1,148 @@
+"""All that commands one robot, wired up: the interlock, the channel, and who sends by it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from linkcore.errors import Closed, LocalError
+from linkcore.streaming.stream import Stream
+
+from .commanding.callbacks import CallbackThread
+from .commanding.channel import CommandChannel
+from .commanding.interlock import Interlock, Policy
+from .commanding.io import IO
+from .commanding.monitor import SafetyMonitor
+from .commanding.programs import Programs
+from .commanding.safety import Safety
+from .commanding.scripts import Scripts
+from .commanding.section import Section
+from .commanding.settings import Settings
+from .firmware import Firmware
+from .identity import KnownIdentity
+from .interfaces.dashboard.client import Dashboard
+from .interfaces.primary.robot_state import RobotState
+from .interfaces.realtime.packets import RealtimeState
+from .motion.context import MotionContext
+from .motion.motions import Motions
+from .motion.reverse import ReversePort
+
+__all__ = ["Control", "Options"]
+
+#: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
+_ASK_TIMEOUT = 0.5
+#: The first e-Series firmware whose dashboard can say so.
+_TELLS_CONTROL = Firmware(5, 6)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What `connect` was told about commanding; the attributes are its arguments."""
+
+    require_enable: Policy
+    stale_after: float
+    start_timeout: float
+    start_flag: int | None
+    reverse_host: str | None
+    reverse_port: int
+    reverse_peer: str | None
+
+
+class Control:
+    """What a robot is commanded by; nothing connects before it is used.
+
+    Args:
+        name: of the robot, for threads.
+        host: where the controller is.
+        dashboard_port: of its dashboard; None if it serves none.
+        primary, realtime: the streams. Nothing here keeps a robot alive that nobody holds any more: what the threads
+            that read call back refers to the connections, and not to the streams.
+        who: tells who the controller is.
+        options: of the user.
+        timeout: seconds for a connection to the dashboard.
+
+    Attributes:
+        safety, script, io, motion, settings: what users hold.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        host: str,
+        dashboard_port: int | None,
+        primary: Stream[RobotState],
+        realtime: Stream[RealtimeState],
+        who: KnownIdentity,
+        options: Options,
+        timeout: float,
+    ) -> None:
+        self._host = host
+        self._dashboard_port = dashboard_port
+        self._who = who
+        self._timeout = timeout
+        self._is_closed = False
+        #: under the one key "one", since `setdefault` is one step for signal handlers too
+        self._dashboards: dict[str, Dashboard] = {}
+        self._callbacks = callbacks = CallbackThread(f"{name} callbacks")
+        # The library's side of the streams, which users do not hold.
+        slow, fast = primary._connection, realtime._connection
+        section = Section(lambda: slow.reads_here() or fast.reads_here())
+        interlock = Interlock(options.require_enable, options.stale_after)
+        self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
+        channel = CommandChannel(slow, monitor, section)
+        self._programs = programs = Programs(
+            slow,
+            channel,
+            monitor,
+            section,
+            callbacks,
+            start_timeout=options.start_timeout,
+            start_flag=options.start_flag,
+            rate=lambda: who.identity.firmware.rate,
+        )
+        self.safety = Safety(monitor)
+        self.script = Scripts(programs, channel, callbacks)
+        self.settings = Settings(
+            channel, slow, fast, lambda: who.identity, section, self._is_remote, options.start_flag
+        )
+        self.io = IO(self.settings, primary)
+        reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
+        self.motion = Motions(MotionContext(programs, channel, realtime, lambda: who.identity, reverse, section))
+
+    @property
+    def dashboard(self) -> Dashboard:
+        """The dashboard server.
+
+        Raises:
+            LocalError: a simulated controller that was told not to serve one.
+            Closed: the robot was closed before it was used.
+        """
+        if self._dashboard_port is None:
+            raise LocalError("the controller serves no dashboard")
+        known = self._dashboards.get("one")
+        if known is not None:
+            return known
+        if self._is_closed:
+            raise Closed("the robot was closed")
+        return self._dashboards.setdefault("one", self._dashboard(self._timeout))
+
+    def _dashboard(self, timeout: float) -> Dashboard:
+        assert self._dashboard_port is not None
+        return Dashboard(self._host, self._dashboard_port, lambda: self._who.identity.firmware, timeout=timeout)
+
+    def _is_remote(self) -> bool | None:
+        """Whether the robot is in remote control, asked on a connection of its own; None if nobody can tell."""
+        if self._dashboard_port is None or self._who.identity.firmware < _TELLS_CONTROL:
+            return None
+        with self._dashboard(_ASK_TIMEOUT) as dashboard:
+            return dashboard.is_in_remote_control()
+
+    def close(self, timeout: float) -> None:
+        """End motions, programs, callbacks and the dashboard's connection, in `timeout` seconds."""
+        until = time.monotonic() + timeout
+        self._is_closed = True
+        self._programs.close()
+        self._monitor.close()
+        for dashboard in self._dashboards.values():
+            dashboard.close()
+        self._callbacks.close(max(until - time.monotonic(), 0.0))

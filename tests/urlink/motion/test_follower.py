@@ -1,0 +1,364 @@
+"""The follower by itself, on clocks that the test sets, and with the program that follows it on a simulated arm."""
+
+from __future__ import annotations
+
+import math
+import struct
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue, LinkError, LinkTimeout
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import FOLLOW, WAIT, turned
+from urlink.errors import ToleranceExceeded
+from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.models import model
+from urlink.motion.follower import Follower
+from urlink.motion.following import ControllerClock, Tolerances
+from urlink.motion.setpoints import Servoing
+from urlink.motion.speed_limit import EARLY
+from urlink.motion.trajectory import Trajectory
+
+TOKEN = 7
+LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)
+#: Half a radian there and back in two seconds.
+WAVE = Trajectory.from_arrays([0, 1, 2], [turned(0), turned(0.5), turned(0)])
+FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.4", "5.11")]
+NEWEST = FIRMWARES[-1]
+
+
+def follower(
+    firmware: Firmware = NEWEST, trajectory: Trajectory = WAVE, tolerances: Tolerances = LOOSE, watchdog: float = 0.1
+) -> Follower:
+    arm = model("UR5e" if firmware.is_e_series else "UR5")
+    return Follower(trajectory, tolerances, Servoing(firmware, watchdog, 0.03, 300.0), arm)
+
+
+def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
+    """What of a state the follower looks at."""
+    position, speeds = np.array(q), np.array([0.0] * 5 + [qd])
+    return cast(
+        RealtimeState,
+        SimpleNamespace(time=time, q_target=position, q_actual=position, qd_target=speeds, qd_actual=speeds),
+    )
+
+
+def word(data: bytes) -> tuple[list[float], int]:
+    numbers = struct.unpack(">7i", data)
+    return [each / 1e6 for each in numbers[:6]], numbers[6]
+
+
+class Feeding:
+    """A follower that is fed one state after the other; the arm is where it was led."""
+
+    def __init__(self, follower: Follower, firmware: Firmware = NEWEST) -> None:
+        self.follower = follower
+        self.firmware = firmware
+        self.cycle = 1.0 / firmware.rate
+        self.time, self.now = 50.0, 1000.0
+        self.q = list(turned(0.0))
+        self.sent: list[list[float]] = []
+
+    def state(self, cycles: float = 1, *, own: float | None = None, told: float | None = None) -> bytes:
+        """So many cycles later; `own` s by this computer's clock, and with the time `told` in the state."""
+        self.time += cycles * self.cycle
+        self.now += cycles * self.cycle if own is None else own
+        data = self.follower.step(b"", state(self.time if told is None else told, self.q), self.now)
+        if data and word(data)[1] == FOLLOW:
+            self.q = word(data)[0]
+            self.sent.append(self.q)
+        return data
+
+
+# -- the controller's clock ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("told", "own", "passed"),
+    [
+        (0.002, 0.002, 0.002),
+        (0.004, 0.004, 0.004),
+        (0.002, 0.5, 0.002),  # it waited in a queue here
+        (0.0029, 0.002, 0.0029),
+        (0.0031, 0.002, 0.002),
+        (0.0, 0.002, 0.0),
+        (1.0, 0.002, 0.002),  # nobody knows of that second here
+        (1.0, 1.0, 1.0),
+        (-5.0, 0.002, 0.002),
+        (float("nan"), 0.002, 0.002),
+        (float("inf"), 0.002, 0.002),
+    ],
+)
+def test_the_controllers_clock_as_far_as_it_can_be_believed(told: float, own: float, passed: float) -> None:
+    clock = ControllerClock(0.002)
+    assert clock.passed(100.0, 7.0) == 0.0
+    assert clock.passed(100.0 + told, 7.0 + own) == pytest.approx(passed, abs=1e-12)
+    # It goes on from there, whatever that was.
+    following = 100.0 + told + 0.002
+    assert clock.passed(following, 7.002 + own) == pytest.approx(0.002, abs=1e-9)
+
+
+def test_states_that_were_held_up_on_their_way_come_together() -> None:
+    clock = ControllerClock(0.002)
+    arrivals = [(0.0, 0.0), (0.002, 0.002), (0.004, 0.030), (0.026, 0.0301), (0.028, 0.0302), (0.030, 0.032)]
+    passed = [clock.passed(100.0 + told, 7.0 + own) for told, own in arrivals]
+    assert passed == pytest.approx([0.0, 0.002, 0.002, 0.022, 0.002, 0.002])
+    # But lateness of long ago excuses nothing.
+    for n in range(60):
+        clock.passed(100.034 + 0.002 * n, 7.060 + 0.002 * n)
+    assert clock.passed(100.170, 7.180) == pytest.approx(0.002)
+
+
+def test_a_clock_that_was_wrong_for_one_state_is_right_again() -> None:
+    clock = ControllerClock(0.002)
+    passed = [clock.passed(time, 7.0 + 0.002 * n) for n, time in enumerate((100.0, 100.002, 101.004, 100.006, 100.008))]
+    assert sum(passed) == pytest.approx(0.008)
+
+
+# -- the set-points --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_each_set_point_is_for_its_own_cycle(firmware: Firmware) -> None:
+    feeding = Feeding(follower(firmware), firmware)
+    cycles = round(2.5 * firmware.rate)
+    for _ in range(cycles):
+        feeding.state()
+    times = (np.arange(len(feeding.sent)) + 2) * feeding.cycle
+    assert np.allclose(feeding.sent, WAVE.at(times)[0], rtol=0, atol=1e-6)
+    assert feeding.follower.is_over
+    assert feeding.sent[-1] == pytest.approx(WAVE.q[-1])
+
+
+@pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
+def test_a_time_that_makes_no_sense_moves_nothing_by_more_than_a_cycle(told: float) -> None:
+    feeding = Feeding(follower())
+    for _ in range(250):
+        feeding.state()
+    for _ in range(3):
+        feeding.state(told=feeding.time + told)
+        for _ in range(20):
+            feeding.state()
+    steps = np.abs(np.diff(np.array(feeding.sent)[:, 5]))
+    fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max()
+    assert steps.max() <= 1.1 * fastest * feeding.cycle + 1e-6
+
+
+def test_a_clock_that_was_set_for_good_is_followed_from_there() -> None:
+    feeding = Feeding(follower())
+    for _ in range(250):
+        feeding.state()
+    feeding.time -= 5.0
+    while not feeding.follower.is_over:
+        feeding.state()
+        assert len(feeding.sent) < 1100
+    assert feeding.sent[-1] == pytest.approx(WAVE.q[-1])
+
+
+@pytest.mark.parametrize("missed", [1, 3, 10, 30, 49])
+def test_what_was_missed_is_caught_up_with_a_tenth_faster(missed: int) -> None:
+    feeding = Feeding(follower())
+    for _ in range(250):
+        feeding.state()
+    before = len(feeding.sent)
+    feeding.state(missed + 1)
+    for _ in range(600):
+        feeding.state()
+    sent = np.array(feeding.sent)[:, 5]
+    # Of the last step the program on the robot does n - n (n + 1) / 100 in n cycles without a set-point.
+    coasted = missed - missed * (missed + 1) / 100
+    last_step = sent[before - 1] - sent[before - 2]
+    here = sent[before - 1] + coasted * last_step
+    fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
+    assert abs(sent[before] - here) <= 1.1 * fastest + 1e-6
+    assert np.abs(np.diff(sent[before:])).max() <= 1.1 * fastest + 0.25 * feeding.cycle
+    # Half a second makes up for 50 ms at least.
+    assert sent[-1] == pytest.approx(WAVE.at((250 + missed + 601 + 1) * feeding.cycle)[0][5], abs=1e-4)
+
+
+@pytest.mark.parametrize("missed", [5, 20, 45])
+def test_an_old_state_that_is_answered_late_does_not_lead_back(missed: int) -> None:
+    """This thread took a state, and was held up before it answered."""
+    feeding = Feeding(follower())
+    for _ in range(250):
+        feeding.state()
+    before = np.array(feeding.sent)[-2:, 5]
+    feeding.state(1, own=(missed + 1) * feeding.cycle)
+    feeding.state(missed, own=0.0001)
+    coasted = (missed - missed * (missed + 1) / 100) * (before[1] - before[0])
+    steps = np.array(feeding.sent)[-2:, 5] - (before[1] + coasted)
+    fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
+    assert np.abs(steps).max() <= 1.2 * fastest
+
+
+def test_two_states_of_one_cycle_are_answered_once() -> None:
+    feeding = Feeding(follower())
+    for _ in range(10):
+        assert feeding.state()
+    assert feeding.state(0) == b""
+    assert feeding.state()
+
+
+def test_waits_for_the_arm_to_stand() -> None:
+    led = follower()
+    moving = state(1.0, turned(0), 0.5)
+    assert word(led.step(b"", moving, 10.0))[1] == WAIT
+    assert word(led.step(b"", moving, 11.4))[1] == WAIT
+    with pytest.raises(LinkTimeout, match="did not come to rest"):
+        led.step(b"", moving, 11.6)
+    assert led.began is None
+
+
+def test_begins_nowhere_else() -> None:
+    with pytest.raises(BadValue, match="too far from where the arm is"):
+        follower().step(b"", state(1.0, turned(0.06)), 10.0)
+
+
+def test_what_is_between_the_arm_and_the_first_point_is_faded_out() -> None:
+    feeding = Feeding(follower())
+    feeding.q = turned(0.04)
+    for _ in range(600):
+        feeding.state()
+    sent = np.array(feeding.sent)[:, 5]
+    assert sent[0] == pytest.approx(0.04, abs=1e-4)
+    wanted = WAVE.at((np.arange(600) + 2) * feeding.cycle)[0][:, 5]
+    assert np.abs(sent - wanted)[250:].max() < 1e-6
+    assert np.abs(np.diff(sent - wanted)).max() <= 0.26 * feeding.cycle
+    assert np.abs(sent - wanted)[50] > 0.02  # not at once
+
+
+def test_off_its_path_and_off_its_goal() -> None:
+    led = follower(tolerances=Tolerances(path=0.05, goal=0.01, goal_time=0.1, start=0.05))
+    led.step(b"", state(1.0, turned(0)), 10.0)
+    led.step(b"", state(1.002, turned(0.04)), 10.002)
+    with pytest.raises(ToleranceExceeded, match=r"wrist 3 \(joint 5\) is 0\.06.* into its path"):
+        led.step(b"", state(1.004, turned(0.06)), 10.004)
+    with pytest.raises(ToleranceExceeded, match="nan"):
+        led.step(b"", state(1.006, turned(float("nan"))), 10.006)
+    feeding = Feeding(follower(tolerances=Tolerances(path=None, goal=0.01, goal_time=0.1, start=0.05)))
+
+    def hold() -> None:
+        for _ in range(1200):
+            feeding.q = turned(0.02)
+            feeding.state()
+
+    with pytest.raises(ToleranceExceeded, match=r"0\.1 s after the end of its path; the tolerance is 0\.01"):
+        hold()
+    assert feeding.time - 50.0 == pytest.approx(2.1, abs=0.01)
+
+
+def test_feedback_is_told_where_the_trajectory_is() -> None:
+    feeding = Feeding(follower())
+    feeding.state()
+    assert feeding.follower.began == pytest.approx(50.002)
+    for _ in range(99):
+        feeding.state()
+    assert feeding.follower.progress == pytest.approx(0.198 / 2.0)
+    assert feeding.follower.began == pytest.approx(50.002)
+
+
+# -- with the program that follows -----------------------------------------------------------------------
+
+
+class Program:
+    """The streaming program without the interpreter; `test_the_model_of_the_program` holds it to the real one."""
+
+    def __init__(self, missable: int, q: list[float]) -> None:
+        self.q = list(q)
+        self.is_over = False
+        self._last = list(q)
+        self._step = [0.0] * 6
+        self._missed = 0
+        self._missable = missable
+        self._has_begun = False
+
+    def cycle(self, words: bytes) -> list[float]:
+        """One cycle in which these words have come; what ``servoj`` is told."""
+        last_word = words[-28:]
+        if self.is_over or (not last_word and not self._has_begun) or (last_word and word(last_word)[1] == WAIT):
+            return self.q
+        if last_word:
+            goal = word(last_word)[0]
+            if self._has_begun:
+                self._step = [(b - a) / (self._missed + 1) for a, b in zip(self._last, goal, strict=True)]
+            self._has_begun, self._missed, self._last, self.q = True, 0, goal, goal
+        elif self._missed < self._missable:
+            self._missed += 1
+            share = 1.0 - self._missed / self._missable
+            self.q = [q + step * share for q, step in zip(self.q, self._step, strict=True)]
+        else:
+            self.is_over = True
+        return self.q
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_the_model_of_the_program(firmware: Firmware) -> None:
+    servoing = Servoing(firmware, 0.1, 0.03, 300.0)
+    bench = Bench(servoing.body("10.0.0.1", 50001, TOKEN), firmware)
+    modelled = Program(servoing.missable, list(bench.motion.setpoint.q))
+    targets: list[list[float]] = []
+    feeding = Feeding(follower(firmware), firmware)
+    bench.watch_servoj(targets.append)
+    bench.run(2)
+    expected = []
+    for missed in (0, 0, 0, 1, 0, 4, 0, 0, 2, 11, 0, 0, 200):
+        for _ in range(missed):
+            expected.append(modelled.cycle(b""))
+            bench.run()
+        words = feeding.state(missed + 1)
+        bench.sockets.waiting.extend(words)
+        expected.append(modelled.cycle(words))
+        bench.run()
+    assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
+    assert len(targets) > 24 + servoing.missable
+    assert modelled.is_over
+
+
+#: What happens before a state: cycles that are missed here, what is added to its time, seconds that this computer's
+#: clock is off.
+_events = st.tuples(
+    st.one_of(st.just(0), st.just(0), st.integers(0, 8), st.integers(0, 70)),
+    st.one_of(st.just(0.0), st.sampled_from([1.0, -5.0, 0.05, -0.002, 0.002, math.nan, math.inf, 1e9])),
+    st.floats(-0.0004, 0.0004),
+)
+
+
+@pytest.mark.property
+@given(
+    st.lists(_events, min_size=5, max_size=60),
+    st.sampled_from(FIRMWARES),
+    st.sampled_from([0.3, 1.0, 2.0, 3.1]),
+    st.floats(0.05, 0.95),
+)
+def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
+    events: list[tuple[int, float, float]], firmware: Firmware, speed: float, where: float
+) -> None:
+    """Cycle by cycle, what the joints are told is never further than they get in one at their largest speed."""
+    cycle = 1.0 / firmware.rate
+    # So short that its middle, where it goes at `speed`, is soon reached.
+    trajectory = Trajectory.from_arrays([0, 0.4], [turned(0.0), turned(0.4 * speed / 1.5)])
+    led = follower(firmware, trajectory)
+    program = Program(Servoing(firmware, 0.1, 0.03, 300.0).missable, turned(0.0))
+    path = [program.q[5]]
+    now = 0
+    warming = [(0, 0.0, 0.0)] * round(where * trajectory.duration / cycle)
+    for stall, off, own in [*warming, *events]:
+        for _ in range(stall):
+            now += 1
+            path.append(program.cycle(b"")[5])
+        now += 1
+        told = state(50.0 + now * cycle + off, program.q)
+        try:
+            words = led.step(b"", told, 1000.0 + now * cycle + own)
+        except LinkError:
+            break  # a clear end: the program brakes
+        path.append(program.cycle(words)[5])
+        if program.is_over:
+            break  # nothing came for too long: it braked by itself
+    assert np.abs(np.diff(path)).max() <= math.pi * (cycle + EARLY) + 1e-5
