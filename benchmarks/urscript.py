@@ -87,7 +87,10 @@ def streaming(model: str, firmware: str) -> float:
     controller = standing(model, firmware)
     rate = controller.firmware.rate
     with listen() as listener:
-        run(controller, programs.streaming(controller.firmware, "127.0.0.1", listener.getsockname()[1]))
+        run(
+            controller,
+            programs.streaming(controller.firmware, "127.0.0.1", listener.getsockname()[1], 0, speeds=[6.28] * 6),
+        )
         with closing(connected(controller, listener)) as link:
             cycles = round(SECONDS * rate)
             words = [setpoint(joint_path(n / rate)) for n in range(cycles)]

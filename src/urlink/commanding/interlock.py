@@ -130,6 +130,11 @@ class Interlock:
         heard.status, heard.heard, heard.absence = status.over(heard.status), at, None
         return self._look()
 
+    def amend(self, source: str, status: Status, at: float) -> LinkError | None:
+        """As `hear`, of what is only a part of its word: without effect before the whole has been heard."""
+        heard = self._sources.get(source)
+        return None if heard is None or heard.status is None else self.hear(source, status, at)
+
     def lose(self, source: str, why: str) -> LinkError | None:
         """The connection of a source was lost. The error that ends all motions, if that has closed it."""
         heard = self._sources.setdefault(source, _Source())

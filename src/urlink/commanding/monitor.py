@@ -212,13 +212,12 @@ class SafetyMonitor:
         kind: type = State if name == "primary" else RealtimeState
         listening = _Listening()
         try:
-            listening.add(
-                connection.subscribe_inline(ConnectionEvent, partial(self._hear_event, name, listening)).close
-            )
-            listening.add(connection.subscribe_inline(kind, hear).close)
             # The reader tells of silence, and no clock: this program may have been held up itself.
             seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
+            on_event = partial(self._hear_event, name, listening)
+            listening.add(connection.subscribe_inline(ConnectionEvent, on_event).close)
+            listening.add(connection.subscribe_inline(kind, hear).close)
         except BaseException:
             listening.end()
             with self._section:
@@ -259,18 +258,17 @@ class SafetyMonitor:
                 mode.is_protective_stopped,
                 board.master_safety_state if board is not None else None,
             )
+            self._observe(lambda: self._interlock.hear("primary", status, self._came(packet)))
         elif isinstance(packet, SafetyModeMessage):
-            status = Status(safety_mode=packet.safety_mode)
-        else:
-            return
-        self._hear("primary", status, packet)
+            news = Status(safety_mode=packet.safety_mode)
+            self._observe(lambda: self._interlock.amend("primary", news, self._came(packet)))
 
     def _hear_realtime(self, state: RealtimeState) -> None:
-        self._hear("realtime", Status(state.robot_mode, state.safety_mode), state)
+        status = Status(state.robot_mode, state.safety_mode)
+        self._observe(lambda: self._interlock.hear("realtime", status, self._came(state)))
 
-    def _hear(self, name: str, status: Status, packet: State) -> None:
-        at = packet.received.monotonic if packet.received is not None else self.clock()
-        self._observe(lambda: self._interlock.hear(name, status, at))
+    def _came(self, packet: State) -> float:
+        return packet.received.monotonic if packet.received is not None else self.clock()
 
     def _observe(self, change: Callable[[], LinkError | None]) -> None:
         with self._section:
@@ -289,7 +287,8 @@ class SafetyMonitor:
     # -- its end -------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Listen no more, and let nothing through."""
+        """Listen no more, and let nothing through. Users are not told: it is no stop of the robot."""
+        self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):
             listening.end()
             self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]

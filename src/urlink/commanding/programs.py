@@ -239,6 +239,12 @@ class Programs:
         newest = self._newest()
         return newest.life if newest is not None and newest.is_motion and not newest.life.is_over else None
 
+    @property
+    def permitted(self) -> list[Lifecycle]:
+        """Of what is not over, and may move the arm: it has begun, or needs no permission."""
+        runs = [run for run in self._pending() if run.begun is not None or not run.wrapped.asks]
+        return [run.life for run in runs if not run.life.is_over]
+
     def _newest(self) -> _Run | None:
         """The program that was sent last, unless it is over."""
         return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
@@ -405,9 +411,9 @@ class Programs:
     def _begin(self, run: _Run) -> None:
         if run.begun is not None:
             return
+        run.begun = self._clock()
         if not run.wrapped.is_secondary:
             self._replace(run.name, run)
-        run.begun = self._clock()
         run.life.begin()
 
     def _replace(self, name: str, successor: _Run | None) -> None:

@@ -3,11 +3,13 @@
 Each real-time state that arrives is answered with the set-point for its own time, a little ahead: the controller's
 clock paces the stream, so it does not matter how this computer's clock runs.
 
-No set-point leaps, whatever happened before it. While set-points stay away the program on the robot goes on by its last
-step, less and less of it (`urlink.urscript.programs.streaming`). The follower knows how far that is. It goes on from
-there, fades out what lies between that place and the trajectory, and follows the trajectory a tenth faster until it has
-caught up. What is sent is held against the speeds of the joints as well (`urlink.motion.speed_limit`). Where nothing
-that may be sent leads on, it ends with an error.
+A set-point is never further away than it may be, whatever happened before it. While set-points stay away, the program
+on the robot goes on by its last step, less and less of it (`urlink.urscript.programs.streaming`). The follower knows
+how far that is. It goes on from there, fades out what lies between that place and the trajectory, and follows the
+trajectory a tenth faster until it has caught up. What is sent since the last set-point is held against the speeds of
+the joints (`urlink.motion.speed_limit`): a state that says that many cycles have passed is believed only where this
+computer's own clock knows of them too. Where nothing that may be sent leads on, it ends with an error. Should all that
+be wrong all the same, the program on the robot itself approaches no set-point faster than the joints can move.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ __all__ = ["Follower"]
 #: Cycles from a state to that in which the set-point that it brings about takes effect: it is sent back within the next
 #: one, and the program takes it up at the beginning of the one after.
 _AHEAD = 2
-#: rad/s at most with which the arm is led from where it stands to the trajectory.
+#: rad/s at most with which the arm is led from where it is to the trajectory.
 _FADE_SPEED = 0.25
 #: Seconds that this takes at least.
 _FADE_LEAST = 0.2
@@ -56,6 +58,25 @@ class _Fade:
         return [share * each for each in self._offset], [speed * each for each in self._offset]
 
 
+class _Gap:
+    """A difference that is closed at constant speed, and so is closed also where it is measured anew all the time.
+
+    Args:
+        offset: (6,) rad, at first.
+        begin: s on the trajectory.
+    """
+
+    def __init__(self, offset: Sequence[float], begin: float) -> None:
+        self._offset = list(offset)
+        self._begin = begin
+        self._seconds = max(max(map(abs, offset)) / _FADE_SPEED, 1e-9)
+
+    def at(self, t: float) -> list[float]:
+        """What is left of it at a time, rad."""
+        share = 1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0)
+        return [share * each for each in self._offset]
+
+
 class Follower(Following):
     """The set-points of a trajectory.
 
@@ -71,15 +92,14 @@ class Follower(Following):
         super().__init__(trajectory, tolerances, self._cycle)
         self.farewell = STOP_WORD
         self._servoing = servoing
-        # What is late has been coasted, which counts from there.
-        self._limit = SpeedLimit(model, self._cycle, late=0.0)
+        # The program on the robot goes on by itself for as long as its watchdog lets it.
+        self._limit = SpeedLimit(model, self._cycle, late=servoing.watchdog)
         #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
-        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Fade([0.0] * 6, 0.0)
+        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0)
         #: s that have passed on the trajectory, by the controller's clock; None before it began
         self._t: float | None = None
-        #: s since the last set-point by the controller's clock, and when it was sent by this computer's
+        #: s since the last set-point, by the controller's clock
         self._since = 0.0
-        self._sent = 0.0
         #: the last set-point, rad, and its time on the trajectory, s
         self._q = [0.0] * 6
         self._s = 0.0
@@ -124,39 +144,30 @@ class Follower(Following):
 
     def _next(self, wanted: float, now: float) -> bytes:
         """The next set-point: for the time `wanted` on the trajectory, or as near to that as may be."""
-        missed = self._missed(now)
-        coasted = self._coasting(missed)
-        here = [q + step * coasted for q, step in zip(self._q, self._step, strict=True)]
-        s = self._s + self._pace * coasted
-        if missed:
-            self._gap = _Fade(_difference(here, self.desired(s)[0]), s)
-        most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
+        told = max(round(self._since / self._cycle) - 1, 0) if self._is_led else 0
         excess = None
-        for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
-            q = _sum(self.desired(s + ahead)[0], self._gap.at(s + ahead)[0])
-            excess = self._limit.excess(here, q, now)
-            if excess is None:
-                break
-        else:
-            raise ToleranceExceeded(f"the arm would have to leap to go on with its trajectory: {excess}")
-        self._limit.take(here, q, now)
+        # Where that many cycles cannot have passed, by this computer's clock, none was missed.
+        for missed in (told, 0):
+            coasted = self._coasting(missed)
+            here = _sum(self._q, [coasted * each for each in self._step])
+            s = self._s + self._pace * coasted
+            gap = _Gap(_difference(here, self.desired(s)[0]), s) if missed else self._gap
+            most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
+            for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
+                q = _sum(self.desired(s + ahead)[0], gap.at(s + ahead))
+                excess = self._limit.excess(self._q, q, now)
+                if excess is None:
+                    return self._lead(q, s + ahead, missed, gap, now)
+        raise ToleranceExceeded(f"the arm would have to leap to go on with its trajectory: {excess}")
+
+    def _lead(self, q: list[float], s: float, missed: int, gap: _Gap, now: float) -> bytes:
+        self._limit.take(self._q, q, now)
         if self._is_led:  # the first set-point gives the program no step to go on by
             self._step = [each / (missed + 1) for each in _difference(q, self._q)]
-            self._pace = (s + ahead - self._s) / (missed + 1)
+            self._pace = (s - self._s) / (missed + 1)
         self._is_led = True
-        self._q, self._s = q, s + ahead
-        self._since, self._sent = 0.0, now
+        self._q, self._s, self._gap, self._since = q, s, gap, 0.0
         return setpoint(q)
-
-    def _missed(self, now: float) -> int:
-        """Cycles that the program on the robot has gone without a set-point since the last one.
-
-        They count from when that was sent. The states say it more precisely than this computer's clock, where they
-        come as regularly as they should.
-        """
-        own = now - self._sent
-        since = self._since if abs(self._since - own) <= 0.5 * self._cycle else own
-        return max(round(since / self._cycle) - 1, 0) if self._is_led else 0
 
     def _coasting(self, missed: int) -> float:
         """How many of its last steps the program on the robot goes on in so many cycles without a set-point."""

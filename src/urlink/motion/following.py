@@ -22,11 +22,9 @@ __all__ = ["ControllerClock", "Following", "Tolerances", "TrajectoryFeedback"]
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Cycles by which the time between two states may be longer than what this computer's clock knows of. Half of one: a
-#: state more or less is then told apart.
-_TOLERANCE = 0.5
-#: What is left, from state to state, of the time by which states are late. Chosen: late ones arrive within some ten.
-_FORGETTING = 0.9
+#: Seconds by which the time between two states may be longer than the time between their arrivals: they were held up
+#: on their way and came together. More than that is a clock that was set.
+_BUNCHING = 0.1
 
 
 @dataclass(frozen=True)
@@ -71,8 +69,7 @@ class ControllerClock:
     """How much time passes on the controller, as far as its states can be believed.
 
     For a state without a time, from the past, or from a future that this computer's clock knows nothing of, that clock
-    counts, and one cycle at least. States that were late may come together: by as much as they were late the next ones
-    may be further apart than their arrivals.
+    counts, and one cycle at least.
 
     Args:
         cycle: seconds of the controller's cycle.
@@ -80,9 +77,7 @@ class ControllerClock:
 
     def __init__(self, cycle: float) -> None:
         self._cycle = cycle
-        self._told: float | None = None
-        self._now = 0.0
-        self._lateness = 0.0
+        self._last: tuple[float, float] | None = None
 
     def passed(self, time: float, now: float) -> float:
         """Seconds since the last state; 0 for the first.
@@ -91,15 +86,11 @@ class ControllerClock:
             time: of the state, on the controller's clock.
             now: when it came, on a clock of this computer that only grows.
         """
-        before = self._told, self._now
-        self._told, self._now = time, now
-        if before[0] is None:
+        last, self._last = self._last, (time, now)
+        if last is None:
             return 0.0
-        told, own = time - before[0], now - before[1]
-        if not 0.0 <= told <= own + self._lateness + _TOLERANCE * self._cycle:
-            told = max(own, self._cycle)
-        self._lateness = max(self._lateness + own - told, 0.0) * _FORGETTING
-        return told
+        told, own = time - last[0], now - last[1]
+        return told if 0.0 <= told <= own + _BUNCHING else max(own, self._cycle)
 
 
 class Following(ABC):

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, LocalError
 
-from ..commanding.handle import Motion, Phase
-from ..firmware import Firmware
+from ..commanding.handle import Motion
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import programs
@@ -22,6 +21,7 @@ from .following import Following, Tolerances, TrajectoryFeedback
 from .linked import LinkedProgram
 from .servo import Servo
 from .setpoints import Servoing
+from .speed_limit import largest_speeds
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
 
@@ -181,7 +181,7 @@ class Motions:
             checked(goal_time, "goal_time", 0.0, _HOUR),
             checked(start_tolerance, "start_tolerance", 1e-6, 1.0),
         )
-        servoing = _servoing(firmware, watchdog, lookahead_time, gain)
+        servoing = self._servoing(watchdog, lookahead_time, gain)
         model = context.model
         trajectory.check(model)
         if self.current is None:
@@ -213,7 +213,7 @@ class Motions:
             lookahead_time, gain: see `follow`.
         """
         firmware = self._context.firmware
-        servoing = _servoing(firmware, watchdog, lookahead_time, gain)
+        servoing = self._servoing(watchdog, lookahead_time, gain)
         pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
         return Servo(self._context, pace, servoing)
 
@@ -244,9 +244,10 @@ class Motions:
         return motion
 
     def _speed(self, name: str, body: Sequence[str], duration: float) -> Motion:
-        current = self.current
-        # To ask first would make the arm stutter. It need not: what is read too late moves the arm for `duration`.
-        goes_on = current is not None and current.phase is Phase.RUNNING and current.name.startswith("speed_")
+        # Once a speed has begun, the next one goes on with it: to ask first would make the arm stutter, and where calls
+        # come faster than answers, none would ever move it. What the controller reads too late all the same moves the
+        # arm for no longer than `duration`.
+        goes_on = any(life.name.startswith("speed_") for life in self._context.programs.permitted)
         clock = self._context.clock
         began = clock()
         return self._upload(
@@ -267,6 +268,15 @@ class Motions:
             subscription = self._context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
         return motion
+
+    def _servoing(self, watchdog: float, lookahead_time: float, gain: float) -> Servoing:
+        return Servoing(
+            self._context.firmware,
+            largest_speeds(self._context.model),
+            checked(watchdog, "watchdog", 0.01, 10.0),
+            checked(lookahead_time, "lookahead_time", 0.03, 0.2),
+            checked(gain, "gain", 100.0, 2000.0),
+        )
 
     def __repr__(self) -> str:
         return f"<Motions current={self.current!r}>"
@@ -306,15 +316,6 @@ def _rates(speed: float, acceleration: float) -> tuple[float, float]:
 
 def _acceleration(value: float) -> float:
     return checked(value, "acceleration", _LEAST, _HARDEST)
-
-
-def _servoing(firmware: Firmware, watchdog: float, lookahead_time: float, gain: float) -> Servoing:
-    return Servoing(
-        firmware,
-        checked(watchdog, "watchdog", 0.01, 10.0),
-        checked(lookahead_time, "lookahead_time", 0.03, 0.2),
-        checked(gain, "gain", 100.0, 2000.0),
-    )
 
 
 def _within(model: Model, q: FloatArray) -> None:

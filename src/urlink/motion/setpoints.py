@@ -30,11 +30,13 @@ class Servoing:
 
     Attributes:
         firmware: of the controller.
+        speeds: (6,) rad/s at most of each joint.
         watchdog: seconds without one after which the robot brakes.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
     """
 
     firmware: Firmware
+    speeds: tuple[float, ...]
     watchdog: float
     lookahead_time: float
     gain: float
@@ -51,6 +53,7 @@ class Servoing:
             host,
             port,
             token,
+            speeds=self.speeds,
             watchdog=self.watchdog,
             lookahead_time=self.lookahead_time,
             gain=self.gain,

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from ..models import Model
 from ..vectors import JOINTS
 
-__all__ = ["EARLY", "LATE", "LONGEST_PERIOD", "SpeedLimit"]
+__all__ = ["EARLY", "LATE", "LONGEST_PERIOD", "SpeedLimit", "largest_speeds"]
 
 #: Seconds by which a set-point may be early. Chosen: more than the jitter of a sleep in Python, and little enough that
 #: the simulated arm, led at its largest speed, does not stop because of it.
@@ -35,6 +35,11 @@ _FASTEST = 2.0 * math.pi
 _SLACK = 2e-6
 
 
+def largest_speeds(model: Model | None) -> tuple[float, ...]:
+    """(6,) rad/s; of an arm that is not known, those of the fastest there is."""
+    return (_FASTEST,) * 6 if model is None else tuple(model.max_speed.tolist())
+
+
 class SpeedLimit:
     """The seconds that each joint may still be led at full speed.
 
@@ -47,7 +52,7 @@ class SpeedLimit:
     """
 
     def __init__(self, model: Model | None, period: float, late: float = LATE) -> None:
-        self._speeds = [_FASTEST] * 6 if model is None else model.max_speed.tolist()
+        self._speeds = largest_speeds(model)
         self._period = min(period, LONGEST_PERIOD)
         self._even = self._period + EARLY
         self._late = late

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from textwrap import dedent
 
 from ..firmware import Firmware
-from .text import integer, number, pose, quoted, vector
+from .text import checked, integer, number, pose, quoted, vector
 
 __all__ = [
     "FOLLOW",
@@ -112,6 +112,7 @@ def streaming(
     port: int,
     token: int,
     *,
+    speeds: Sequence[float],
     watchdog: float = 0.1,
     lookahead_time: float = 0.1,
     gain: float = 300.0,
@@ -120,18 +121,29 @@ def streaming(
     """Follow set-points that come over a socket, one per cycle, and brake where they stay away.
 
     A late one makes hardly a dent: meanwhile the arm goes on by its last step, less and less of it until the watchdog's
-    time is up, when it has come to rest.
+    time is up, when it has come to rest. None is followed faster than the joints can move: where it is further away, it
+    is approached at their largest speed. So whatever goes wrong on the way, the arm does not leap.
 
     Args:
         host: address at which the robot reaches this computer.
         token: by which it tells that it is the program that is waited for.
+        speeds: (6,) rad/s at most of each joint.
         watchdog: seconds without a set-point after which it brakes.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
         deceleration: rad/s² with which it brakes.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     most_missed = missable(watchdog, firmware.rate)
+    ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
     text = f"""
+        def bounded(aim, here, way):
+          if aim > here + way:
+            return here + way
+          elif aim < here - way:
+            return here - way
+          end
+          return aim
+        end
         target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         mode = {WAIT}
         fresh = False
@@ -159,15 +171,19 @@ def streaming(
                 share = 1.0 / (missed + 1)
                 step = [{each("(goal[{i}] - last[{i}]) * share")}]
               end
+              if begun:
+                q = [{each("bounded(goal[{i}], q[{i}], {way})", ways)}]
+              else:
+                q = goal
+              end
               begun = True
               missed = 0
               last = goal
-              q = goal
               {servo}
             elif missed < {most_missed}:
               missed = missed + 1
               share = 1.0 - missed / {number(most_missed)}
-              q = [{each("q[{i}] + step[{i}] * share")}]
+              q = [{each("bounded(q[{i}] + step[{i}] * share, q[{i}], {way})", ways)}]
               {servo}
             else:
               starved = True
@@ -234,9 +250,9 @@ def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
     return f"servoj(q, t={number(1.0 / firmware.rate)}{smoothing})"
 
 
-def each(template: str) -> str:
-    """A list of six: `{i}` counts from 0, `{n}` from 1, and `{q}` finds the position in an answer."""
-    return ", ".join(template.format(i=i, n=i + 1, q=i + 2) for i in range(6))
+def each(template: str, ways: Sequence[str] = ("",) * 6) -> str:
+    """A list of six: `{i}` counts from 0, `{n}` from 1, `{q}` finds the position in an answer, `{way}` is of `ways`."""
+    return ", ".join(template.format(i=i, n=i + 1, q=i + 2, way=way) for i, way in enumerate(ways))
 
 
 def lines(text: str) -> list[str]:

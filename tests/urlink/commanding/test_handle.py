@@ -1,335 +1,324 @@
-"""What becomes of a program, by what the controller says; the controller is the test."""
+"""The life of what runs on a robot: its table, held against every order of events, and what its handle tells of it."""
 
 from __future__ import annotations
 
+import asyncio
+import itertools
+import sys
 import threading
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-import urlink
-from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
-from tests.urlink.stand_in import StandIn
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout, LocalError
 from tests.waiting import until
-from urlink.commanding import programs as module
-from urlink.commanding.handle import Phase, Program
-from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
-from urlink.interfaces.enums import RobotMode, SafetyMode
+from urlink.commanding.callbacks import CallbackThread
+from urlink.commanding.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
+from urlink.commanding.section import Section
+from urlink.errors import Cancelled
+
+OVER = (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
 
 
 @pytest.fixture
-def robot() -> Iterator[StandIn]:
-    before = set(threading.enumerate())
-    with StandIn() as robot:
-        robot.clear()
-        yield robot
-    until(lambda: set(threading.enumerate()) <= before)
+def callbacks() -> Iterator[CallbackThread]:
+    thread = CallbackThread("callbacks of a test")
+    yield thread
+    thread.close(5)
+    assert "callbacks of a test" not in [each.name for each in threading.enumerate()]
 
 
-def run(robot: StandIn, source: str = "movej(q)") -> Program:
-    robot.clear()  # what is older than a second counts for nothing
-    return robot.script.run(source)
+@pytest.fixture
+def life(callbacks: CallbackThread) -> Lifecycle:
+    return Lifecycle("job", Section(), callbacks)
 
 
-def test_sent_running_finished(robot: StandIn) -> None:
-    program = run(robot, "def job():\n  textmsg(1)\nend")
-    assert program.phase is Phase.SENT
-    assert program.name.startswith("job_")
-    assert robot.sent == [
-        f"def {program.name}():\n"
-        f'  textmsg("{program.name} started")\n'
-        "  def job():\n"
-        "    textmsg(1)\n"
-        "  end\n"
-        "  job()\n"
-        f'  textmsg("{program.name} finished")\n'
-        "end\n"
-    ]
-    robot.begins(program)
-    until(lambda: program.phase is Phase.RUNNING)
-    robot.text("half way")
-    robot.comes_to_its_end(program)
-    program.wait(5)
-    assert (program.phase, program.error, program.texts) == (Phase.DONE, None, ("half way",))
-    program.stop()  # without effect
-    assert len(robot.sent) == 1
+def happen(life: Lifecycle, event: Event) -> bool:
+    if event is Event.BEGIN:
+        return life.begin()
+    if event is Event.FINISH:
+        return life.finish()
+    if event is Event.CANCEL:
+        return life.cancel("cancelled", brake=True)
+    return life.fail(ConnectionLost("pulled"))
 
 
-def test_its_last_word_is_not_its_end(robot: StandIn) -> None:
-    """A program that follows at once must not race the old one."""
-    program = run(robot)
-    robot.begins(program)
-    robot.text(f"{program.name} finished")
-    robot.text("heard")
-    until(lambda: program.texts == ("heard",))
-    assert not program.done
-    robot.is_stopped(program)
-    program.wait(5)
+#: As the module's text has it.
+TABLE = """
+BEGIN      RUNNING   -            -
+FINISH     DONE      DONE         -
+CANCEL     CANCELLED CANCELLED    -
+FAIL       FAILED    FAILED       -
+"""
 
 
-def test_stopped_from_elsewhere(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.is_stopped(program)
-    with pytest.raises(ProgramStopped, match="before its end"):
-        program.wait(5)
-    assert program.phase is Phase.FAILED
+def test_the_table_is_what_the_module_says() -> None:
+    said = {}
+    for row in TABLE.strip().splitlines():
+        event, *phases = row.split()
+        for before, after in zip((Phase.SENT, Phase.RUNNING), phases, strict=False):
+            if after != "-":
+                said[before, Event[event]] = Phase[after]
+    assert said == TRANSITIONS
+    assert TABLE.strip() in str(sys.modules[Lifecycle.__module__].__doc__)
 
 
-def test_stopped_on_purpose(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.clear()
-    program.stop()
-    assert "stopj(2.0)" in robot.sent[-1]
-    assert robot.sent[-1].startswith("def urlink_stop_")
-    robot.is_stopped(program)
-    with pytest.raises(ProgramStopped, match="as asked"):
-        program.wait(5)
+@pytest.mark.parametrize("events", list(itertools.product(Event, repeat=3)), ids=str)
+def test_each_order_of_three_events(life: Lifecycle, events: tuple[Event, ...]) -> None:
+    for event in events:
+        before = life.phase
+        after = TRANSITIONS.get((before, event))
+        assert happen(life, event) == (after is not None)
+        assert life.phase is (before if after is None else after)
 
 
-@pytest.mark.parametrize("is_told", [True, False])
-def test_replaced_by_the_next(robot: StandIn, is_told: bool) -> None:
-    one = run(robot)
-    robot.begins(one)
-    two = run(robot)
-    if is_told:
-        robot.is_stopped(one)
-    robot.begins(two)
-    with pytest.raises(ProgramStopped, match=r"replaced by|by the next one"):
-        one.wait(5)
-    until(lambda: two.phase is Phase.RUNNING)
+class Life(RuleBasedStateMachine):
+    """Events in any order, and those who want to know."""
+
+    @initialize()
+    def begin(self) -> None:
+        self.callbacks = CallbackThread("callbacks of a state machine")
+        self.life = Lifecycle("job", Section(), self.callbacks)
+        self.handle = Motion(self.life)
+        self.brakes = 0
+        self.life.brake = lambda: setattr(self, "brakes", self.brakes + 1)
+        self.phase = Phase.SENT
+        self.releases = self.wanted_releases = self.wanted_calls = self.wanted_brakes = 0
+        self.calls: list[Handle] = []
+
+    def teardown(self) -> None:
+        if not hasattr(self, "callbacks"):
+            return
+        self.callbacks.close(5)
+        if self.phase in OVER:
+            assert self.calls == [self.handle] * self.wanted_calls
+
+    @rule(event=st.sampled_from(Event))
+    def happen(self, event: Event) -> None:
+        after = TRANSITIONS.get((self.phase, event))
+        assert happen(self.life, event) == (after is not None)
+        if after is not None:
+            self.wanted_brakes += event is Event.CANCEL
+            self.phase = after
+
+    @rule()
+    def release(self) -> None:
+        self.life.on_end(lambda: setattr(self, "releases", self.releases + 1))
+        self.wanted_releases += 1
+
+    @rule()
+    def call_back(self) -> None:
+        self.handle.add_done_callback(self.calls.append)
+        self.wanted_calls += 1
+
+    @rule()
+    def cancel(self) -> None:
+        self.handle.cancel()
+        if self.phase not in OVER:
+            self.phase, self.wanted_brakes = Phase.CANCELLED, self.wanted_brakes + 1
+
+    @invariant()
+    def as_modelled(self) -> None:
+        if not hasattr(self, "life"):
+            return
+        is_over = self.phase in OVER
+        assert self.handle.phase is self.phase
+        assert self.handle.done == self.life.future.done() == is_over
+        assert (self.handle.error is None) == (self.phase not in (Phase.CANCELLED, Phase.FAILED))
+        assert self.releases == (self.wanted_releases if is_over else 0)
+        assert self.brakes == self.wanted_brakes
+        assert self.handle.progress == (1.0 if self.phase is Phase.DONE else 0.0)
 
 
-def test_replaced_by_somebody_else(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.key("PROGRAM_XXX_STARTED", "their_program")
-    with pytest.raises(ProgramStopped, match="their_program"):
-        program.wait(5)
+TestLife = pytest.mark.property(Life.TestCase)
+TestLife.settings = settings(deadline=None, stateful_step_count=15)
 
 
-def test_somebody_elses_end_is_not_ours(robot: StandIn) -> None:
-    program = run(robot)
-    robot.key("PROGRAM_XXX_STARTED", "their_program")
-    robot.key("PROGRAM_XXX_STOPPED", "their_program")
-    robot.begins(program)
-    robot.key("PROGRAM_XXX_STOPPED", "their_program")
-    robot.comes_to_its_end(program)
-    program.wait(5)
+# -- who wants to know -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("line", "column", "text", "place", "words"),
-    [
-        (5, 5, "compile_error_name_not_found:txtmsg:", (3, 3), "compile_error_name_not_found:txtmsg:"),
-        (4, 1, "syntax_error_on_line:4:end:", (2, 1), "syntax_error_on_line:2:end:"),
-        (1, 1, "compile_error", (1, 1), "compile_error"),
-        (99, 1, "compile_error", (4, 1), "compile_error"),
-    ],
-)
-def test_does_not_compile(
-    robot: StandIn, line: int, column: int, text: str, place: tuple[int, int], words: str
-) -> None:
-    program = run(robot, "def job():\n  a = 1\n  txtmsg(1)\nend")
-    robot.exception(line, column, text)
-    with pytest.raises(CompileError) as caught:
-        program.wait(5)
-    assert (caught.value.line, caught.value.column, caught.value.text) == (*place, words)
-    assert program.phase is Phase.FAILED
+def test_waiting(life: Lifecycle) -> None:
+    handle = Handle(life)
+    with pytest.raises(LinkTimeout, match=r"job is sent, and not over within 0\.01 s; it goes on"):
+        handle.wait(0.01)
+    waiter = threading.Thread(target=handle.wait, args=(10,))
+    waiter.start()
+    life.begin()
+    life.finish()
+    waiter.join(10)
+    assert not waiter.is_alive()
+    handle.wait(0)
+    for timeout in (None, -1, "soon", float("nan")):
+        with pytest.raises(BadValue, match="timeout"):
+            handle.wait(timeout)  # type: ignore[arg-type]
 
 
-def test_fails_while_it_runs(robot: StandIn) -> None:
-    program = run(robot, "a = 1\nb = a / 0")
-    robot.begins(program)
-    robot.exception(4, 7, "division by zero")
-    until(lambda: program.phase is Phase.RUNNING)
-    assert not program.done
-    robot.is_stopped(program)
-    with pytest.raises(ScriptFailed, match="line 2, column 5: division by zero"):
-        program.wait(5)
+def test_what_ended_it_is_raised_each_time(life: Lifecycle) -> None:
+    handle = Handle(life)
+    life.fail(ConnectionLost("pulled"))
+    life.cancel("cancelled", brake=False)
+    for _ in range(2):
+        with pytest.raises(ConnectionLost, match="pulled"):
+            handle.wait()
+    assert repr(handle) == "<Handle job failed: pulled>"
 
 
-def test_a_compile_error_does_not_fail_the_program_that_runs(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.exception(2, 1, "syntax_error_on_line:2:end:")
-    robot.comes_to_its_end(program)
-    program.wait(5)
+def test_waiting_where_one_would_wait_for_oneself(callbacks: CallbackThread) -> None:
+    life = Lifecycle("job", Section(lambda: True), callbacks)
+    with pytest.raises(LocalError, match="inline=True"):
+        Handle(life).wait(10)
+    life.finish()
+    Handle(life).wait(10)  # there is nothing to wait for
 
 
-def test_without_key_messages(robot: StandIn) -> None:
-    """As it may be on CB2: the program's own words and the flag in the state have to do."""
-    program = run(robot)
-    robot.state(runs=False)
-    robot.text(f"{program.name} started")
-    robot.state(runs=False)  # older than the beginning, for all we know
-    until(lambda: program.phase is Phase.RUNNING)
-    robot.state(runs=True)
-    robot.text(f"{program.name} finished")
-    robot.state(runs=True)
-    robot.state(runs=False)
-    program.wait(5)
-    stopped = run(robot)
-    robot.text(f"{stopped.name} started")
-    robot.state(runs=True)
-    robot.state(runs=False)
-    with pytest.raises(ProgramStopped):
-        stopped.wait(5)
+def test_awaiting(life: Lifecycle) -> None:
+    handle = Handle(life)
+
+    async def use() -> None:
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(_awaited(handle), 0.01)
+        assert not handle.done
+        handle.cancel()
+        with pytest.raises(Cancelled, match="job was cancelled"):
+            await handle
+
+    asyncio.run(use())
 
 
-def test_without_key_messages_and_over_between_two_states(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = run(robot)
-    robot.text(f"{program.name} started")
-    until(lambda: program.phase is Phase.RUNNING)
-    robot.state(runs=False)
-    robot.text("heard")
-    until(lambda: program.texts == ("heard",))
-    assert not program.done
-    monkeypatch.setattr(module, "_FLAG_LAG", 0.0)
-    robot.state(runs=False)
-    with pytest.raises(ProgramStopped):
-        program.wait(5)
+async def _awaited(handle: Handle) -> None:
+    await handle
 
 
-def test_never_begins(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "START_TIMEOUT", 0.05)
-    program = run(robot)
-
-    def told() -> bool:
-        robot.state(RobotMode.IDLE)
-        return program.done
-
-    until(told)
-    with pytest.raises(LinkTimeout, match=r"has not begun within .* robot mode is IDLE, no program runs"):
-        program.wait(5)
+def test_a_block_that_is_left_cancels(life: Lifecycle) -> None:
+    with Handle(life) as handle:
+        assert not handle.done
+    assert handle.phase is Phase.CANCELLED
 
 
-def test_connection_lost(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.slow.put(ConnectionLost("pulled"))
-    with pytest.raises(ConnectionLost, match="may still run: pulled"):
-        program.wait(5)
-    again = run(robot)
-    robot.begins(again)
-    robot.comes_to_its_end(again)
-    again.wait(5)
+def test_done_callbacks_are_called_in_a_thread_of_their_own(life: Lifecycle) -> None:
+    handle = Handle(life)
+    threads: list[str] = []
 
-
-@pytest.mark.parametrize("is_told_first", [True, False])
-def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
-    program = run(robot)
-    robot.begins(program)
-    if is_told_first:
-        robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
-        robot.is_stopped(program)
-    else:
-        robot.is_stopped(program)
-        robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
-    with pytest.raises(SafetyStop) as caught:
-        program.wait(5)
-    assert caught.value.cause == "robot emergency stop"
-    program.stop()
-
-
-def test_stopping_under_a_stop_sends_nothing(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
-    until(lambda: robot.safety.cause is not None)
-    program.stop()
-    assert len(robot.sent) == 1
-
-
-def test_refused_by_the_gate(robot: StandIn) -> None:
-    robot.state(RobotMode.POWER_OFF)
-    until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
-    with pytest.raises(NotRunning, match="POWER_OFF"):
-        robot.script.run("movej(q)")
-    with pytest.raises(NotRunning, match="POWER_OFF"):
-        robot.script.send_line("movej(q)")
-    assert robot.sent == []
-
-
-def test_secondary_runs_beside(robot: StandIn) -> None:
-    program = run(robot)
-    robot.begins(program)
-    robot.clear()
-    beside = robot.script.run("sec blink():\n  set_standard_digital_out(0, True)\nend")
-    assert robot.sent[-1] == (
-        f"sec {beside.name}():\n"
-        f'  textmsg("{beside.name} started")\n'
-        "  set_standard_digital_out(0, True)\n"
-        f'  textmsg("{beside.name} finished")\n'
-        "end\n"
-    )
-    robot.text(f"{beside.name} started")
-    robot.text(f"{beside.name} finished")
-    beside.wait(5)
-    wrong = robot.script.run("sec blink():\n  set_standard(0, True)\nend")
-    robot.exception(3, 3, "compile_error_name_not_found:set_standard:")
-    with pytest.raises(CompileError, match="line 2, column 3"):
-        wrong.wait(5)
-    assert program.phase is Phase.RUNNING
-    robot.comes_to_its_end(program)
-    program.wait(5)
-
-
-def test_start_tells_each_text(robot: StandIn) -> None:
-    heard: list[str] = []
-    robot.clear()
-    program = robot.script.start(["movej(q)", "", "textmsg(1)"], prefix="urlink_move", on_text=heard.append)
-    assert program.name.startswith("urlink_move_")
-    assert robot.sent[-1].splitlines()[2:5] == ["  movej(q)", "", "  textmsg(1)"]
-    robot.begins(program)
-    robot.text("1")
-    robot.comes_to_its_end(program)
-    program.wait(5)
-    assert heard == ["1"]
-
-
-def test_done_callbacks(robot: StandIn) -> None:
-    called: list[Program] = []
-    program = run(robot)
-
-    def fail(program: Program) -> None:
+    def fail(each: Handle) -> None:
         raise RuntimeError("on purpose")
 
-    program.add_done_callback(fail)
-    program.add_done_callback(called.append)
-    robot.begins(program)
-    robot.comes_to_its_end(program)
-    program.wait(5)
-    until(lambda: called == [program])
-    program.add_done_callback(called.append)
-    assert called == [program, program]
+    def leave(each: Handle) -> None:
+        sys.exit("on purpose")
+
+    def command(each: Handle) -> None:
+        each.wait(10)  # it is over
+        other = Lifecycle("other", Section(), CallbackThread("others"))
+        threading.Timer(0.01, other.finish).start()
+        Handle(other).wait(10)  # and what is not over can be waited for
+        threads.append(threading.current_thread().name)
+
+    for callback in (fail, leave, command):
+        handle.add_done_callback(callback)
+    life.finish()
+    until(lambda: threads)
+    handle.add_done_callback(command)
+    until(lambda: len(threads) == 2)
+    assert set(threads) == {"callbacks of a test"}
+    with pytest.raises(BadValue, match="callback=3"):
+        handle.add_done_callback(3)  # type: ignore[arg-type]
 
 
-def test_waiting_has_an_end(robot: StandIn) -> None:
-    program = run(robot)
-    with pytest.raises(LinkTimeout, match=r"not over within 0\.01 s"):
-        program.wait(0.01)
-    assert not program.done
-    robot.clear()
-    with pytest.raises(urlink.LinkTimeout):
-        robot.script.run("movej(q)", wait=0.01)
-    with pytest.raises(BadValue, match="wait"):
-        robot.script.run("movej(q)", wait=-1.0)
+def test_a_robot_that_cannot_be_told_to_brake(life: Lifecycle) -> None:
+    def brake() -> None:
+        raise ConnectionLost("gone")
+
+    life.brake = brake
+    handle = Handle(life)
+    handle.cancel()
+    with pytest.raises(Cancelled):
+        handle.wait(0)
 
 
-def test_send_line(robot: StandIn) -> None:
-    robot.clear()
-    robot.script.send_line("set speed 0.5")
-    assert robot.sent == ["set speed 0.5\n"]
-    for line in ("", "a\nb", "a\0b", 5):
-        with pytest.raises(BadValue):
-            robot.script.send_line(line)  # type: ignore[arg-type]
-    assert len(robot.sent) == 1
+def test_a_mistake_in_the_brake_leaves_nobody_waiting(life: Lifecycle) -> None:
+    def brake() -> None:
+        raise RuntimeError("a mistake")
+
+    life.brake = brake
+    released = threading.Event()
+    life.on_end(released.set)
+    with pytest.raises(RuntimeError, match="a mistake"):
+        Handle(life).cancel()
+    assert released.is_set()
+    with pytest.raises(Cancelled):
+        Handle(life).wait(0)
 
 
-def test_closing_ends_what_is_followed(robot: StandIn) -> None:
-    program = run(robot)
-    robot.script.close()
-    with pytest.raises(ConnectionLost, match="closed here"):
-        program.wait(5)
+def test_two_threads_end_it_once(callbacks: CallbackThread) -> None:
+    for _ in range(200):
+        life = Lifecycle("job", Section(), callbacks)
+        ends: list[bool] = []
+        start = threading.Barrier(2)
+
+        def end(by: Event, life: Lifecycle = life, ends: list[bool] = ends, start: threading.Barrier = start) -> None:
+            start.wait(10)
+            ends.append(happen(life, by))
+
+        threads = [threading.Thread(target=end, args=(event,)) for event in (Event.FINISH, Event.FAIL)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(10)
+        assert sorted(ends) == [False, True]
+        assert (life.phase is Phase.DONE) == (life.error is None)
+
+
+# -- the thread for callbacks ----------------------------------------------------------------------------
+
+
+def test_it_is_started_for_the_first_call_and_again_after_its_end() -> None:
+    name = "callbacks that come and go"
+    callbacks = CallbackThread(name)
+    assert name not in [each.name for each in threading.enumerate()]
+    called: list[int] = []
+    for n in range(3):
+        callbacks.call(called.append, n)
+        callbacks.close(5)
+        assert name not in [each.name for each in threading.enumerate()]
+    assert called == [0, 1, 2]
+
+
+def test_closing_ends_in_its_time_whatever_a_callback_does() -> None:
+    callbacks = CallbackThread("callbacks that hang")
+    go_on = threading.Event()
+    called: list[int] = []
+    callbacks.call(go_on.wait, 10)
+    callbacks.call(called.append, 1)
+    callbacks.close(0.01)
+    assert called == []
+    go_on.set()
+    until(lambda: called == [1])
+
+
+def test_closing_from_within_a_callback() -> None:
+    callbacks = CallbackThread("callbacks that close")
+    done = threading.Event()
+
+    def close() -> None:
+        callbacks.close(10)
+        done.set()
+
+    callbacks.call(close)
+    assert done.wait(5)
+
+
+def test_no_thread_left(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    callbacks = CallbackThread("callbacks without a thread")
+    called: list[int] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        callbacks.call(called.append, 1)
+    assert "is not called" in caplog.text
+    callbacks.call(called.append, 2)
+    callbacks.close(5)
+    assert called == [2]

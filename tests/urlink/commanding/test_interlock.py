@@ -1,4 +1,4 @@
-"""The gate as a table: every policy, every state, every event; and what each status means."""
+"""The interlock as a table: every policy, every state, every event; and what each status means."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 
 from linkcore.errors import BadValue
-from urlink.commanding.interlock import STALE, Gate, Policy, Status
+from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy, Status
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
 
@@ -20,34 +20,33 @@ POLICIES: tuple[Policy, ...] = get_args(Policy)
 
 
 class Driver:
-    """A gate with one source, put into a state by events by name."""
+    """A interlock with one source, put into a state by events by name."""
 
     def __init__(self, policy: Policy) -> None:
-        self.gate = Gate(policy)
+        self.interlock = Interlock(policy)
         self.now = 0.0
-        self.gate.expect("primary")
+        self.interlock.expect("primary")
 
     def do(self, event: str) -> bool:
         """Whether the event has ended the motions."""
         self.now += 0.1
-        gate = self.gate
+        interlock = self.interlock
         if event == "enable":
             try:
-                gate.enable(self.now)
+                interlock.enable(self.now)
             except (SafetyStop, NotRunning):
-                assert gate.hindrance(self.now) is not None
+                assert interlock.blocked(self.now) is not None
             return False
         if event == "silence":
-            self.now += 2 * STALE
-            return gate.look(self.now) is not None
+            return interlock.fall_silent("primary", STALE_AFTER) is not None
         if event == "lost":
-            return gate.lose("primary", "pulled", self.now) is not None
+            return interlock.lose("primary", "pulled") is not None
         told = {"clear": CLEAR, "stop": STOP, "emergency": EMERGENCY, "off": OFF}[event]
-        return gate.hear("primary", told, self.now) is not None
+        return interlock.hear("primary", told, self.now) is not None
 
     @property
     def verdict(self) -> str:
-        refusal = self.gate.refusal(self.now)
+        refusal = self.interlock.refusal(self.now)
         return "open" if refusal is None else type(refusal).__name__
 
 
@@ -111,10 +110,10 @@ def test_transition(policy: Policy, state: str, event: str) -> None:
     driver = Driver(policy)
     for each in STATES[state]:
         driver.do(each)
-    was_clear = driver.gate.hindrance(driver.now) is None
+    was_clear = driver.interlock.blocked(driver.now) is None
     ended = driver.do(event)
     assert driver.verdict == expected(policy, state, event)
-    # What closes the gate ends the motions, once.
+    # What closes the interlock ends the motions, once.
     assert ended == (was_clear and event in _AFTER)
 
 
@@ -136,72 +135,115 @@ def test_a_stop_ends_motions_once() -> None:
 
 
 def test_every_source_has_to_be_clear() -> None:
-    gate = Gate()
-    gate.expect("primary")
-    gate.expect("realtime")
-    gate.hear("primary", CLEAR, 1.0)
-    assert isinstance(gate.refusal(1.0), NotRunning)
-    gate.hear("realtime", CLEAR, 1.0)
-    assert gate.refusal(1.0) is None
-    assert isinstance(gate.hear("realtime", STOP, 1.1), SafetyStop)
-    gate.hear("realtime", CLEAR, 1.2)
-    assert gate.refusal(1.2) is None
-    assert isinstance(gate.lose("realtime", "pulled", 1.3), NotRunning)
-    gate.hear("primary", CLEAR, 1.4)
-    assert "realtime" in str(gate.refusal(1.4))
-    gate.forget("realtime")
-    assert gate.refusal(1.4) is None
+    interlock = Interlock()
+    interlock.expect("primary")
+    interlock.expect("realtime")
+    interlock.hear("primary", CLEAR, 1.0)
+    assert isinstance(interlock.refusal(1.0), NotRunning)
+    interlock.hear("realtime", CLEAR, 1.0)
+    assert interlock.refusal(1.0) is None
+    assert isinstance(interlock.hear("realtime", STOP, 1.1), SafetyStop)
+    interlock.hear("realtime", CLEAR, 1.2)
+    assert interlock.refusal(1.2) is None
+    assert isinstance(interlock.lose("realtime", "pulled"), NotRunning)
+    interlock.hear("primary", CLEAR, 1.4)
+    assert "realtime" in str(interlock.refusal(1.4))
+    interlock.forget("realtime")
+    assert interlock.refusal(1.4) is None
 
 
-def test_what_waited_in_a_queue_is_not_news() -> None:
-    gate = Gate()
-    gate.hear("primary", CLEAR, 1.0)
-    gate.lose("primary", "pulled", 2.0)
-    gate.hear("primary", CLEAR, 1.9)  # of the connection that was lost
-    assert "pulled" in str(gate.refusal(2.0))
-    gate.hear("primary", CLEAR, 2.1)
-    assert gate.refusal(2.1) is None
+def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
+    """Perhaps this program was held up: only who reads can tell that the robot is silent."""
+    interlock = Interlock("always")
+    interlock.hear("primary", CLEAR, 1.0)
+    interlock.enable(1.0)
+    assert interlock.refusal(1.0 + STALE_AFTER) is None
+    late = 1.1 + STALE_AFTER
+    assert "either it is silent, or this program is held up" in str(interlock.refusal(late))
+    with pytest.raises(NotRunning):
+        interlock.enable(late)
+    # What has come meanwhile is read, and nobody has to enable it anew.
+    assert interlock.hear("primary", CLEAR, late) is None
+    assert interlock.refusal(late) is None
 
 
-def test_a_loss_that_is_told_late_is_a_loss() -> None:
-    gate = Gate("always")
-    gate.hear("primary", CLEAR, 1.0)
-    gate.enable(1.0)
-    gate.hear("primary", CLEAR, 2.1)  # already the next connection
-    assert isinstance(gate.lose("primary", "pulled", 2.0), NotRunning)
-    assert isinstance(gate.refusal(2.1), NotEnabled)
-    gate.enable(2.1)
-    assert gate.refusal(2.1) is None
+def test_silence_that_the_reader_tells_of_ends_motions() -> None:
+    interlock = Interlock("always", stale_after=0.5)
+    assert interlock.fall_silent("primary", 0.5) is None  # which is not listened to
+    interlock.hear("primary", CLEAR, 1.0)
+    interlock.enable(1.0)
+    ended = interlock.fall_silent("primary", 0.5)
+    assert isinstance(ended, NotRunning)
+    assert "said nothing on the primary interface for 0.5 s" in str(ended)
+    assert interlock.fall_silent("primary", 1.5) is None  # once
+    assert "for 0.5 s" in str(interlock.refusal(1.2))
+    interlock.hear("primary", CLEAR, 2.6)
+    assert isinstance(interlock.refusal(2.6), NotEnabled)
+
+
+def test_what_is_left_out_is_as_it_was() -> None:
+    """A state without the part that tells of safety must not lift a stop."""
+    interlock = Interlock()
+    interlock.hear("primary", STOP, 1.0)
+    interlock.hear("primary", Status(RobotMode.RUNNING), 1.1)
+    assert interlock.cause == "protective stop"
+    interlock.hear("primary", Status(safety_mode=SafetyMode.NORMAL), 1.2)
+    assert interlock.refusal(1.2) is None
+    interlock.hear("primary", Status(is_protective_stopped=True), 1.3)
+    interlock.hear("primary", CLEAR, 1.4)
+    assert interlock.cause == "protective stop"
+    interlock.hear("primary", Status(is_protective_stopped=False), 1.5)
+    assert interlock.cause is None
+
+
+def test_a_part_alone_opens_nothing() -> None:
+    interlock = Interlock()
+    interlock.hear("realtime", CLEAR, 1.0)
+    interlock.hear("primary", CLEAR, 1.0)
+    interlock.lose("primary", "pulled")
+    assert interlock.amend("primary", Status(safety_mode=SafetyMode.NORMAL), 1.1) is None
+    assert "pulled" in str(interlock.refusal(1.1))
+    interlock.hear("primary", CLEAR, 1.2)
+    assert isinstance(interlock.amend("primary", Status(safety_mode=SafetyMode.FAULT), 1.3), SafetyStop)
+    assert interlock.amend("secondary", CLEAR, 1.3) is None
+
+
+def test_but_not_over_a_lost_connection() -> None:
+    interlock = Interlock()
+    interlock.hear("primary", STOP, 1.0)
+    interlock.lose("primary", "pulled")
+    interlock.hear("primary", Status(RobotMode.RUNNING), 2.0)
+    assert interlock.cause is None
 
 
 @pytest.mark.parametrize("mode", SafetyMode)
 def test_safety_modes(mode: SafetyMode) -> None:
-    gate = Gate()
-    gate.hear("primary", Status(RobotMode.RUNNING, mode), 1.0)
-    refusal = gate.refusal(1.0)
+    interlock = Interlock()
+    interlock.hear("primary", Status(RobotMode.RUNNING, mode), 1.0)
+    refusal = interlock.refusal(1.0)
     if mode in (SafetyMode.NORMAL, SafetyMode.REDUCED):
         assert refusal is None
     else:
         assert isinstance(refusal, SafetyStop)
         assert refusal.cause in str(refusal)
-        assert refusal.cause == gate.cause
+        assert refusal.cause == interlock.cause
 
 
 def test_a_safety_mode_without_a_name_stops() -> None:
-    gate = Gate()
-    gate.hear("primary", Status(RobotMode.RUNNING, SafetyMode(99)), 1.0)
-    assert gate.cause == "safety mode unknown 99"
+    interlock = Interlock()
+    interlock.hear("primary", Status(RobotMode.RUNNING, SafetyMode(99)), 1.0)
+    assert interlock.cause == "safety mode unknown 99"
 
 
 @pytest.mark.parametrize("mode", RobotMode)
 def test_robot_modes(mode: RobotMode) -> None:
-    gate = Gate()
-    gate.hear("primary", Status(mode, SafetyMode.NORMAL), 1.0)
+    interlock = Interlock()
+    interlock.hear("primary", Status(mode, SafetyMode.NORMAL), 1.0)
     if mode is RobotMode.RUNNING:
-        assert gate.refusal(1.0) is None
+        assert interlock.refusal(1.0) is None
     else:
-        assert mode.name in str(gate.refusal(1.0))
-        assert isinstance(gate.refusal(1.0), NotRunning)
+        assert mode.name in str(interlock.refusal(1.0))
+        assert isinstance(interlock.refusal(1.0), NotRunning)
 
 
 _CB2 = {
@@ -216,13 +258,13 @@ _CB2 = {
 @pytest.mark.parametrize("mode", RobotModeCB2)
 def test_robot_modes_of_cb2(mode: RobotModeCB2) -> None:
     """Their numbers are others: 0 runs, and 7, which runs on later ones, has no power."""
-    gate = Gate()
-    gate.hear("primary", Status(mode), 1.0)
-    assert gate.cause == _CB2.get(mode)
+    interlock = Interlock()
+    interlock.hear("primary", Status(mode), 1.0)
+    assert interlock.cause == _CB2.get(mode)
     if mode in _CB2:
-        assert (gate.refusal(1.0) is None) == (_CB2[mode] is None)
+        assert (interlock.refusal(1.0) is None) == (_CB2[mode] is None)
     else:
-        assert isinstance(gate.refusal(1.0), NotRunning)
+        assert isinstance(interlock.refusal(1.0), NotRunning)
 
 
 @pytest.mark.parametrize(
@@ -244,31 +286,39 @@ def test_flags_and_boards(status: Status, cause: str | None) -> None:
 
 
 def test_commands_need_no_more_than_a_running_robot() -> None:
-    gate = Gate("always")
-    gate.hear("primary", STOP, 1.0)
-    assert gate.absence(1.0) is None
-    gate.hear("primary", EMERGENCY, 1.0)
-    assert isinstance(gate.absence(1.0), NotRunning)
+    interlock = Interlock("always")
+    interlock.hear("primary", STOP, 1.0)
+    assert interlock.absence(1.0) is None
+    interlock.hear("primary", EMERGENCY, 1.0)
+    assert isinstance(interlock.absence(1.0), NotRunning)
 
 
-def test_policies_can_change() -> None:
-    gate = Gate("never")
-    gate.hear("primary", CLEAR, 1.0)
-    gate.policy = "on_startup"
-    assert isinstance(gate.refusal(1.0), NotEnabled)
-    gate.enable(1.0)
-    gate.policy = "always"
-    assert gate.refusal(1.0) is None
+@pytest.mark.parametrize("before", POLICIES)
+@pytest.mark.parametrize("after", POLICIES)
+def test_a_change_of_policy_asks_anew(before: Policy, after: Policy) -> None:
+    interlock = Interlock(before)
+    interlock.hear("primary", CLEAR, 1.0)
+    interlock.enable(1.0)
+    interlock.policy = before  # no change
+    assert interlock.refusal(1.0) is None
+    interlock.policy = after
+    asks = after != before and after != "never"
+    assert isinstance(interlock.refusal(1.0), NotEnabled) == asks
+    interlock.enable(1.0)
+    assert interlock.refusal(1.0) is None
+
+
+def test_no_such_policy() -> None:
     with pytest.raises(BadValue, match="sometimes"):
-        gate.policy = "sometimes"  # type: ignore[assignment]
+        Interlock("sometimes")  # type: ignore[arg-type]
 
 
 def test_the_newest_word_comes_first() -> None:
-    gate = Gate()
+    interlock = Interlock()
     slow, fast = Status(RobotMode.RUNNING, SafetyMode.NORMAL), Status(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
-    gate.hear("primary", slow, 100.0)
-    gate.hear("realtime", fast, 100.05)
-    assert gate.statuses == [fast, slow]
-    gate.hear("primary", fast, 100.1)
-    gate.lose("realtime", "pulled", 100.2)
-    assert gate.statuses == [fast]
+    interlock.hear("primary", slow, 100.0)
+    interlock.hear("realtime", fast, 100.05)
+    assert interlock.statuses == [fast, slow]
+    interlock.hear("primary", fast, 100.1)
+    interlock.lose("realtime", "pulled")
+    assert interlock.statuses == [fast]

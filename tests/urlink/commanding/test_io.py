@@ -15,10 +15,6 @@ from urlink.errors import NotRunning
 from urlink.interfaces.enums import AnalogDomain, RobotMode, SafetyMode
 
 
-def io_of(robot: StandIn) -> IO:
-    return IO(robot.channel, lambda: robot.primary, lambda: robot.firmware)
-
-
 @pytest.fixture
 def robot() -> Iterator[StandIn]:
     with StandIn() as robot:
@@ -29,16 +25,16 @@ def robot() -> Iterator[StandIn]:
 @pytest.mark.parametrize(
     ("act", "statement"),
     [
-        (lambda io: io.set_digital_out(7, True), "set_standard_digital_out(7, True)"),
-        (lambda io: io.set_configurable_digital_out(7, False), "set_configurable_digital_out(7, False)"),
-        (lambda io: io.set_tool_digital_out(1, True), "set_tool_digital_out(1, True)"),
-        (lambda io: io.set_analog_out(1, 0.5), "set_standard_analog_out(1, 0.5)"),
-        (lambda io: io.set_tool_voltage(12), "set_tool_voltage(12)"),
+        (lambda io: io.set_digital_out(7, True, confirm=None), "set_standard_digital_out(7, True)"),
+        (lambda io: io.set_configurable_digital_out(7, False, confirm=None), "set_configurable_digital_out(7, False)"),
+        (lambda io: io.set_tool_digital_out(1, True, confirm=None), "set_tool_digital_out(1, True)"),
+        (lambda io: io.set_analog_out(1, 0.5, confirm=None), "set_standard_analog_out(1, 0.5)"),
+        (lambda io: io.set_tool_voltage(12, confirm=None), "set_tool_voltage(12)"),
         (lambda io: io.set_flag(3, True), "set_flag(3, True)"),
     ],
 )
 def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], None], statement: str) -> None:
-    act(io_of(robot))
+    act(robot.io)
     assert robot.sent == [f"sec urlink_command():\n  {statement}\nend\n"]
 
 
@@ -52,6 +48,8 @@ def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], Non
         lambda io: io.set_analog_out(0, 5.0),
         lambda io: io.set_tool_voltage(48),
         lambda io: io.set_flag(99, True),
+        lambda io: io.set_flag(31, True),
+        lambda io: io.set_digital_out(0, True, confirm=-1),
         lambda io: io.digital_in(8),
         lambda io: io.digital_out(1.5),
         lambda io: io.configurable_digital_in(8),
@@ -63,12 +61,12 @@ def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], Non
 )
 def test_what_is_not_there(robot: StandIn, act: Callable[[IO], object]) -> None:
     with pytest.raises(BadValue):
-        act(io_of(robot))
+        act(robot.io)
     assert robot.sent == []
 
 
 def test_reading(robot: StandIn) -> None:
-    io = io_of(robot)
+    io = robot.io
     board = {
         "digital_input_bits": 1 << 3 | 1 << 8 | 1 << 17,
         "digital_output_bits": 1 << 7 | 1 << 15 | 1 << 16,
@@ -99,11 +97,11 @@ def test_reading(robot: StandIn) -> None:
 def test_cb2() -> None:
     with StandIn("1.8") as robot:
         robot.clear(board={"digital_input_bits": 1 << 9, "digital_output_bits": 1 << 8})
-        io = io_of(robot)
+        io = robot.io
         assert [io.tool_digital_in(number) for number in range(2)] == [False, True]
         assert [io.tool_digital_out(number) for number in range(2)] == [True, False]
         io.set_tool_digital_out(0, True)
-        io.set_analog_out(0, 1)
+        io.set_analog_out(0, 1, confirm=None)
         assert [text.splitlines()[1] for text in robot.sent] == [
             "  set_digital_out(8, True)",
             "  set_analog_out(0, 1.0)",
@@ -113,23 +111,23 @@ def test_cb2() -> None:
             lambda: io.configurable_digital_in(0),
             lambda: io.configurable_digital_out(0),
         ):
-            with pytest.raises(BadValue, match="no configurable"):
+            with pytest.raises(BadValue, match="no configurable digital"):
                 act()
 
 
 def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: StandIn) -> None:
-    io = io_of(robot)
+    io = robot.io
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause == "protective stop")
-    io.set_tool_voltage(0)
+    io.set_tool_voltage(0, confirm=None)
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning):
-        io.set_tool_voltage(0)
+        io.set_tool_voltage(0, confirm=None)
     assert len(robot.sent) == 1
 
 
 def test_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_PATIENCE", 0.05)
+    monkeypatch.setattr(module, "_FIRST_STATE", 0.05)
     with StandIn() as robot, pytest.raises(LinkTimeout):
-        io_of(robot).digital_in(0)
+        robot.io.digital_in(0)

@@ -1,132 +1,443 @@
-"""Programs on the simulated controller, end to end: sent, run, ended and told of."""
+"""What becomes of a program, by what the controller says; the controller is the test."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
+from contextlib import nullcontext, suppress
+from pathlib import Path
 
-import numpy as np
 import pytest
 
 import urlink
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
+from linkcore.streaming.events import ConnectionState
+from tests.urlink.stand_in import StandIn
 from tests.waiting import until
-from urlink.commanding.handle import Phase
-from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
-
-FIRMWARES = ("sim://ur5?firmware=1.8", "sim://ur5?firmware=3.4", "sim://ur5e?firmware=5.11")
-
-LONG = "while True:\n  sync()\nend"
+from urlink.commanding import programs as module
+from urlink.commanding.handle import Handle, Phase, Program
+from urlink.errors import Cancelled, CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.interfaces.enums import RobotMode, SafetyMode
 
 
 @pytest.fixture
-def robot() -> Iterator[urlink.Robot]:
-    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+def robot() -> Iterator[StandIn]:
+    before = set(threading.enumerate())
+    with StandIn() as robot:
+        robot.clear()
         yield robot
+    until(lambda: set(threading.enumerate()) <= before)
 
 
-@pytest.mark.parametrize("address", FIRMWARES)
-def test_runs_to_its_end(address: str) -> None:
-    with urlink.connect(address) as robot:
-        program = robot.script.run('def job():\n  textmsg("one")\n  sleep(0.05)\n  textmsg("two")\nend', wait=20.0)
-        assert program.phase is Phase.DONE
-        assert program.texts == ("one", "two")
+def run(robot: StandIn, source: str = "movej(q)") -> Program:
+    robot.clear()  # what is older than a second counts for nothing
+    return robot.script.run(source)
 
 
-def test_a_return_is_an_end_and_a_halt_is_none(robot: urlink.Robot) -> None:
-    robot.script.run("def job():\n  return 1\n  halt\nend", wait=20.0)
-    program = robot.script.run("def job():\n  halt\nend")
-    with pytest.raises(ProgramStopped, match="before its end"):
-        program.wait(20)
+def uploaded(robot: StandIn) -> list[str]:
+    """What was sent, but for permissions to go on."""
+    return [text for text in robot.sent if "set_flag(31, True)" not in text]
 
 
-def test_the_arm_moves(robot: urlink.Robot) -> None:
-    q = robot.realtime.wait(5).q_actual.copy()
-    robot.script.run(
-        f"def job():\n  q = {q.round(6).tolist()}\n  movej(q)\n  q[5] = q[5] + 0.1\n  movej(q)\nend", wait=30.0
-    )
-    until(lambda: np.abs(robot.realtime.wait(5).q_actual - q - [0, 0, 0, 0, 0, 0.1]).max() < 0.01)
+def ends(robot: StandIn, program: Handle) -> None:
+    """Time passes, state by state, until it is over."""
+
+    def is_over() -> bool:
+        robot.state(fast=False)
+        return program.done
+
+    until(is_over)
 
 
-def test_compile_errors(robot: urlink.Robot) -> None:
-    program = robot.script.run('def job():\n  a = 1\n  txtmsg("one")\nend')
-    with pytest.raises(CompileError, match="compile_error_name_not_found:txtmsg") as caught:
-        program.wait(20)
-    assert caught.value.line == 3
-    program = robot.script.run("a = 1\nb = = 2")
-    with pytest.raises(CompileError, match="syntax_error_on_line:2") as caught:
-        program.wait(20)
-    assert caught.value.line == 2
+def test_sent_running_finished(robot: StandIn) -> None:
+    program = run(robot, "def job():\n  textmsg(1)\nend")
+    assert program.phase is Phase.SENT
+    assert program.name.startswith("job_")
+    assert robot.sent == [
+        f"def {program.name}():\n"
+        "  set_flag(31, False)\n"
+        f'  textmsg("{program.name} started")\n'
+        "  urlink_cycles = 0\n"
+        "  while urlink_cycles < 2500 and not get_flag(31):\n"
+        "    urlink_cycles = urlink_cycles + 1\n"
+        "    sync()\n"
+        "  end\n"
+        "  if not get_flag(31):\n"
+        f'    textmsg("{program.name} was not permitted to go on")\n'
+        "    halt\n"
+        "  end\n"
+        "  def job():\n"
+        "    textmsg(1)\n"
+        "  end\n"
+        "  job()\n"
+        f'  textmsg("{program.name} finished")\n'
+        "end\n"
+    ]
+    robot.begins(program)
+    until(lambda: program.phase is Phase.RUNNING)
+    robot.text("half way")
+    robot.comes_to_its_end(program)
+    program.wait(5)
+    assert (program.phase, program.error, program.texts) == (Phase.DONE, None, ("half way",))
+    program.cancel()  # without effect
+    assert len(uploaded(robot)) == 1
 
 
-def test_runtime_errors(robot: urlink.Robot) -> None:
-    program = robot.script.run("a = [1, 2]\nsync()\nb = a[5]")
-    with pytest.raises(ScriptFailed) as caught:
-        program.wait(20)
-    assert caught.value.line == 3
+def test_its_last_word_is_not_its_end(robot: StandIn) -> None:
+    """A program that follows at once must not race the old one."""
+    program = run(robot)
+    robot.begins(program)
+    robot.text(f"{program.name} finished")
+    robot.text("heard")
+    until(lambda: program.texts == ("heard",))
+    assert not program.done
+    robot.is_stopped(program)
+    program.wait(5)
+
+
+def test_stopped_from_elsewhere(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.is_stopped(program)
+    ends(robot, program)
+    with pytest.raises(ProgramStopped, match="before its end, from elsewhere"):
+        program.wait(5)
     assert program.phase is Phase.FAILED
 
 
-def test_the_next_stops_the_one_that_runs(robot: urlink.Robot) -> None:
-    one = robot.script.run(LONG)
-    until(lambda: one.phase is Phase.RUNNING)
-    two = robot.script.run("sleep(0.02)", wait=20.0)
-    assert two.phase is Phase.DONE
+def test_cancelled(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.clear()
+    program.cancel()
+    assert "stopj(2.0)" in robot.sent[-1]
+    assert robot.sent[-1].startswith("def urlink_stop_")
+    with pytest.raises(Cancelled, match=f"{program.name} was cancelled"):
+        program.wait(5)
+    assert program.phase is Phase.CANCELLED
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_preempted_by_the_next(robot: StandIn, is_told: bool) -> None:
+    one = run(robot)
+    robot.begins(one)
+    two = run(robot)
+    if is_told:
+        robot.is_stopped(one)
+    robot.begins(two)
+    with pytest.raises(Cancelled, match=f"{one.name} was preempted by {two.name}"):
+        one.wait(5)
+    until(lambda: two.phase is Phase.RUNNING)
+
+
+def test_preempted_by_one_that_was_given_up_meanwhile(robot: StandIn) -> None:
+    one = run(robot)
+    robot.begins(one)
+    two = run(robot)
+    robot.clear()
+    two.cancel()
+    robot.key("PROGRAM_XXX_STARTED", two.name)
+    with pytest.raises(Cancelled, match=f"preempted by {two.name}"):
+        one.wait(5)
+
+
+def test_replaced_by_somebody_else(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.key("PROGRAM_XXX_STARTED", "their_program")
+    with pytest.raises(ProgramStopped, match="their_program"):
+        program.wait(5)
+
+
+def test_somebody_elses_end_is_not_ours(robot: StandIn) -> None:
+    program = run(robot)
+    robot.key("PROGRAM_XXX_STARTED", "their_program")
+    robot.key("PROGRAM_XXX_STOPPED", "their_program")
+    robot.begins(program)
+    robot.key("PROGRAM_XXX_STOPPED", "their_program")
+    robot.comes_to_its_end(program)
+    program.wait(5)
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "text", "place", "words"),
+    [
+        (15, 5, "compile_error_name_not_found:txtmsg:", (3, 3), "compile_error_name_not_found:txtmsg:"),
+        (14, 1, "syntax_error_on_line:14:end:", (2, 1), "syntax_error_on_line:2:end:"),
+        (1, 1, "compile_error", (1, 1), "compile_error"),
+        (99, 1, "compile_error", (4, 1), "compile_error"),
+    ],
+)
+def test_does_not_compile(
+    robot: StandIn, line: int, column: int, text: str, place: tuple[int, int], words: str
+) -> None:
+    program = run(robot, "def job():\n  a = 1\n  txtmsg(1)\nend")
+    robot.exception(line, column, text)
+    with pytest.raises(CompileError) as caught:
+        program.wait(5)
+    assert (caught.value.line, caught.value.column, caught.value.text) == (*place, words)
+    assert program.phase is Phase.FAILED
+
+
+def test_fails_while_it_runs(robot: StandIn) -> None:
+    program = run(robot, "a = 1\nb = a / 0")
+    robot.begins(program)
+    robot.exception(14, 7, "division by zero")
+    until(lambda: program.phase is Phase.RUNNING)
+    assert not program.done
+    robot.is_stopped(program)
+    with pytest.raises(ScriptFailed, match="line 2, column 5: division by zero"):
+        program.wait(5)
+
+
+def test_a_compile_error_does_not_fail_the_program_that_runs(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.exception(2, 1, "syntax_error_on_line:2:end:")
+    robot.comes_to_its_end(program)
+    program.wait(5)
+
+
+def test_without_key_messages(robot: StandIn) -> None:
+    """As it may be on CB2: the program's own words and the flag in the state have to do."""
+    program = run(robot)
+    robot.state(runs=False)
+    robot.text(f"{program.name} started")
+    robot.state(runs=False)  # older than the beginning, for all we know
+    until(lambda: program.phase is Phase.RUNNING)
+    robot.state(runs=True)
+    robot.text(f"{program.name} finished")
+    robot.state(runs=True)
+    robot.state(runs=False)
+    program.wait(5)
+    stopped = run(robot)
+    robot.text(f"{stopped.name} started")
+    robot.state(runs=True)
+    robot.state(runs=False)
+    ends(robot, stopped)
     with pytest.raises(ProgramStopped):
-        one.wait(20)
+        stopped.wait(5)
 
 
-def test_secondary_runs_beside(robot: urlink.Robot) -> None:
-    long = robot.script.run(LONG)
-    until(lambda: long.phase is Phase.RUNNING)
-    robot.script.run("sec lamp():\n  set_standard_digital_out(2, True)\nend", wait=20.0)
-    until(lambda: robot.io.digital_out(2))
-    robot.io.set_digital_out(2, False)
-    robot.io.set_tool_voltage(24)
-    until(lambda: not robot.io.digital_out(2) and robot.io.tool_voltage == 24)
-    assert long.phase is Phase.RUNNING
-    long.stop()
-    with pytest.raises(ProgramStopped, match="as asked"):
-        long.wait(20)
-
-
-def test_payload_tcp_and_popup(robot: urlink.Robot) -> None:
-    messages: list[urlink.PopupMessage] = []
-    robot.primary.subscribe(messages.append, urlink.PopupMessage)
-    robot.set_payload(1.5, (0, 0, 0.1))
-    robot.set_tcp((0, 0, 0.2, 0, 0, 0))
-    robot.popup("mind the gap")
-    until(lambda: messages)
-    assert messages[0].text == "mind the gap"
-    controller = robot.controller
-    assert controller is not None
-    until(lambda: controller.arm.payload == 1.5)
-    until(lambda: controller.arm.tcp[2] == pytest.approx(0.2))
-
-
-def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
-    controller = robot.controller
-    assert controller is not None
-    program = robot.script.run(LONG)
+def test_without_key_messages_and_over_between_two_states(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = run(robot)
+    robot.text(f"{program.name} started")
     until(lambda: program.phase is Phase.RUNNING)
-    controller.faults.emergency_stop()
-    with pytest.raises((SafetyStop, NotRunning)) as caught:
-        program.wait(20)
-    assert "emergency" in str(caught.value)
-    with pytest.raises(SafetyStop):
+    robot.state(runs=False)
+    robot.text("heard")
+    until(lambda: program.texts == ("heard",))
+    assert not program.done
+    monkeypatch.setattr(module, "_FLAG_LAG", 0.0)
+    ends(robot, program)
+    with pytest.raises(ProgramStopped):
+        program.wait(5)
+
+
+def test_never_begins() -> None:
+    with StandIn(start_timeout=0.05) as robot:
+        program = run(robot)
+
+        def told() -> bool:
+            robot.state(RobotMode.IDLE)
+            return program.done
+
+        until(told)
+        with pytest.raises(LinkTimeout, match=r"not begun within 0\.05 s.* robot mode is IDLE, no program runs"):
+            program.wait(5)
+
+
+@pytest.mark.parametrize("flag", [7, None])
+def test_the_flag_that_lets_it_go_on(flag: int | None) -> None:
+    with StandIn(start_flag=flag) as robot:
+        program = run(robot)
+        robot.begins(program)
+        robot.text("heard")
+        until(lambda: program.texts == ("heard",))
+        assert robot.sent[1:] == ([] if flag is None else ["sec urlink_command():\n  set_flag(7, True)\nend\n"])
+        with pytest.raises(BadValue, match=r"flag 7 lets uploaded programs begin") if flag else nullcontext():
+            robot.io.set_flag(7, True)
+
+
+def test_a_robot_that_takes_no_permission(robot: StandIn) -> None:
+    program = run(robot)
+    robot.slow.make_room(0)
+    robot.begins(program)
+    with pytest.raises(LinkTimeout, match="has not taken a text"):
+        program.wait(5)
+
+
+def test_connection_lost(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.slow.put(ConnectionLost("pulled"))
+    with pytest.raises(ConnectionLost, match="may still run: pulled"):
+        program.wait(5)
+    again = run(robot)
+    robot.begins(again)
+    robot.comes_to_its_end(again)
+    again.wait(5)
+
+
+@pytest.mark.parametrize("is_told_first", [True, False])
+def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
+    program = run(robot)
+    robot.begins(program)
+    if is_told_first:
+        robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
+        robot.is_stopped(program)
+    else:
+        robot.is_stopped(program)
+        robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
+    with pytest.raises(SafetyStop) as caught:
+        program.wait(5)
+    assert caught.value.cause == "robot emergency stop"
+    program.cancel()
+
+
+def test_cancelling_under_a_stop_sends_nothing(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause is not None)
+    program.cancel()
+    assert len(uploaded(robot)) == 1
+    assert program.phase is Phase.CANCELLED
+
+
+def test_refused_by_the_interlock(robot: StandIn) -> None:
+    robot.state(RobotMode.POWER_OFF)
+    until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
+    with pytest.raises(NotRunning, match="POWER_OFF"):
         robot.script.run("movej(q)")
-    controller.faults.clear()
-    until(lambda: robot.safety.cause is None)
-    controller.faults.power_on()
-    robot.safety.wait_enabled(20)
-    robot.script.run("sleep(0.02)", wait=20.0)
+    with pytest.raises(NotRunning, match="POWER_OFF"):
+        robot.script.send_line("movej(q)")
+    assert robot.sent == []
+    assert robot.programs._runs == {}
 
 
-def test_a_cut_connection_is_told_and_a_person_can_go_on(robot: urlink.Robot) -> None:
-    controller = robot.controller
-    assert controller is not None
-    program = robot.script.run(LONG)
-    until(lambda: program.phase is Phase.RUNNING)
-    controller.faults.cut("primary")
-    with pytest.raises(urlink.ConnectionLost, match="may still run"):
-        program.wait(20)
-    robot.safety.wait_enabled(20)
-    robot.script.run("sleep(0.02)", wait=20.0)
+@pytest.mark.parametrize("is_refused", [True, False])
+def test_a_refusal_while_the_connection_is_lost(
+    robot: StandIn, is_refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What never left is nobody's loss: the error is that of the refusal, whatever happens at the same moment."""
+    monkeypatch.setattr("urlink.commanding.monitor._NEXT_WORD", 0.0)
+    robot.clear()
+    if is_refused:
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        until(lambda: robot.safety.cause)
+    for _ in range(20):
+        robot.slow.put(ConnectionLost("pulled"))
+        for _ in range(20):
+            with suppress(SafetyStop, NotRunning, ConnectionLost):
+                robot.script.run("movej(q)")
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP if is_refused else SafetyMode.NORMAL)
+        until(lambda: robot.primary.connection is ConnectionState.CONNECTED)
+    until(lambda: not robot.programs._runs)
+
+
+def test_secondary_runs_beside(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    robot.clear()
+    beside = robot.script.run("sec blink():\n  set_standard_digital_out(0, True)\nend")
+    assert robot.sent[-1] == (
+        f"sec {beside.name}():\n"
+        f'  textmsg("{beside.name} started")\n'
+        "  set_standard_digital_out(0, True)\n"
+        f'  textmsg("{beside.name} finished")\n'
+        "end\n"
+    )
+    robot.text(f"{beside.name} started")
+    robot.text(f"{beside.name} finished")
+    beside.wait(5)
+    wrong = robot.script.run("sec blink():\n  set_standard(0, True)\nend")
+    robot.exception(3, 3, "compile_error_name_not_found:set_standard:")
+    with pytest.raises(CompileError, match="line 2, column 3"):
+        wrong.wait(5)
+    assert program.phase is Phase.RUNNING
+    robot.comes_to_its_end(program)
+    program.wait(5)
+
+
+def test_each_text_is_told(robot: StandIn) -> None:
+    heard: list[str] = []
+    robot.clear()
+    program = robot.script.run("textmsg(1)", on_text=heard.append)
+    robot.begins(program)
+    robot.text("1")
+    robot.text("2\x1b[2J")
+    robot.comes_to_its_end(program)
+    program.wait(5)
+    until(lambda: heard == ["1", "2\x1b[2J"])
+    with pytest.raises(BadValue, match="on_text=3"):
+        robot.script.run("textmsg(1)", on_text=3)  # type: ignore[arg-type]
+
+
+def test_a_callback_for_texts_may_wait_for_the_program(robot: StandIn) -> None:
+    robot.clear()
+    ended = threading.Event()
+
+    def wait(text: str) -> None:
+        program.wait(10)
+        ended.set()
+
+    program = robot.script.run("textmsg(1)", on_text=wait)
+    robot.begins(program)
+    robot.text("1")
+    robot.comes_to_its_end(program)
+    assert ended.wait(10)
+
+
+def test_what_the_controller_complains_of_steers_no_terminal(robot: StandIn, caplog: pytest.LogCaptureFixture) -> None:
+    robot.clear()
+    robot.script.send_line("movej(q)")
+    program = run(robot)
+    robot.begins(program)
+    robot.exception(1, 1, "compile_error\x1b[2J")
+    until(lambda: "complains" in caplog.text)
+    assert "\x1b" not in caplog.text
+
+
+def test_from_a_file(robot: StandIn, tmp_path: Path) -> None:
+    robot.clear()
+    path = tmp_path / "job.script"
+    path.write_text("def job():\n  textmsg(1)\nend\n")
+    assert robot.script.run(path).name.startswith("job_")
+    with pytest.raises(BadValue, match=r"cannot read .*none\.script"):
+        robot.script.run(tmp_path / "none.script")
+    path.write_bytes(b"\xff")
+    with pytest.raises(BadValue, match=r"job\.script is no text"):
+        robot.script.run(path)
+    with pytest.raises(BadValue, match="got int"):
+        robot.script.run(3)  # type: ignore[arg-type]
+
+
+def test_waiting_has_an_end(robot: StandIn) -> None:
+    program = run(robot)
+    with pytest.raises(LinkTimeout, match=r"is sent, and not over within 0\.01 s"):
+        program.wait(0.01)
+    assert not program.done
+    robot.clear()
+    with pytest.raises(urlink.LinkTimeout):
+        robot.script.run("movej(q)", wait=0.01)
+    with pytest.raises(BadValue, match="wait"):
+        robot.script.run("movej(q)", wait=-1.0)
+
+
+def test_send_line(robot: StandIn) -> None:
+    robot.clear()
+    robot.script.send_line("set speed 0.5")
+    assert robot.sent == ["set speed 0.5\n"]
+    for line in ("", "a\nb", "a\0b", 5):
+        with pytest.raises(BadValue):
+            robot.script.send_line(line)  # type: ignore[arg-type]
+    assert len(robot.sent) == 1
+
+
+def test_closing_ends_what_is_followed(robot: StandIn) -> None:
+    program = run(robot)
+    robot.programs.close()
+    with pytest.raises(ConnectionLost, match=r"closed here while .* ran; it moves nothing if it begins later"):
+        program.wait(5)
+    with pytest.raises(Closed):
+        robot.script.run("movej(q)")

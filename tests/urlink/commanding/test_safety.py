@@ -1,22 +1,23 @@
-"""`robot.safety` and the outlet over streams: what is heard when, and who is told."""
+"""`robot.safety` and the command channel over streams: what is heard when, and who is told."""
 
 from __future__ import annotations
 
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
-from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout
+from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError
 from linkcore.streaming.backoff import Backoff
 from tests.linkcore.script import ScriptedTransport
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
-from urlink.commanding import interlock as gate
-from urlink.commanding import safety
+from urlink.commanding import monitor
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
+from urlink.interfaces.primary.robot_state import RobotModeData, RobotState
 
 
 @pytest.fixture
@@ -92,7 +93,41 @@ def test_one_callback_that_raises_harms_no_other(robot: StandIn, caplog: pytest.
     robot.safety.on_stop(heard.append)
     robot.state(emergency=True)
     until(lambda: heard)
-    assert "on_stop raised" in caplog.text
+    assert "the callbacks after it are called all the same" in caplog.text
+
+
+def test_a_callback_that_ends_its_thread_does_not(robot: StandIn, caplog: pytest.LogCaptureFixture) -> None:
+    robot.clear()
+    heard: list[LinkError] = []
+
+    def leave(error: LinkError) -> None:
+        sys.exit("on purpose")
+
+    robot.safety.on_stop(leave)
+    robot.safety.on_stop(heard.append)
+    for count in (1, 2):
+        robot.state(emergency=True)
+        until(lambda count=count: len(heard) == count)  # type: ignore[misc]
+        robot.state()
+        robot.safety.wait_enabled(5)
+    assert caplog.text.count("SystemExit: on purpose") == 2
+
+
+def test_a_callback_may_command_and_wait(robot: StandIn) -> None:
+    robot.clear()
+    done = threading.Event()
+
+    def recover(error: LinkError) -> None:
+        robot.safety.wait_enabled(5)
+        robot.channel.motion("stopj(2.0)")
+        done.set()
+
+    robot.safety.on_stop(recover)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause)
+    robot.state()
+    assert done.wait(5)
+    assert robot.sent == ["stopj(2.0)\n"]
 
 
 @pytest.mark.parametrize("is_fast", [False, True])
@@ -110,21 +145,64 @@ def test_a_lost_connection_is_no_knowledge(robot: StandIn, is_fast: bool) -> Non
     robot.safety.wait_enabled(5)
 
 
-def test_silence_is_no_knowledge(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "STALE", 0.05)
-    monkeypatch.setattr(safety, "STALE", 0.05)
+def test_silence_is_no_knowledge() -> None:
+    with StandIn(stale_after=0.1) as robot:
+        heard: list[LinkError] = []
+        robot.safety.on_stop(heard.append)
+        robot.clear()
+        until(lambda: heard)
+        assert isinstance(heard[0], NotRunning)
+        assert "the robot has said nothing on the" in str(heard[0])
+        with pytest.raises(NotRunning, match="said nothing on the"):
+            robot.channel.motion("movej(q)")
+        assert robot.sent == []
+        robot.state()
+        robot.safety.wait_enabled(5)
+
+
+def test_what_was_sent_before_a_silence_is_discarded() -> None:
+    """It may still be in the network, and the robot would do it when it is heard again."""
+    with StandIn(stale_after=0.1) as robot:
+        robot.clear()
+        robot.channel.command("set_tool_voltage(0)")
+        until(lambda: robot.slow.opened == 2)  # its connection was aborted, and made anew
+        robot.state()
+        robot.safety.wait_until_clear(5)
+        until(lambda: "said nothing" in str(robot.safety.refusal))
+        # Nothing was sent since: there is nothing to discard.
+        assert robot.slow.opened == 2
+
+
+def test_an_old_word_is_not_believed_while_this_program_is_held_up(robot: StandIn) -> None:
+    """A callback that is called inline keeps the reader, which cannot tell whether the robot is silent."""
+    robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
-    robot.clear()
-    until(lambda: heard)
-    assert isinstance(heard[0], NotRunning)
-    with pytest.raises(NotRunning, match="nothing has been heard"):
-        robot.channel.motion("movej(q)")
-    assert robot.sent == []
+    inside, go_on = threading.Event(), threading.Event()
+
+    def keep(state: object) -> None:
+        inside.set()
+        go_on.wait(10)
+
+    with robot.realtime.subscribe(keep, inline=True):
+        robot.state()
+        assert inside.wait(10)
+
+        def is_refused() -> bool:
+            robot.state(fast=False)
+            return not robot.safety.is_enabled
+
+        until(is_refused)
+        assert "this program is held up" in str(robot.safety.refusal)
+        assert heard == []  # so what runs goes on
+        go_on.set()
+    robot.state()
+    robot.safety.wait_enabled(5)
+    assert heard == []
 
 
 def test_nothing_heard_at_all(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(safety, "_FIRST_WORD", 0.05)
+    monkeypatch.setattr(monitor, "_FIRST_WORD", 0.05)
     with pytest.raises(NotRunning, match="yet; nothing was sent"):
         robot.channel.command("set_tool_voltage(0)")
     assert robot.safety.mode is None
@@ -191,7 +269,7 @@ def test_listening_more_closely_closes_nothing() -> None:
         assert heard == []
 
 
-def test_waiting_says_what_hinders(robot: StandIn) -> None:
+def test_waiting_says_what_is_in_the_way(robot: StandIn) -> None:
     robot.state(RobotMode.IDLE)
     with pytest.raises(LinkTimeout, match="IDLE"):
         robot.safety.wait_until_clear(0.01)
@@ -203,7 +281,7 @@ def test_waiting_for_no_number_of_seconds(robot: StandIn, timeout: Any) -> None:
     for wait in (robot.safety.wait_enabled, robot.safety.wait_until_clear, robot.safety.wait_for_stop):
         with pytest.raises(BadValue, match="timeout"):
             wait(timeout)
-    with pytest.raises(BadValue, match="called"):
+    with pytest.raises(BadValue, match="callback="):
         robot.safety.on_stop(timeout)
 
 
@@ -248,8 +326,8 @@ def test_a_stop_waits_for_what_is_being_sent(robot: StandIn) -> None:
     assert order == ["sent", "stop"]
 
 
-def test_callbacks_are_called_without_the_lock(robot: StandIn) -> None:
-    """Else a motion that holds its own lock and asks the gate, and a stop that wants that lock, would wait for ever."""
+def test_callbacks_are_called_without_a_lock(robot: StandIn) -> None:
+    """Else who holds a lock and asks the interlock, and a callback that wants that lock, would wait for ever."""
     robot.clear()
     own, stopped = threading.Lock(), threading.Event()
 
@@ -273,7 +351,7 @@ def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
         robot.slow.put(ConnectionLost("pulled"))
         with pytest.raises(ConnectionLost):
             program.wait(5)
-        until(lambda: "primary" not in robot.safety._subscriptions and not robot.script._subscriptions)
+        until(lambda: "primary" not in robot.monitor._listening and not robot.programs._subscriptions)
         robot.clear()
         again = robot.script.run("movej(q)")
         robot.begins(again)
@@ -288,12 +366,194 @@ def test_closed(robot: StandIn) -> None:
         robot.channel.motion("movej(q)")
 
 
-def test_closing_shuts_the_gate(robot: StandIn) -> None:
+def test_closing_closes_the_interlock(robot: StandIn) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
-    robot.safety.close()
-    assert isinstance(heard[0], NotRunning)
+    robot.monitor.close()
     with pytest.raises(NotRunning, match="closed here"):
         robot.channel.motion("movej(q)")
     assert robot.sent == []
+    robot.callbacks.close(5)
+    assert heard == []  # the robot has not stopped
+
+
+def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: StandIn) -> None:
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
+    until(lambda: robot.safety.cause)
+    modes = RobotModeData(robot.firmware, robot_mode=RobotMode.RUNNING)
+    before = robot.primary.stats.decoded
+    robot.slow.put(bytes(RobotState(modes)))
+    until(lambda: robot.primary.stats.decoded > before)
+    assert robot.safety.cause == "protective stop"
+
+
+# -- who asks from where ---------------------------------------------------------------------------------
+
+
+def test_waiting_for_oneself_is_refused_at_once(robot: StandIn) -> None:
+    robot.clear()
+    raised: list[LinkError] = []
+
+    def wait(state: object) -> None:
+        for call in (robot.safety.wait_enabled, robot.safety.wait_until_clear, robot.safety.wait_for_stop):
+            try:
+                call(10.0)
+            except LocalError as error:
+                raised.append(error)
+
+    with robot.primary.subscribe(wait, inline=True):
+        robot.safety.policy = "always"
+        robot.state()
+        until(lambda: len(raised) == 2)
+    assert "inline=True" in str(raised[0])
+
+
+def test_an_inline_callback_commands(robot: StandIn) -> None:
+    robot.clear()
+
+    def command(state: object) -> None:
+        robot.channel.motion("movej(q)")
+        robot.channel.command("set_tool_voltage(0)")
+
+    with robot.primary.subscribe(command, RobotState, inline=True):
+        robot.state(fast=False)
+        until(lambda: len(robot.sent) == 2)
+
+
+def test_an_inline_callback_that_is_the_first_to_command(robot: StandIn) -> None:
+    """It cannot wait for the first word; what the stream has heard already has to do."""
+    raised: list[LinkError] = []
+
+    def command(state: object) -> None:
+        try:
+            robot.channel.command("set_tool_voltage(0)")
+        except LinkError as error:
+            raised.append(error)
+
+    with robot.primary.subscribe(command, RobotState, inline=True):
+        robot.state(fast=False)
+        until(lambda: robot.sent or raised)
+    assert raised == []
+
+
+# -- texts that do not fit -------------------------------------------------------------------------------
+
+
+def send(robot: StandIn, text: str, **options: Any) -> tuple[threading.Thread, list[LinkError]]:
+    """Send in a thread of its own; what that raised."""
+    raised: list[LinkError] = []
+
+    def run() -> None:
+        try:
+            robot.channel.motion(text, **options)
+        except LinkError as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, raised
+
+
+def test_a_text_that_does_not_fit_leaves_in_parts(robot: StandIn) -> None:
+    robot.clear()
+    robot.slow.make_room(3)
+    first, raised = send(robot, "movej(q)")
+    until(lambda: robot.sent == ["mov"])
+    second, also = send(robot, "stopj(2)")
+    robot.slow.make_room(4)
+    until(lambda: robot.sent == ["mov", "ej(q"])
+    robot.slow.make_room(None)
+    first.join(10)
+    second.join(10)
+    assert raised == also == []
+    assert "".join(robot.sent) == "movej(q)\nstopj(2)\n"
+
+
+def test_the_rest_of_a_text_does_not_follow_a_stop(robot: StandIn) -> None:
+    robot.clear()
+    robot.slow.make_room(3)
+    sender, raised = send(robot, "movej(q)")
+    until(lambda: robot.sent == ["mov"])
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause)
+    robot.slow.make_room(None)
+    sender.join(10)
+    assert isinstance(raised[0], SafetyStop)
+    assert robot.sent == ["mov"]
+    until(lambda: robot.slow.opened == 2)  # nobody takes what follows for the rest
+
+
+def test_a_text_that_nobody_takes(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.commanding.channel.SEND_TIMEOUT", 0.05)
+    robot.clear()
+    for room, opened in ((0, 1), (3, 2)):
+        robot.slow.make_room(room)
+        with pytest.raises(LinkTimeout, match=r"has not taken a text of 9 bytes within 0\.05 s"):
+            robot.channel.motion("movej(q)")
+        until(lambda opened=opened: robot.slow.opened == opened)  # type: ignore[misc]
+        robot.clear()
+
+
+def test_a_text_does_not_go_on_over_the_next_connection(robot: StandIn) -> None:
+    robot.clear()
+    robot.slow.make_room(3)
+    sender, raised = send(robot, "movej(q)")
+    until(lambda: robot.sent == ["mov"])
+    robot.slow.put(ConnectionLost("pulled"))
+    sender.join(10)
+    assert isinstance(raised[0], (ConnectionLost, NotRunning))
+    robot.clear()
+    robot.slow.make_room(None)
+    robot.channel.motion("stopj(2)")
+    assert robot.sent == ["mov", "stopj(2)\n"]
+
+
+# -- signal handlers -------------------------------------------------------------------------------------
+
+
+def in_the_section(robot: StandIn, handler: Callable[[], object]) -> None:
+    """Call `handler` in this thread while it is in the critical section, as a signal handler may be."""
+    robot.channel.setpoint(handler)
+
+
+def test_a_signal_handler_commands_from_within(robot: StandIn) -> None:
+    robot.clear()
+    in_the_section(robot, lambda: robot.channel.motion("stopj(2)", is_stop=True))
+    assert robot.sent == ["stopj(2)\n"]
+
+
+def test_a_signal_handler_waits_from_within(robot: StandIn) -> None:
+    """What it waits for is heard by a thread that needs the section."""
+    robot.clear()
+
+    def handler() -> None:
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        assert isinstance(robot.safety.wait_for_stop(10), SafetyStop)
+
+    in_the_section(robot, handler)
+    # And the section is still that of who was interrupted.
+    with pytest.raises(RuntimeError):
+        robot.section._lock.release()
+
+
+def test_a_signal_handler_whose_own_thread_is_in_the_middle_of_a_text(robot: StandIn) -> None:
+    robot.clear()
+    robot.slow.make_room(3)
+    raised: list[LinkError] = []
+    waited = robot.slow.wait_for_room
+
+    def interrupted(timeout: float) -> bool:
+        robot.slow.wait_for_room = waited  # type: ignore[method-assign]
+        try:
+            robot.channel.motion("stopj(2)", is_stop=True)
+        except LinkError as error:
+            raised.append(error)
+        return waited(timeout)
+
+    robot.slow.wait_for_room = interrupted  # type: ignore[method-assign]
+    with pytest.raises((ConnectionLost, NotRunning)):
+        robot.channel.motion("movej(q)")
+    assert isinstance(raised[0], ConnectionLost)
+    assert "only a part of the text before this one" in str(raised[0])
+    assert robot.sent == ["mov"]

@@ -1,6 +1,6 @@
-"""The gate before the outlet, held against a model over random orders of events.
+"""The interlock before the command channel, held against a model over random orders of events.
 
-No thread and no clock: the streams are stand-ins whose subscribers the test calls, so each run is the same.
+No thread and no clock: the connections are stand-ins whose subscribers the test calls, so each run is the same.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast, get_args
-from unittest import mock
 
 import pytest
 from hypothesis import settings
@@ -17,11 +16,14 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from linkcore.errors import ConnectionLost, LinkError
 from linkcore.stamp import Stamp
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
-from linkcore.streaming.stream import Stream
-from urlink.commanding.channel import Outlet
-from urlink.commanding.interlock import STALE, Policy
+from urlink.commanding.callbacks import CallbackThread
+from urlink.commanding.channel import CommandChannel
+from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
+from urlink.commanding.monitor import SafetyMonitor
 from urlink.commanding.safety import Safety
+from urlink.commanding.section import Section
 from urlink.errors import NotRunning, SafetyStop
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_message import SafetyModeMessage
@@ -39,111 +41,133 @@ sources = st.sampled_from(["primary", "realtime"])
 
 
 class Line:
-    """In place of a stream: keeps its subscribers, and what is sent."""
+    """In place of a connection: keeps its subscribers, and what is sent."""
 
-    connection = ConnectionState.CONNECTED
+    state = ConnectionState.CONNECTED
+    name = "line"
+    counters = SimpleNamespace(connections=1)
 
     def __init__(self) -> None:
         self.subscribers: dict[type, Callable[[Any], object]] = {}
-        self.on_silence: Callable[[float], object] | None = None
+        self.on_silence: Callable[[float], object] = lambda seconds: None
         self.sent: list[str] = []
+        self.aborts = 0
+        self.silence = SimpleNamespace(limit=None, watch=self.watch)
+        self.fan_out = SimpleNamespace(newest=lambda kind: None)
 
-    def subscribe(self, callback: Callable[[Any], object], kind: type, **options: Any) -> mock.Mock:
+    def subscribe_inline(self, kind: type, callback: Callable[[Any], object]) -> SimpleNamespace:
         self.subscribers[kind] = callback
-        self.on_silence = options.get("on_deadline", self.on_silence)
-        return mock.Mock()
+        return SimpleNamespace(close=lambda: self.subscribers.pop(kind))
+
+    def watch(self, seconds: float, hook: Callable[[float], object]) -> Callable[[], None]:
+        assert seconds == STALE_AFTER
+        self.on_silence = hook
+        return lambda: None
+
+    def reads_here(self) -> bool:
+        """Every thread: nothing waits, since nothing could come."""
+        return True
 
     def tell(self, packet: Any) -> None:
         for kind, callback in self.subscribers.items():
             if isinstance(packet, kind):
                 callback(packet)
 
-    def send(self, data: bytes, timeout: float) -> None:
-        self.sent.append(data.decode())
+    def send_some(self, data: memoryview) -> int:
+        self.sent.append(bytes(data).decode())
+        return len(data)
+
+    def abort(self) -> None:
+        self.aborts += 1
 
 
-class GateBeforeTheOutlet(RuleBasedStateMachine):
+class InterlockBeforeTheChannel(RuleBasedStateMachine):
     @initialize(policy=policies)
     def begin(self, policy: Policy) -> None:
         self.now = 100.0
-        self.patches: list[Any] = [
-            mock.patch("urlink.commanding.safety.time", SimpleNamespace(monotonic=self.clock)),
-            mock.patch("urlink.commanding.safety._FIRST_WORD", 0.0),
-            mock.patch("urlink.commanding.safety._NEXT_WORD", 0.0),
-        ]
-        for patch in self.patches:
-            patch.start()
         self.lines = {"primary": Line(), "realtime": Line()}
-        primary, realtime = (cast(Stream[Any], self.lines[name]) for name in ("primary", "realtime"))
-        self.safety = Safety(lambda: primary, lambda: realtime, policy)
-        self.outlet = Outlet(lambda: primary, self.safety)
-        self.safety.on_stop(self.stopped)
-        self.safety.attend(closely=True)
+        primary, realtime = (cast(Connection, self.lines[name]) for name in ("primary", "realtime"))
+        section = Section(primary.reads_here)
+        interlock = Interlock(policy)
+        self.monitor = SafetyMonitor(primary, realtime, interlock, section, CallbackThread("none"), self.clock)
+        self.safety = Safety(self.monitor)
+        self.channel = CommandChannel(primary, self.monitor, section, self.clock)
+        self.monitor.on_close(self.closed)
+        self.monitor.on_silence(self.channel.discard)
+        self.monitor.listen(closely=True)
         # the model
         self.policy = policy
         self.said: dict[str, tuple[RobotMode, SafetyMode] | None] = {"primary": None, "realtime": None}
+        self.is_silent = dict.fromkeys(self.said, False)
         self.heard = dict.fromkeys(self.said, 0.0)
         self.started = self.armed = False
         self.motions = 0
-        self.stops: list[LinkError] = []
-
-    def teardown(self) -> None:
-        for patch in getattr(self, "patches", []):
-            patch.stop()
+        self.closings: list[LinkError] = []
 
     # -- the model -----------------------------------------------------------------------------------
 
     @property
-    def hindrance(self) -> str | None:
+    def told(self) -> str | None:
+        """What the robot, or its silence, or the loss of its connection has told."""
         if any(said is not None and said[1] not in SAFE for said in self.said.values()):
             return "stop"
         for name, said in self.said.items():
-            if said is None or self.now - self.heard[name] > STALE or said[0] is not RobotMode.RUNNING:
+            if said is None or self.is_silent[name] or said[0] is not RobotMode.RUNNING:
                 return "absence"
         return None
 
     @property
+    def blocked(self) -> str | None:
+        return self.told or ("stale" if any(self.now - at > STALE_AFTER for at in self.heard.values()) else None)
+
+    @property
     def is_open(self) -> bool:
         enabled = {"never": True, "on_startup": self.started, "always": self.armed}[self.policy]
-        return self.hindrance is None and enabled
+        return self.blocked is None and enabled
 
-    def stopped(self, error: LinkError) -> None:
+    def closed(self, error: LinkError) -> None:
         """What a motion does: it ends, and tries once more."""
-        self.stops.append(error)
+        self.closings.append(error)
         self.motions = 0
         self.try_motion(expected=False)
 
     def try_motion(self, expected: bool) -> None:
         before = list(self.lines["primary"].sent)
         try:
-            self.outlet.motion("movej(q)")
+            self.channel.motion("movej(q)")
         except (SafetyStop, NotRunning):
             assert not expected
             assert self.lines["primary"].sent == before
         else:
             assert expected
-            assert self.lines["primary"].sent == [*before, "movej(q)\n"]
+            assert self.lines["primary"].sent.pop() == "movej(q)\n"
             self.motions += 1
 
-    def event(self, happen: Callable[[], object], change: Callable[[], object]) -> None:
-        was_clear = self.hindrance is None
-        stops = len(self.stops)
+    def event(self, tell: Callable[[], None], change: Callable[[], object]) -> None:
+        """Something happens to the robot, and to the model."""
+        was_clear, count = self.told is None, len(self.closings)
         change()
-        hindrance = self.hindrance
-        if hindrance is not None:
+        if self.told is not None:
             self.armed = False
-        happen()
-        ended = len(self.stops) - stops
-        assert ended == (was_clear and hindrance is not None)
-        if ended:
-            assert isinstance(self.stops[-1], SafetyStop if hindrance == "stop" else NotRunning)
+        tell()
+        assert len(self.closings) == count + (was_clear and self.told is not None)
 
     # -- what happens --------------------------------------------------------------------------------
 
     @rule(mode=robot_modes, safety=safety_modes)
     def primary(self, mode: RobotMode, safety: SafetyMode) -> None:
         self.tick()
-        state = RobotState(RobotModeData(FIRMWARE, robot_mode=mode), MasterboardData(FIRMWARE, safety_mode=safety))
+        modes = RobotModeData(FIRMWARE, robot_mode=mode)
+        state = RobotState(modes, MasterboardData(FIRMWARE, safety_mode=safety))
+        self.event(lambda: self.lines["primary"].tell(state), lambda: self.say("primary", (mode, safety)))
+
+    @rule(mode=robot_modes)
+    def primary_without_its_board(self, mode: RobotMode) -> None:
+        """What it does not say is as it was."""
+        self.tick()
+        said = self.said["primary"]
+        state = RobotState(RobotModeData(FIRMWARE, robot_mode=mode))
+        safety = SafetyMode.NORMAL if said is None else said[1]
         self.event(lambda: self.lines["primary"].tell(state), lambda: self.say("primary", (mode, safety)))
 
     @rule(mode=robot_modes, safety=safety_modes)
@@ -177,20 +201,31 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
     def lost(self, source: str) -> None:
         self.tick()
         event = ConnectionEvent(ConnectionState.LOST, source, ConnectionLost("pulled"), Stamp(self.now, self.now))
-        self.event(lambda: self.lines[source].tell(event), lambda: self.said.update({source: None}))
+
+        def change() -> None:
+            self.said[source], self.is_silent[source] = None, False
+
+        self.event(lambda: self.lines[source].tell(event), change)
 
     @rule(source=sources)
     def silence(self, source: str) -> None:
-        def tell() -> None:
-            on_silence = self.lines[source].on_silence
-            assert on_silence is not None
-            on_silence(STALE)
+        def change() -> None:
+            self.now += STALE_AFTER
+            self.is_silent[source] = True
 
-        self.event(tell, lambda: setattr(self, "now", self.now + 1.5 * STALE))
+        self.event(lambda: self.lines[source].on_silence(STALE_AFTER), change)
+
+    @rule()
+    def held_up(self) -> None:
+        """Time passes, and nothing is read: no fault of the robot's."""
+        self.now += 1.5 * STALE_AFTER
+        motions = self.motions
+        self.try_motion(expected=False)
+        assert self.motions == motions
 
     @rule()
     def enable(self) -> None:
-        if self.hindrance is None:
+        if self.blocked is None:
             self.safety.enable()
             self.started = self.armed = True
         else:
@@ -201,6 +236,8 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
     @precondition(lambda self: self.now % 0.07 < 0.01)
     @rule(policy=policies)
     def change_policy(self, policy: Policy) -> None:
+        if policy != self.policy:
+            self.started = self.armed = False
         self.safety.policy = self.policy = policy
 
     @rule()
@@ -208,21 +245,21 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
         self.try_motion(expected=self.is_open)
 
     @rule()
-    def brake(self) -> None:
+    def stop(self) -> None:
         """What can only bring the arm to rest needs nobody to enable it; a stop refuses it all the same."""
         try:
-            self.outlet.motion("stopj(2.0)", is_stop=True)
+            self.channel.motion("stopj(2.0)", is_stop=True)
         except (SafetyStop, NotRunning):
-            assert self.hindrance is not None
+            assert self.blocked is not None
         else:
-            assert self.hindrance is None
+            assert self.blocked is None
             assert self.lines["primary"].sent.pop() == "stopj(2.0)\n"
 
     @rule()
     def setpoint(self) -> None:
         sent: list[int] = []
         try:
-            self.outlet.setpoint(lambda: sent.append(1))
+            self.channel.setpoint(lambda: sent.append(1))
         except (SafetyStop, NotRunning):
             assert not self.is_open
             assert sent == []
@@ -230,21 +267,22 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
             assert self.is_open
             assert sent == [1]
 
-    @precondition(lambda self: self.hindrance != "absence")
     @rule()
     def command(self) -> None:
         runs = all(said is not None and said[0] is RobotMode.RUNNING for said in self.said.values())
-        fresh = all(self.now - heard <= STALE for heard in self.heard.values())
+        fresh = all(self.now - heard <= STALE_AFTER for heard in self.heard.values()) and not any(
+            self.is_silent.values()
+        )
         if runs and fresh:
-            self.outlet.command("set_tool_voltage(0)")
+            self.channel.command("set_tool_voltage(0)")
             self.lines["primary"].sent.pop()
         else:
             with pytest.raises(NotRunning):
-                self.outlet.command("set_tool_voltage(0)")
+                self.channel.command("set_tool_voltage(0)")
 
     @invariant()
     def no_motion_goes_on_under_a_stop(self) -> None:
-        if hasattr(self, "safety") and self.hindrance is not None:
+        if hasattr(self, "safety") and self.told is not None:
             assert self.motions == 0
 
     @invariant()
@@ -263,7 +301,8 @@ class GateBeforeTheOutlet(RuleBasedStateMachine):
     def say(self, source: str, said: tuple[RobotMode, SafetyMode]) -> None:
         self.said[source] = said
         self.heard[source] = self.now
+        self.is_silent[source] = False
 
 
-TestGateBeforeTheOutlet = pytest.mark.property(GateBeforeTheOutlet.TestCase)
-TestGateBeforeTheOutlet.settings = settings(deadline=None, stateful_step_count=40)
+TestInterlockBeforeTheChannel = pytest.mark.property(InterlockBeforeTheChannel.TestCase)
+TestInterlockBeforeTheChannel.settings = settings(deadline=None, stateful_step_count=40)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import Any, Literal, cast
 
 from tests.urlink.motion.rehearsal import HOME
@@ -93,13 +94,13 @@ class Bench:
             assert self.execution.error is None, self.execution.error
             self.path.append(list(self.motion.advance(self.period).q))
 
-    def watch_servoj(self, tell: Callable[[list[float]], object]) -> None:
-        """Tell what each ``servoj`` is told."""
+    def watch_servoj(self, tell: Callable[[list[float]], object], is_followed: bool = True) -> None:
+        """Tell what each ``servoj`` is told; the arm need not follow."""
         servoj = self.motion.servoj
 
         def watched(q: Sequence[float], t: float, lookahead_time: float, gain: float) -> object:
             tell(list(q))
-            return servoj(q, t, lookahead_time, gain)
+            return servoj(q, t, lookahead_time, gain) if is_followed else SimpleNamespace(is_over=True)
 
         self.motion.servoj = watched  # type: ignore[method-assign,assignment]
 

@@ -18,11 +18,11 @@ from tests.urlink.motion.rehearsal import FOLLOW, WAIT, turned
 from urlink.errors import ToleranceExceeded
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.models import model
+from urlink.models import Model, model
 from urlink.motion.follower import Follower
 from urlink.motion.following import ControllerClock, Tolerances
 from urlink.motion.setpoints import Servoing
-from urlink.motion.speed_limit import EARLY
+from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
 
 TOKEN = 7
@@ -33,11 +33,18 @@ FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.4", "5.11")]
 NEWEST = FIRMWARES[-1]
 
 
+def arm(firmware: Firmware) -> Model:
+    return model("UR5e" if firmware.is_e_series else "UR5")
+
+
+def servoing(firmware: Firmware, watchdog: float = 0.1) -> Servoing:
+    return Servoing(firmware, largest_speeds(arm(firmware)), watchdog, 0.03, 300.0)
+
+
 def follower(
     firmware: Firmware = NEWEST, trajectory: Trajectory = WAVE, tolerances: Tolerances = LOOSE, watchdog: float = 0.1
 ) -> Follower:
-    arm = model("UR5e" if firmware.is_e_series else "UR5")
-    return Follower(trajectory, tolerances, Servoing(firmware, watchdog, 0.03, 300.0), arm)
+    return Follower(trajectory, tolerances, servoing(firmware, watchdog), arm(firmware))
 
 
 def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
@@ -84,13 +91,14 @@ class Feeding:
     [
         (0.002, 0.002, 0.002),
         (0.004, 0.004, 0.004),
-        (0.002, 0.5, 0.002),  # it waited in a queue here
-        (0.0029, 0.002, 0.0029),
-        (0.0031, 0.002, 0.002),
+        (0.002, 0.5, 0.002),  # it was late
+        (0.05, 0.0001, 0.05),  # states that were held up on their way come together
         (0.0, 0.002, 0.0),
         (1.0, 0.002, 0.002),  # nobody knows of that second here
+        (1.0, 0.03, 0.03),
         (1.0, 1.0, 1.0),
         (-5.0, 0.002, 0.002),
+        (-5.0, 0.0001, 0.002),
         (float("nan"), 0.002, 0.002),
         (float("inf"), 0.002, 0.002),
     ],
@@ -102,17 +110,6 @@ def test_the_controllers_clock_as_far_as_it_can_be_believed(told: float, own: fl
     # It goes on from there, whatever that was.
     following = 100.0 + told + 0.002
     assert clock.passed(following, 7.002 + own) == pytest.approx(0.002, abs=1e-9)
-
-
-def test_states_that_were_held_up_on_their_way_come_together() -> None:
-    clock = ControllerClock(0.002)
-    arrivals = [(0.0, 0.0), (0.002, 0.002), (0.004, 0.030), (0.026, 0.0301), (0.028, 0.0302), (0.030, 0.032)]
-    passed = [clock.passed(100.0 + told, 7.0 + own) for told, own in arrivals]
-    assert passed == pytest.approx([0.0, 0.002, 0.002, 0.022, 0.002, 0.002])
-    # But lateness of long ago excuses nothing.
-    for n in range(60):
-        clock.passed(100.034 + 0.002 * n, 7.060 + 0.002 * n)
-    assert clock.passed(100.170, 7.180) == pytest.approx(0.002)
 
 
 def test_a_clock_that_was_wrong_for_one_state_is_right_again() -> None:
@@ -139,15 +136,14 @@ def test_each_set_point_is_for_its_own_cycle(firmware: Firmware) -> None:
 @pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
 def test_a_time_that_makes_no_sense_moves_nothing_by_more_than_a_cycle(told: float) -> None:
     feeding = Feeding(follower())
-    for _ in range(250):
-        feeding.state()
-    for _ in range(3):
-        feeding.state(told=feeding.time + told)
-        for _ in range(20):
-            feeding.state()
-    steps = np.abs(np.diff(np.array(feeding.sent)[:, 5]))
-    fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max()
-    assert steps.max() <= 1.1 * fastest * feeding.cycle + 1e-6
+    program = Program(servoing(NEWEST), feeding.q)
+    path = []
+    for n in range(313):
+        wrong = feeding.time + told if n > 250 and n % 20 == 0 else None
+        path.append(program.cycle(feeding.state(told=wrong))[5])
+    fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
+    assert np.abs(np.diff(path)).max() <= 1.1 * fastest + 1e-6
+    assert path[-1] == pytest.approx(WAVE.at(314 * feeding.cycle)[0][5], abs=1e-4)
 
 
 def test_a_clock_that_was_set_for_good_is_followed_from_there() -> None:
@@ -182,19 +178,27 @@ def test_what_was_missed_is_caught_up_with_a_tenth_faster(missed: int) -> None:
     assert sent[-1] == pytest.approx(WAVE.at((250 + missed + 601 + 1) * feeding.cycle)[0][5], abs=1e-4)
 
 
-@pytest.mark.parametrize("missed", [5, 20, 45])
-def test_an_old_state_that_is_answered_late_does_not_lead_back(missed: int) -> None:
-    """This thread took a state, and was held up before it answered."""
+def test_many_cycles_that_nobody_knows_of_here_are_not_made_up_for_at_once() -> None:
+    """A state whose time is wrong by less than what states that come together may be apart."""
     feeding = Feeding(follower())
     for _ in range(250):
         feeding.state()
-    before = np.array(feeding.sent)[-2:, 5]
-    feeding.state(1, own=(missed + 1) * feeding.cycle)
-    feeding.state(missed, own=0.0001)
-    coasted = (missed - missed * (missed + 1) / 100) * (before[1] - before[0])
-    steps = np.array(feeding.sent)[-2:, 5] - (before[1] + coasted)
+    before = feeding.sent[-1][5]
+    assert feeding.state(told=feeding.time + 0.09)
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
-    assert np.abs(steps).max() <= 1.2 * fastest
+    assert abs(feeding.sent[-1][5] - before) <= math.pi * (feeding.cycle + EARLY)
+    assert abs(feeding.sent[-1][5] - before) <= 6 * fastest
+
+
+def test_what_would_be_a_leap_whatever_is_sent_ends_it() -> None:
+    """The arm is led elsewhere than the trajectory is, and no time passes in which it could get there."""
+    led = follower(tolerances=Tolerances(path=None, goal=0.05, goal_time=5.0, start=1.0))
+    led.step(b"", state(50.0, turned(0.0)), 1000.0)
+    for n in range(1, 20):
+        led.step(b"", state(50.0 + 0.002 * n, turned(0.0)), 1000.0 + 0.002 * n)
+    led._q = turned(0.5)  # as no follower does
+    with pytest.raises(ToleranceExceeded, match="would have to leap"):
+        led.step(b"", state(50.04, turned(0.0)), 1000.04)
 
 
 def test_two_states_of_one_cycle_are_answered_once() -> None:
@@ -269,13 +273,14 @@ def test_feedback_is_told_where_the_trajectory_is() -> None:
 class Program:
     """The streaming program without the interpreter; `test_the_model_of_the_program` holds it to the real one."""
 
-    def __init__(self, missable: int, q: list[float]) -> None:
+    def __init__(self, servoing: Servoing, q: list[float]) -> None:
         self.q = list(q)
         self.is_over = False
         self._last = list(q)
         self._step = [0.0] * 6
         self._missed = 0
-        self._missable = missable
+        self._missable = servoing.missable
+        self._ways = [speed / servoing.firmware.rate for speed in servoing.speeds]
         self._has_begun = False
 
     def cycle(self, words: bytes) -> list[float]:
@@ -287,21 +292,25 @@ class Program:
             goal = word(last_word)[0]
             if self._has_begun:
                 self._step = [(b - a) / (self._missed + 1) for a, b in zip(self._last, goal, strict=True)]
-            self._has_begun, self._missed, self._last, self.q = True, 0, goal, goal
+            self.q = self._bounded(goal) if self._has_begun else goal
+            self._has_begun, self._missed, self._last = True, 0, goal
         elif self._missed < self._missable:
             self._missed += 1
             share = 1.0 - self._missed / self._missable
-            self.q = [q + step * share for q, step in zip(self.q, self._step, strict=True)]
+            self.q = self._bounded([q + step * share for q, step in zip(self.q, self._step, strict=True)])
         else:
             self.is_over = True
         return self.q
 
+    def _bounded(self, aim: list[float]) -> list[float]:
+        """No further than the joints get in a cycle."""
+        return [min(max(a, q - way), q + way) for a, q, way in zip(aim, self.q, self._ways, strict=True)]
+
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_the_model_of_the_program(firmware: Firmware) -> None:
-    servoing = Servoing(firmware, 0.1, 0.03, 300.0)
-    bench = Bench(servoing.body("10.0.0.1", 50001, TOKEN), firmware)
-    modelled = Program(servoing.missable, list(bench.motion.setpoint.q))
+    bench = Bench(servoing(firmware).body("10.0.0.1", 50001, TOKEN), firmware)
+    modelled = Program(servoing(firmware), list(bench.motion.setpoint.q))
     targets: list[list[float]] = []
     feeding = Feeding(follower(firmware), firmware)
     bench.watch_servoj(targets.append)
@@ -316,16 +325,44 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
         expected.append(modelled.cycle(words))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
-    assert len(targets) > 24 + servoing.missable
+    assert len(targets) > 24 + servoing(firmware).missable
     assert modelled.is_over
 
 
-#: What happens before a state: cycles that are missed here, what is added to its time, seconds that this computer's
-#: clock is off.
+@pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
+def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
+    """The tool joint to 0 over 1 s, to 1 rad over 3 s and back over 4 s, by the program on the robot and on its arm.
+
+    The arm of the simulator lags by half the look-ahead time and two over the gain; beside that lag it is where it
+    should be. (Two runs of the original differed by 0.03 rad. These are the same to the last bit.)
+    """
+    begin = turned(0.3)
+    path = Trajectory.from_arrays([0, 1, 4, 8], [begin, turned(0.0), turned(1.0), turned(0.0)])
+    bench = Bench(servoing(firmware).body("10.0.0.1", 50001, TOKEN), firmware, begin)
+    led = follower(firmware, path, Tolerances(path=0.05, goal=0.01, goal_time=1.0, start=0.05))
+    bench.run(2)
+    errors = []
+    lag = 0.5 * 0.03 + 2 / 300
+    while not led.is_over:
+        setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
+        words = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
+        bench.sockets.waiting.extend(words)
+        assert led.began is not None
+        t = 50.0 + now - led.began
+        errors.append(setpoint.q[5] - path.sample(t - lag)[0][5])
+        bench.run()
+        assert bench.cycle < 10 * firmware.rate
+    assert bench.path[-1] == pytest.approx(turned(0.0), abs=0.01)
+    assert np.abs(errors[round(0.1 * firmware.rate) :]).max() < 0.005
+
+
+#: What happens before a state: cycles that are missed here, what is added to its time, seconds that it is late, and
+#: seconds for which the controller itself is held up, as only a simulated one is.
 _events = st.tuples(
     st.one_of(st.just(0), st.just(0), st.integers(0, 8), st.integers(0, 70)),
-    st.one_of(st.just(0.0), st.sampled_from([1.0, -5.0, 0.05, -0.002, 0.002, math.nan, math.inf, 1e9])),
-    st.floats(-0.0004, 0.0004),
+    st.one_of(st.just(0.0), st.sampled_from([1.0, -5.0, 0.05, -0.1, 0.002, -0.002, math.nan, math.inf, 1e9])),
+    st.one_of(st.just(0.0), st.floats(0.0, 0.004), st.floats(0.0, 0.05)),
+    st.one_of(st.just(0.0), st.just(0.0), st.floats(0.0, 0.1)),
 )
 
 
@@ -337,28 +374,43 @@ _events = st.tuples(
     st.floats(0.05, 0.95),
 )
 def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
-    events: list[tuple[int, float, float]], firmware: Firmware, speed: float, where: float
+    happened: list[tuple[int, float, float, float]], firmware: Firmware, speed: float, where: float
 ) -> None:
-    """Cycle by cycle, what the joints are told is never further than they get in one at their largest speed."""
+    """Nor is anything sent that is further away than the joints get in the time; and all the same it arrives."""
     cycle = 1.0 / firmware.rate
     # So short that its middle, where it goes at `speed`, is soon reached.
     trajectory = Trajectory.from_arrays([0, 0.4], [turned(0.0), turned(0.4 * speed / 1.5)])
     led = follower(firmware, trajectory)
-    program = Program(Servoing(firmware, 0.1, 0.03, 300.0).missable, turned(0.0))
+    program = Program(servoing(firmware), turned(0.0))
     path = [program.q[5]]
-    now = 0
-    warming = [(0, 0.0, 0.0)] * round(where * trajectory.duration / cycle)
-    for stall, off, own in [*warming, *events]:
+    cycles, held, now, last = 0, 0.0, 1000.0, 0.0
+    budget = most = cycle + EARLY + servoing(firmware).watchdog
+    settled = [(0, 0.0, 0.0, 0.0)]
+    for stall, off, late, hold in [
+        *(settled * round(where * trajectory.duration / cycle)),
+        *happened,
+        *(settled * (2 * firmware.rate)),
+    ]:
+        held += hold
         for _ in range(stall):
-            now += 1
+            cycles += 1
             path.append(program.cycle(b"")[5])
-        now += 1
-        told = state(50.0 + now * cycle + off, program.q)
+        cycles += 1
+        before, now = now, max(now, 1000.0 + cycles * cycle + held + late)
+        budget = min(budget + now - before, most)
         try:
-            words = led.step(b"", told, 1000.0 + now * cycle + own)
+            words = led.step(b"", state(50.0 + cycles * cycle + off, program.q), now)
         except LinkError:
-            break  # a clear end: the program brakes
+            return  # a clear end: the program brakes
+        if words and word(words)[1] == FOLLOW:
+            aim = word(words)[0][5]
+            budget -= abs(aim - last) / math.pi
+            assert budget >= -1e-5
+            last = aim
         path.append(program.cycle(words)[5])
+        assert abs(path[-1] - path[-2]) <= math.pi * cycle + 1e-9
         if program.is_over:
-            break  # nothing came for too long: it braked by itself
-    assert np.abs(np.diff(path)).max() <= math.pi * (cycle + EARLY) + 1e-5
+            return  # nothing came for too long: it braked by itself
+        if led.is_over:
+            break
+    assert path[-1] == pytest.approx(trajectory.q[-1][5], abs=0.06)

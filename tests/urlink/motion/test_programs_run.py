@@ -15,6 +15,8 @@ from urlink.urscript.source import Permission, expiry_marker
 from urlink.urscript.text import number
 
 TOKEN = 0x01020304
+#: rad/s, of each joint of a UR5.
+SPEEDS = [np.pi] * 6
 FIRMWARES = [Firmware(1, 8), Firmware(3, 4), Firmware(5, 11)]
 NEW = FIRMWARES[1:]
 
@@ -28,7 +30,7 @@ WAVE = Trajectory.from_arrays(
 
 
 def streaming(firmware: Firmware, **options: float) -> Bench:
-    bench = Bench(programs.streaming(firmware, "10.0.0.1", 50001, TOKEN, **options), firmware)
+    bench = Bench(programs.streaming(firmware, "10.0.0.1", 50001, TOKEN, speeds=SPEEDS, **options), firmware)
     bench.run(3, lambda: bench.sockets.waiting.extend(WAIT_WORD))
     assert bytes(bench.sockets.sent) == TOKEN.to_bytes(4, "big")
     return bench
@@ -86,6 +88,22 @@ def test_goes_on_by_its_last_step_ever_slower(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_does_not_leap_whatever_it_is_told(firmware: Firmware) -> None:
+    """It goes there all the same, at the largest speed of each joint."""
+    bench = streaming(firmware, watchdog=0.1)
+    targets: list[list[float]] = []
+    bench.watch_servoj(targets.append, is_followed=False)
+    away = [0.3, HOME[1] - 0.3, HOME[2] + 0.2, HOME[3] - 0.1, HOME[4] + 0.05, 0.5]
+    for aim in (HOME, *[away] * round(0.5 * firmware.rate)):
+        bench.sockets.waiting.extend(setpoint(aim))
+        bench.run()
+    steps = np.abs(np.diff(np.array(targets), axis=0))
+    assert steps.max() <= np.pi / firmware.rate + 1e-9
+    assert steps[0] == pytest.approx([np.pi / firmware.rate] * 6, abs=1e-9)
+    assert targets[-1] == pytest.approx(away, abs=1e-6)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
     bench = streaming(firmware, watchdog=0.1)
     for i in range(50):
@@ -122,7 +140,7 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
     for body in (
-        programs.streaming(firmware, "10.0.0.1", 50001, TOKEN),
+        programs.streaming(firmware, "10.0.0.1", 50001, TOKEN, speeds=SPEEDS),
         waypoints.interpolating(firmware, "10.0.0.1", 50001, TOKEN, is_quintic=True),
     ):
         bench = Bench(body, firmware)

@@ -20,7 +20,13 @@ GOLDEN = Path(__file__).parent / "golden"
 FIRMWARES = ("1.8", "3.1", "3.4", "5.0", "5.11")
 
 CASES: dict[str, Callable[[Firmware], str]] = {
-    **{f"digital_out {pin}": lambda fw, pin=pin: commands.digital_out(fw, pin, pin % 2 == 0) for pin in range(18)},  # type: ignore[misc]
+    **{
+        f"{bank.name} digital_out {number}": lambda fw, bank=bank, number=number: commands.digital_out(  # type: ignore[misc]
+            fw, bank, number, number % 2 == 0
+        )
+        for bank in (commands.STANDARD, commands.CONFIGURABLE, commands.TOOL)
+        for number in range(bank.size)
+    },
     "analog_out 0": lambda fw: commands.analog_out(fw, 0, 0.25),
     "analog_out 1": lambda fw: commands.analog_out(fw, 1, 1),
     "tool_voltage": lambda fw: commands.tool_voltage(24),
@@ -60,11 +66,11 @@ NEW = Firmware(5, 11)
 @pytest.mark.parametrize(
     ("build", "match"),
     [
-        (lambda: commands.digital_out(NEW, 18, True), "0 to 17"),
-        (lambda: commands.digital_out(NEW, -1, True), "0 to 17"),
-        (lambda: commands.digital_out(NEW, 1.0, True), "whole number"),  # type: ignore[arg-type]
-        (lambda: commands.digital_out(NEW, True, True), "whole number"),
-        (lambda: commands.digital_out(NEW, 0, 1), "True or False"),  # type: ignore[arg-type]
+        (lambda: commands.digital_out(NEW, commands.STANDARD, 8, True), "0 to 7"),
+        (lambda: commands.digital_out(NEW, commands.TOOL, -1, True), "tool digital output is -1.*0 to 1"),
+        (lambda: commands.digital_out(NEW, commands.STANDARD, 1.0, True), "whole number"),  # type: ignore[arg-type]
+        (lambda: commands.digital_out(NEW, commands.STANDARD, True, True), "whole number"),
+        (lambda: commands.digital_out(NEW, commands.STANDARD, 0, 1), "True or False"),  # type: ignore[arg-type]
         (lambda: commands.analog_out(NEW, 2, 0.5), "0 to 1"),
         (lambda: commands.analog_out(NEW, 0, 1.001), "0 to 1"),
         (lambda: commands.analog_out(NEW, 0, float("nan")), "finite"),

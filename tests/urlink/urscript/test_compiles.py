@@ -7,7 +7,7 @@ import pytest
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import ScriptError, compile_script
 from urlink.urscript import commands
-from urlink.urscript.source import wrap
+from urlink.urscript.source import Permission, wrap
 
 FIRMWARES = ("1.8", "3.1", "3.4", "5.0", "5.11")
 
@@ -21,10 +21,11 @@ SOURCES = {
 }
 
 
+@pytest.mark.parametrize("permission", [None, Permission(31, 100)])
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("name", SOURCES)
-def test_programs(name: str, firmware: str) -> None:
-    wrapped = wrap(SOURCES[name], "t")
+def test_programs(name: str, firmware: str, permission: Permission | None) -> None:
+    wrapped = wrap(SOURCES[name], "t", permission)
     script = compile_script(wrapped.text, Firmware.parse(firmware))
     assert script.name == wrapped.name
     assert script.kind == ("sec" if wrapped.is_secondary else "def")
@@ -34,7 +35,7 @@ def test_programs(name: str, firmware: str) -> None:
 def test_commands(firmware: str) -> None:
     version = Firmware.parse(firmware)
     statements = [
-        *(commands.digital_out(version, pin, True) for pin in (0, 16)),
+        *(commands.digital_out(version, bank, 0, True) for bank in (commands.STANDARD, commands.TOOL)),
         commands.analog_out(version, 0, 0.5),
         commands.tool_voltage(24),
         commands.flag(3, True),
@@ -43,7 +44,10 @@ def test_commands(firmware: str) -> None:
         commands.popup("a # b", "c", True, False),
     ]
     if not version.is_cb2:
-        statements += [commands.digital_out(version, 8, True), commands.payload(version, 1, (0, 0, 0.1))]
+        statements += [
+            commands.digital_out(version, commands.CONFIGURABLE, 0, True),
+            commands.payload(version, 1, (0, 0, 0.1)),
+        ]
     if version >= (5, 10):
         statements.append(commands.payload(version, 1, (0, 0, 0.1), (0.1,) * 6))
     compile_script(commands.secondary(*statements), version)

@@ -1,7 +1,11 @@
-"""The programs that move an arm, word for word per firmware."""
+"""The programs that move an arm, word for word per firmware.
+
+`URLINK_WRITE_GOLDEN=1` writes the files anew: read the difference before you commit it.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +15,8 @@ from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 from urlink.urscript import programs, waypoints
 
+#: rad/s, of no arm there is.
+SPEEDS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 GOLDEN = Path(__file__).parent / "golden"
 
 PROGRAMS: dict[str, Callable[[Firmware], list[str]]] = {
@@ -19,11 +25,15 @@ PROGRAMS: dict[str, Callable[[Firmware], list[str]]] = {
     "speed_joints": lambda firmware: programs.speed_joints(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.4, 0.5),
     "speed_linear": lambda firmware: programs.speed_linear(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.2, 0.5),
     "stop": lambda firmware: programs.stop(2),
-    "streaming": lambda firmware: programs.streaming(firmware, "192.168.56.1", 50001),
+    "streaming": lambda firmware: programs.streaming(firmware, "192.168.56.1", 50001, 123456789, speeds=SPEEDS),
 }
 WAYPOINTS: dict[str, Callable[[Firmware], list[str]]] = {
-    "waypoints_cubic": lambda firmware: waypoints.interpolating(firmware, "192.168.56.1", 50001, is_quintic=False),
-    "waypoints_quintic": lambda firmware: waypoints.interpolating(firmware, "192.168.56.1", 50001, is_quintic=True),
+    "waypoints_cubic": lambda firmware: waypoints.interpolating(
+        firmware, "192.168.56.1", 50001, 123456789, is_quintic=False
+    ),
+    "waypoints_quintic": lambda firmware: waypoints.interpolating(
+        firmware, "192.168.56.1", 50001, 123456789, is_quintic=True
+    ),
 }
 #: Of each firmware that has texts of its own.
 CASES = [(version, name) for version in ("1.8", "3.1", "3.4", "5.11") for name in PROGRAMS] + [
@@ -34,7 +44,10 @@ CASES = [(version, name) for version in ("1.8", "3.1", "3.4", "5.11") for name i
 @pytest.mark.parametrize(("version", "name"), CASES)
 def test_text(version: str, name: str) -> None:
     text = "\n".join((PROGRAMS | WAYPOINTS)[name](Firmware.parse(version))) + "\n"
-    assert text == (GOLDEN / f"{name}_{version}.script").read_text()
+    path = GOLDEN / f"{name}_{version}.script"
+    if os.environ.get("URLINK_WRITE_GOLDEN"):
+        path.write_text(text, encoding="utf-8")
+    assert text == path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("version", "name"), CASES)
@@ -67,9 +80,9 @@ def test_speeds_without_a_time(version: str) -> None:
 
 
 def test_the_watchdog_counts_cycles() -> None:
-    assert "elif missed < 50:" in "\n".join(programs.streaming(Firmware(5, 11), "h", 1, watchdog=0.1))
-    assert "elif missed < 13:" in "\n".join(programs.streaming(Firmware(3, 4), "h", 1, watchdog=0.1))
-    assert "elif missed < 2:" in "\n".join(programs.streaming(Firmware(3, 4), "h", 1, watchdog=0.001))
+    assert "elif missed < 50:" in "\n".join(programs.streaming(Firmware(5, 11), "h", 1, 0, speeds=SPEEDS, watchdog=0.1))
+    assert "elif missed < 13:" in "\n".join(programs.streaming(Firmware(3, 4), "h", 1, 0, speeds=SPEEDS, watchdog=0.1))
+    assert "elif missed < 2:" in "\n".join(programs.streaming(Firmware(3, 4), "h", 1, 0, speeds=SPEEDS, watchdog=0.001))
 
 
 @pytest.mark.parametrize(
@@ -77,10 +90,11 @@ def test_the_watchdog_counts_cycles() -> None:
     [
         lambda: programs.move_joints([0] * 5, 1, 1),
         lambda: programs.move_linear([float("nan")] * 6, 1, 1),
-        lambda: programs.streaming(Firmware(5, 11), 'h"', 1),
-        lambda: programs.streaming(Firmware(5, 11), "h", 0),
-        lambda: programs.streaming(Firmware(5, 11), "h", 1, gain=5000),
-        lambda: waypoints.interpolating(Firmware(5, 11), "h", 1, is_quintic=True, lookahead_time=0.001),
+        lambda: programs.streaming(Firmware(5, 11), 'h"', 1, 0, speeds=SPEEDS),
+        lambda: programs.streaming(Firmware(5, 11), "h", 0, 0, speeds=SPEEDS),
+        lambda: programs.streaming(Firmware(5, 11), "h", 1, 1 << 31, speeds=SPEEDS),
+        lambda: programs.streaming(Firmware(5, 11), "h", 1, 0, speeds=SPEEDS, gain=5000),
+        lambda: waypoints.interpolating(Firmware(5, 11), "h", 1, 0, is_quintic=True, lookahead_time=0.001),
     ],
 )
 def test_what_cannot_be_written(call: Callable[[], object]) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from urlink.urscript.source import LARGEST, program, wrap
+from urlink.urscript.source import LARGEST, Permission, program, wrap
 
 
 def body(source: str) -> list[str]:
@@ -60,13 +60,16 @@ def test_secondary() -> None:
         wrap("sec a():\n b() end", "t")
 
 
+@pytest.mark.parametrize("permission", [None, Permission(31, 100)])
 @pytest.mark.parametrize(
     "source", ["movej(q)", "def f():\n  movej(q)\nend", "sec f():\n  movej(q)\nend", "\n\nsec f():\n  x\nend"]
 )
-def test_places_are_the_users(source: str) -> None:
-    wrapped = wrap(source, "t")
+def test_places_are_the_users(source: str, permission: Permission | None) -> None:
+    wrapped = wrap(source, "t", permission)
     sent, own = wrapped.text.splitlines(), source.splitlines()
     for number, line in enumerate(sent, 1):
+        if number <= wrapped.above and not wrapped.is_secondary:
+            continue  # the beginning, and the permission
         if "textmsg" in line or "_t()" in line or line.strip() in ("end", "f()"):
             continue
         at, column = wrapped.place(number, len(line) - len(line.lstrip()) + 1)
@@ -75,6 +78,30 @@ def test_places_are_the_users(source: str) -> None:
     for number in (-5, 0, 99):
         assert 1 <= wrapped.place(number, 0)[0] <= len(own)
         assert wrapped.place(number, 0)[1] == 1
+
+
+def test_waits_to_be_let_go_on() -> None:
+    wrapped = wrap("movej(q)", "t", Permission(flag=7, cycles=250))
+    assert wrapped.asks
+    assert wrapped.text == (
+        "def urlink_t():\n"
+        "  set_flag(7, False)\n"
+        '  textmsg("urlink_t started")\n'
+        "  urlink_cycles = 0\n"
+        "  while urlink_cycles < 250 and not get_flag(7):\n"
+        "    urlink_cycles = urlink_cycles + 1\n"
+        "    sync()\n"
+        "  end\n"
+        "  if not get_flag(7):\n"
+        '    textmsg("urlink_t was not permitted to go on")\n'
+        "    halt\n"
+        "  end\n"
+        "  movej(q)\n"
+        '  textmsg("urlink_t finished")\n'
+        "end\n"
+    )
+    # A sec may take no time, so it cannot wait.
+    assert not wrap("sec a():\n  b()\nend", "t", Permission(7, 250)).asks
 
 
 def test_the_line_in_the_controllers_words_is_the_users() -> None:

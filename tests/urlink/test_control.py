@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,20 +53,6 @@ def lines(controller: Controller, count: int) -> list[str]:
 def test_commands(controller: Controller, robot: urlink.Robot, act: Callable[[urlink.Robot], None], text: str) -> None:
     act(robot)
     assert lines(controller, 3) == ["sec urlink_command():", text, "end"]
-
-
-@pytest.mark.parametrize(("mass", "is_carried"), [(6.25, True), (6.3, False), (50.0, False)])
-def test_no_payload_that_the_arm_cannot_carry(
-    controller: Controller, robot: urlink.Robot, mass: float, is_carried: bool
-) -> None:
-    """A UR5e carries 5 kg, and a quarter is left for later software."""
-    if is_carried:
-        robot.set_payload(mass)
-        assert len(lines(controller, 3)) == 3
-    else:
-        with pytest.raises(BadValue, match=r"a UR5e carries 5 kg"):
-            robot.set_payload(mass)
-        assert not controller.received
 
 
 def test_speed_slider(controller: Controller, robot: urlink.Robot) -> None:
@@ -132,7 +120,8 @@ def test_read_only(controller: Controller) -> None:
                 getattr(robot, name)
         with pytest.raises(LocalError, match="read_only=True"):
             robot.set_payload(1.0)
-    assert robot.control is None
+        with pytest.raises(LocalError, match="no simulator of this program"):
+            robot.controller  # noqa: B018
 
 
 def test_a_recording(robot: urlink.Robot, tmp_path: Path) -> None:
@@ -148,8 +137,32 @@ def test_a_recording(robot: urlink.Robot, tmp_path: Path) -> None:
 def test_bad_arguments() -> None:
     with pytest.raises(BadValue, match="require_enable='sometimes'"):
         urlink.connect("sim://", require_enable="sometimes")  # type: ignore[arg-type]
-    with pytest.raises(BadValue, match="reverse_port=70000"):
-        urlink.connect("sim://", reverse_port=70000)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"reverse_port": 70000},
+        {"reverse_port": -1},
+        {"reverse_port": "50001"},
+        {"reverse_host": ""},
+        {"reverse_host": 3},
+        {"reverse_peer": 3},
+        {"timeout": 0},
+        {"timeout": "5"},
+        {"silence": None},
+        {"stale_after": 0},
+        {"start_timeout": float("nan")},
+        {"start_flag": 32},
+        {"start_flag": True},
+        {"backoff": 2.0},
+    ],
+    ids=str,
+)
+def test_what_makes_no_sense_is_named(option: dict[str, Any]) -> None:
+    (name,) = option
+    with pytest.raises(BadValue, match=name):
+        urlink.connect("sim://", **option)
 
 
 def test_closing_is_quick_and_final(controller: Controller) -> None:
@@ -159,3 +172,31 @@ def test_closing_is_quick_and_final(controller: Controller) -> None:
     robot.close()
     with pytest.raises((NotRunning, urlink.Closed)):
         robot.script.send_line("stopj(1.0)")
+
+
+def test_closing_ends_in_its_time_whatever_a_callback_does(controller: Controller) -> None:
+    robot = urlink.connect(controller.address)
+    go_on = threading.Event()
+    inside = threading.Event()
+
+    def hang(motion: urlink.Motion) -> None:
+        inside.set()
+        go_on.wait(20)
+
+    motion = robot.motion.stop()
+    motion.add_done_callback(hang)
+    motion.wait(10)
+    assert inside.wait(10)
+    began = time.monotonic()
+    robot.close(0.5)
+    assert time.monotonic() - began < 5.0
+    go_on.set()
+
+
+def test_a_setting_that_was_made_just_before_leaving_arrives(controller: Controller) -> None:
+    """The connection is closed in good order: what was sent last is not discarded."""
+    controller.faults.clear()
+    for on in (True, False, True):
+        with urlink.connect(controller.address) as robot:
+            robot.io.set_digital_out(5, on, confirm=None)
+        until(lambda on=on: bool(controller.signals.digital_outputs >> 5 & 1) == on)  # type: ignore[misc]
