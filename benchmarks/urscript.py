@@ -64,17 +64,22 @@ def is_running(controller: Controller) -> bool:
 
 
 def connected(controller: Controller, listener: socket.socket) -> socket.socket:
-    """Step until the program has connected."""
+    """Step until the program has connected, and has said its token, which is 0."""
     listener.settimeout(0.0)
+    link: socket.socket | None = None
+    token = b""
     for _ in range(1000):
         controller.step()
         try:
-            link, _ = listener.accept()
+            if link is None:
+                link, _ = listener.accept()
+                link.setblocking(False)
+                link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            token += link.recv(4 - len(token))
         except BlockingIOError:
             continue
-        link.setblocking(False)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return link
+        if token == bytes(4):
+            return link
     raise SystemExit("the program did not connect")
 
 
@@ -113,7 +118,7 @@ def low_bandwidth(model: str, firmware: str) -> float:
     with listen() as listener:
         run(
             controller,
-            waypoints.interpolating(controller.firmware, "127.0.0.1", listener.getsockname()[1], is_quintic=False),
+            waypoints.interpolating(controller.firmware, "127.0.0.1", listener.getsockname()[1], 0, is_quintic=False),
         )
         with closing(connected(controller, listener)) as link:
             last = round(SECONDS / APART)

@@ -297,7 +297,7 @@ def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
 def test_cancelling_under_a_stop_sends_nothing(robot: StandIn) -> None:
     program = run(robot)
     robot.begins(program)
-    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP, runs=True)
     until(lambda: robot.safety.cause is not None)
     program.cancel()
     assert len(uploaded(robot)) == 1

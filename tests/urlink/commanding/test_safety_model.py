@@ -143,7 +143,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
             assert self.lines["primary"].sent.pop() == "movej(q)\n"
             self.motions += 1
 
-    def event(self, tell: Callable[[], None], change: Callable[[], object]) -> None:
+    def event(self, tell: Callable[[], object], change: Callable[[], object]) -> None:
         """Something happens to the robot, and to the model."""
         was_clear, count = self.told is None, len(self.closings)
         change()

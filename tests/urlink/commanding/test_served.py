@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -120,12 +120,13 @@ def test_every_setting_is_confirmed(address: str) -> None:
 def test_local_control_is_told(robot: urlink.Robot) -> None:
     robot.io.set_digital_out(0, True)
     robot.controller.remote_control = False
-    for act in (
+    acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(0, False, confirm=0.3),
         lambda: robot.set_payload(2.0, confirm=0.3),
         lambda: robot.set_tcp([0, 0, 0.3, 0, 0, 0], confirm=0.3),
         lambda: robot.set_speed_slider(0.3, confirm=0.3),
-    ):
+    ]
+    for act in acts:
         with pytest.raises(NotConfirmed, match="The robot is in local control"):
             act()
     robot.popup("lost, and nothing tells")

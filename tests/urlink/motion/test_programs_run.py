@@ -81,8 +81,8 @@ def test_goes_on_by_its_last_step_ever_slower(firmware: Firmware) -> None:
     late = streaming(firmware, watchdog=0.1)
     targets = []
     late.watch_servoj(targets.append)
-    for i in (0, 1, None, None, 4, None):
-        late.sockets.waiting.extend(b"" if i is None else setpoint(turned(0.004 * i)))
+    for step in (0, 1, None, None, 4, None):
+        late.sockets.waiting.extend(b"" if step is None else setpoint(turned(0.004 * step)))
         late.run()
     assert targets[-1][5] - targets[-2][5] == pytest.approx(0.004 * (1 - 1 / most), abs=1e-9)
 
@@ -312,9 +312,9 @@ def test_ends_without_moving_where_nobody_lets_it_go_on(firmware: Firmware) -> N
     bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=PERMISSION)
     bench.flags[31] = True
     bench.run(40)
-    assert not bench.execution.is_over
+    assert [bench.execution.is_over] == [False]
     bench.run(5)
-    assert bench.execution.is_over
+    assert [bench.execution.is_over] == [True]
     bench.flags[31] = True
     bench.run(100)
     assert bench.texts == ["tried started", expiry_marker("tried")]

@@ -85,7 +85,9 @@ def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: st
     robot = connect(arm, firmware)
     path = tool_path(robot)
     told: list[TrajectoryFeedback] = []
-    motion = robot.motion.follow(path, low_bandwidth=low_bandwidth, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0)
+    motion = robot.motion.follow(
+        path, low_bandwidth=low_bandwidth, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0
+    )
     motion.wait(PATIENCE)
     assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
