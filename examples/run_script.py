@@ -38,7 +38,7 @@ def main() -> int:
                 program.wait(args.timeout)
             finally:
                 # After Ctrl-C, or too long: closing the connection alone would leave it running.
-                program.stop()
+                program.cancel()
                 print(*program.texts, sep="\n")
     except urlink.ScriptError as error:
         lines = source.splitlines()

@@ -20,7 +20,7 @@ SOCKETS = {
 }
 
 #: The only modules that may import `asyncio`.
-AWAITED = {"linkcore.handle", "urlink.motion.handle"}
+AWAITED = {"linkcore.handle"}
 
 #: The only modules that may start threads.
 THREADS = {

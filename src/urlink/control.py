@@ -86,7 +86,7 @@ class Control:
         self._callbacks = callbacks = CallbackThread(f"{name} callbacks")
         # The library's side of the streams, which users do not hold.
         slow, fast = primary._connection, realtime._connection
-        section = Section(lambda: slow.reads_here() or fast.reads_here())
+        section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
         channel = CommandChannel(slow, monitor, section)
@@ -98,16 +98,14 @@ class Control:
             callbacks,
             start_timeout=options.start_timeout,
             start_flag=options.start_flag,
-            rate=lambda: who.identity.firmware.rate,
+            who=who,
         )
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
-        self.settings = Settings(
-            channel, slow, fast, lambda: who.identity, section, self._is_remote, options.start_flag
-        )
+        self.settings = Settings(channel, slow, fast, who, section, self._is_remote, options.start_flag)
         self.io = IO(self.settings, primary)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
-        self.motion = Motions(MotionContext(programs, channel, realtime, lambda: who.identity, reverse, section))
+        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, section))
 
     @property
     def dashboard(self) -> Dashboard:

@@ -12,7 +12,7 @@ from linkcore.net.transport import TcpTransport
 from .firmware import Firmware, infer, release_of
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_state import ConfigurationData, RobotState
-from .models import model_of
+from .models import MODELS, Model, model_of
 
 __all__ = ["Identity", "KnownIdentity", "identify"]
 
@@ -33,6 +33,11 @@ class Identity:
     firmware: Firmware
     said_so: bool
     model: str | None
+
+    @property
+    def arm(self) -> Model | None:
+        """Geometry and limits of the arm; None where the controller does not say which it is, or nobody knows it."""
+        return None if self.model is None else MODELS.get(self.model)
 
 
 class KnownIdentity:

@@ -20,7 +20,7 @@ from urlink.commanding.scripts import Scripts
 from urlink.commanding.section import Section
 from urlink.commanding.settings import Settings
 from urlink.firmware import Firmware
-from urlink.identity import Identity
+from urlink.identity import Identity, KnownIdentity
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
 from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, SafetyModeMessage, TextMessage
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
@@ -49,13 +49,14 @@ class StandIn:
         self.firmware = Firmware.parse(firmware)
         self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
         transports = {"primary": self.slow, "realtime": self.fast}
-        self.identity = Identity(self.firmware, True, model)
-        source = Source(lambda: self.identity, transports.__getitem__, backoff, 5.0, None, False)
+        identity = Identity(self.firmware, True, model)
+        self.who = KnownIdentity(lambda: identity)
+        source = Source(lambda: identity, transports.__getitem__, backoff, 5.0, None, False)
         self.primary: Stream[RobotState] = source.stream("primary", "stand-in primary", lambda: None)
         self.realtime: Stream[RealtimeState] = source.stream("realtime", "stand-in realtime", lambda: None)
         self.callbacks = CallbackThread("stand-in callbacks")
         slow, fast = self.primary._connection, self.realtime._connection
-        self.section = Section(lambda: slow.reads_here() or fast.reads_here())
+        self.section = Section(slow.reads_here, fast.reads_here)
         self.monitor = SafetyMonitor(slow, fast, Interlock(policy, stale_after), self.section, self.callbacks)
         self.channel = CommandChannel(slow, self.monitor, self.section)
         self.programs = Programs(
@@ -66,7 +67,7 @@ class StandIn:
             self.callbacks,
             start_timeout=start_timeout,
             start_flag=start_flag,
-            rate=lambda: self.firmware.rate,
+            who=self.who,
         )
         self.safety = Safety(self.monitor)
         self.script = Scripts(self.programs, self.channel, self.callbacks)
@@ -74,7 +75,7 @@ class StandIn:
             self.channel,
             slow,
             fast,
-            lambda: self.identity,
+            self.who,
             self.section,
             lambda: is_remote,
             start_flag,

@@ -26,9 +26,10 @@ from linkcore.text import printable
 from linkcore.wire.packet import State
 
 from ..errors import Cancelled, CompileError, NotRunning, ProgramStopped, ScriptError, ScriptFailed
+from ..identity import KnownIdentity
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
-from ..urscript import commands, programs
+from ..urscript import programs
 from ..urscript import source as sources
 from ..urscript.source import Permission, Wrapped
 from .callbacks import CallbackThread
@@ -108,7 +109,7 @@ class Programs:
         section, callbacks: of the robot.
         start_timeout: seconds that a program has to begin, and to be let go on.
         start_flag: number of the flag by which it is; None lets every program begin at once, however late.
-        rate: tells the cycles of the controller in a second.
+        who: tells who the controller is.
         clock: seconds that only grow.
     """
 
@@ -122,7 +123,7 @@ class Programs:
         *,
         start_timeout: float,
         start_flag: int | None,
-        rate: Callable[[], int],
+        who: KnownIdentity,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._primary = primary
@@ -132,7 +133,7 @@ class Programs:
         self._callbacks = callbacks
         self._start_timeout = start_timeout
         self._start_flag = start_flag
-        self._rate = rate
+        self._who = who
         self._clock = clock
         self._token = os.urandom(2).hex()  # another process may be sending programs too
         self._numbers = itertools.count(1)
@@ -171,7 +172,7 @@ class Programs:
     def _permission(self) -> Permission | None:
         if self._start_flag is None:
             return None
-        return Permission(self._start_flag, max(round(self._start_timeout * self._rate()), 1))
+        return Permission(self._start_flag, max(round(self._start_timeout * self._who.identity.firmware.rate), 1))
 
     def start(
         self,
@@ -341,9 +342,8 @@ class Programs:
                 raise Cancelled(f"{run.life.name} is over")
 
         try:
-            permission = commands.secondary(commands.flag(self._start_flag, True))
             # Without waiting: this thread has more to hear.
-            self._channel.motion(permission, claim=claim, wait=False)
+            self._channel.motion(sources.grant(self._start_flag), claim=claim, wait=False)
         except LinkError as error:
             run.life.fail(error)
 

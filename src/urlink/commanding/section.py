@@ -25,12 +25,13 @@ class Section:
     """A lock around decisions, as a context manager.
 
     Args:
-        delivers: whether the current thread has to hand over what others wait for: it reads a stream.
+        reads_here: each tells whether the current thread reads some stream, and so has to hand over what others wait
+            for.
     """
 
-    def __init__(self, delivers: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, *reads_here: Callable[[], bool]) -> None:
         self._lock = threading.RLock()
-        self._delivers = delivers
+        self._reads_here = reads_here
 
     def __enter__(self) -> None:
         self._lock.acquire()
@@ -41,7 +42,7 @@ class Section:
     @property
     def may_wait(self) -> bool:
         """The current thread can wait for what a robot says: it is not the one that has to hear it."""
-        return not self._delivers()
+        return not any(reads_here() for reads_here in self._reads_here)
 
     def check_waiting(self) -> None:
         """Refuse to wait where that would be in vain.

@@ -20,10 +20,9 @@ from linkcore.streaming.connection import Connection
 
 from ..errors import NotConfirmed
 from ..firmware import Firmware
-from ..identity import Identity
+from ..identity import KnownIdentity
 from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import MODELS
 from ..urscript import commands
 from ..urscript.text import checked
 from .channel import CommandChannel
@@ -65,7 +64,7 @@ class Settings:
     Args:
         channel: by which they leave.
         primary, realtime: the connections whose states show them.
-        identity: tells who the controller is.
+        who: tells who the controller is.
         section: of the robot.
         is_remote: asks whether an e-Series is in remote control; None if nobody can tell. It must be quick.
         start_flag: the flag by which programs are let go on, which is nobody else's; None if there is none.
@@ -76,7 +75,7 @@ class Settings:
         channel: CommandChannel,
         primary: Connection,
         realtime: Connection,
-        identity: Callable[[], Identity],
+        who: KnownIdentity,
         section: Section,
         is_remote: Callable[[], bool | None],
         start_flag: int | None,
@@ -84,7 +83,7 @@ class Settings:
         self._channel = channel
         self._primary = primary
         self._realtime = realtime
-        self._identity = identity
+        self._who = who
         self._section = section
         self._is_remote = is_remote
         self._start_flag = start_flag
@@ -92,15 +91,15 @@ class Settings:
     @property
     def firmware(self) -> Firmware:
         """What the controller runs."""
-        return self._identity().firmware
+        return self._who.identity.firmware
 
     def payload(
         self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, confirm: float | None
     ) -> None:
         """See `Robot.set_payload`."""
-        identity = self._identity()
+        identity = self._who.identity
         statement = commands.payload(identity.firmware, mass, cog, inertia)
-        arm = None if identity.model is None else MODELS.get(identity.model)
+        arm = identity.arm
         if arm is not None and mass > arm.payload * _PAYLOAD_MARGIN:
             raise BadValue(f"payload mass is {mass:g} kg; a {arm.name} carries {arm.payload:g} kg")
         wanted = [mass, *(() if cog is None else cog)]

@@ -11,10 +11,8 @@ from linkcore.streaming.stream import Stream
 from ..commanding.channel import CommandChannel
 from ..commanding.programs import Programs
 from ..commanding.section import Section
-from ..firmware import Firmware
-from ..identity import Identity
+from ..identity import KnownIdentity
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model, UnknownModel, model
 from .reverse import ReversePort
 
 __all__ = ["MotionContext"]
@@ -28,7 +26,7 @@ class MotionContext:
         programs: uploads programs.
         channel: sends set-points.
         realtime: where the joints are, and the controller's clock.
-        identity: tells who the controller is.
+        who: tells who the controller is.
         reverse: where its programs connect to.
         section: of the robot; left while somebody waits.
         clock: seconds that only grow.
@@ -37,24 +35,10 @@ class MotionContext:
     programs: Programs
     channel: CommandChannel
     realtime: Stream[RealtimeState]
-    identity: Callable[[], Identity]
+    who: KnownIdentity
     reverse: ReversePort
     section: Section
     clock: Callable[[], float] = time.monotonic
-
-    @property
-    def firmware(self) -> Firmware:
-        """What the controller runs."""
-        return self.identity().firmware
-
-    @property
-    def model(self) -> Model | None:
-        """The arm; None if the controller does not say, or its limits are not known."""
-        name = self.identity().model
-        try:
-            return None if name is None else model(name)
-        except UnknownModel:
-            return None
 
     def state(self) -> RealtimeState:
         """The newest state, or the next one.

@@ -65,7 +65,7 @@ class Motions:
             time: seconds that it is to take; then speed and acceleration do not matter.
         """
         goal = six(q, "q")
-        model = self._context.model
+        model = self._context.who.identity.arm
         if model is not None:
             _within(model, goal)
             checked(speed, "speed", _LEAST, float(model.max_speed.max()))
@@ -104,12 +104,14 @@ class Motions:
             duration: seconds until it brakes.
         """
         speeds = six(qd, "qd")
-        model = self._context.model
+        model = self._context.who.identity.arm
         if model is not None:
             for joint, (value, limit) in enumerate(zip(speeds.tolist(), model.max_speed.tolist(), strict=True)):
                 checked(value, f"qd[{joint}] ({JOINTS[joint]})", -limit, limit)
         duration = checked(duration, "duration", _LEAST, _HOUR)
-        body = programs.speed_joints(self._context.firmware, speeds.tolist(), _acceleration(acceleration), duration)
+        body = programs.speed_joints(
+            self._context.who.identity.firmware, speeds.tolist(), _acceleration(acceleration), duration
+        )
         return self._speed("speed_joints", body, duration)
 
     def speed_linear(self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5) -> Motion:
@@ -122,7 +124,9 @@ class Motions:
         """
         speeds = six(xd, "xd")
         duration = checked(duration, "duration", _LEAST, _HOUR)
-        body = programs.speed_linear(self._context.firmware, speeds.tolist(), _acceleration(acceleration), duration)
+        body = programs.speed_linear(
+            self._context.who.identity.firmware, speeds.tolist(), _acceleration(acceleration), duration
+        )
         return self._speed("speed_linear", body, duration)
 
     def stop(self, acceleration: float = 2.0) -> Motion:
@@ -172,7 +176,7 @@ class Motions:
         """
         if not isinstance(trajectory, Trajectory):
             raise BadValue(f"{trajectory!r} is no Trajectory")
-        context, firmware = self._context, self._context.firmware
+        context, firmware = self._context, self._context.who.identity.firmware
         if low_bandwidth and firmware.is_cb2:
             raise LocalError(f"firmware {firmware} cannot interpolate by itself: without low_bandwidth only")
         tolerances = Tolerances(
@@ -182,7 +186,7 @@ class Motions:
             checked(start_tolerance, "start_tolerance", 1e-6, 1.0),
         )
         servoing = self._servoing(watchdog, lookahead_time, gain)
-        model = context.model
+        model = context.who.identity.arm
         trajectory.check(model)
         if self.current is None:
             # Otherwise it is looked at once the arm stands, after the motion before.
@@ -212,7 +216,7 @@ class Motions:
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain: see `follow`.
         """
-        firmware = self._context.firmware
+        firmware = self._context.who.identity.firmware
         servoing = self._servoing(watchdog, lookahead_time, gain)
         pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
         return Servo(self._context, pace, servoing)
@@ -271,8 +275,8 @@ class Motions:
 
     def _servoing(self, watchdog: float, lookahead_time: float, gain: float) -> Servoing:
         return Servoing(
-            self._context.firmware,
-            largest_speeds(self._context.model),
+            self._context.who.identity.firmware,
+            largest_speeds(self._context.who.identity.arm),
             checked(watchdog, "watchdog", 0.01, 10.0),
             checked(lookahead_time, "lookahead_time", 0.03, 0.2),
             checked(gain, "gain", 100.0, 2000.0),

@@ -106,7 +106,7 @@ class Servo(Motion):
         self._count = self._late = 0
         self._began = 0.0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
-        model = context.model
+        model = context.who.identity.arm
         self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()
         self._limit = SpeedLimit(model, 1.0 / rate)
 

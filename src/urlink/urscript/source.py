@@ -23,10 +23,9 @@ from typing import Literal, NamedTuple
 
 from linkcore.errors import BadValue
 
-from .commands import flag
 from .text import identifier, quoted
 
-__all__ = ["Permission", "Wrapped", "expiry_marker", "finish_marker", "program", "start_marker", "wrap"]
+__all__ = ["Permission", "Wrapped", "expiry_marker", "finish_marker", "grant", "program", "start_marker", "wrap"]
 
 #: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
 LARGEST = 1 << 20
@@ -106,6 +105,11 @@ def finish_marker(name: str) -> str:
 def expiry_marker(name: str) -> str:
     """What a program says that ends because it was not let go on."""
     return f"{name} was not permitted to go on"
+
+
+def grant(flag: int) -> str:
+    """What lets a program go on that waits for this flag: it runs beside the program, and takes no time."""
+    return f"sec urlink_permission():\n{_INDENT}set_flag({flag}, True)\nend\n"
 
 
 def _read(source: str) -> list[str]:
@@ -191,7 +195,7 @@ def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
     """`begin`, and then the wait for the answer."""
     is_permitted = f"get_flag({permission.flag})"
     return [
-        flag(permission.flag, False),
+        f"set_flag({permission.flag}, False)",
         *begin,
         "urlink_cycles = 0",
         f"while urlink_cycles < {permission.cycles} and not {is_permitted}:",

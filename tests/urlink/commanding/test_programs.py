@@ -253,7 +253,7 @@ def test_the_flag_that_lets_it_go_on(flag: int | None) -> None:
         robot.begins(program)
         robot.text("heard")
         until(lambda: program.texts == ("heard",))
-        assert robot.sent[1:] == ([] if flag is None else ["sec urlink_command():\n  set_flag(7, True)\nend\n"])
+        assert robot.sent[1:] == ([] if flag is None else ["sec urlink_permission():\n  set_flag(7, True)\nend\n"])
         with pytest.raises(BadValue, match=r"flag 7 lets uploaded programs begin") if flag else nullcontext():
             robot.io.set_flag(7, True)
 
@@ -297,6 +297,7 @@ def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
 def test_cancelling_under_a_stop_sends_nothing(robot: StandIn) -> None:
     program = run(robot)
     robot.begins(program)
+    until(lambda: len(robot.sent) == 2)  # it was let go on
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, runs=True)
     until(lambda: robot.safety.cause is not None)
     program.cancel()

@@ -35,7 +35,7 @@ class Rehearsal(StandIn):
                 self.programs,
                 self.channel,
                 self.realtime,
-                lambda: self.identity,
+                self.who,
                 reverse,
                 self.section,
                 # Motions go by the clock of the test: one cycle passes with each state.
