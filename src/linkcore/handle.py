@@ -17,22 +17,26 @@ put into a dictionary with `setdefault`, which is one step for threads and for s
 
 from __future__ import annotations
 
+import contextlib
 import enum
+import logging
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from .arguments import check_callable, check_seconds
 from .callbacks import CallbackThread
-from .errors import Cancelled, LinkTimeout
+from .errors import Cancelled, LinkError, LinkTimeout
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["TRANSITIONS", "Event", "Handle", "Lifecycle", "Phase"]
+__all__ = ["TRANSITIONS", "Event", "Handle", "Lifecycle", "Motion", "Phase"]
+
+_log = logging.getLogger(__name__)
 
 
 class Phase(enum.Enum):
@@ -80,20 +84,31 @@ class Lifecycle:
     Args:
         name: for messages.
         callbacks: where users are called back.
+        waiting: a context in which a thread waits for the end. It may let others in meanwhile, or refuse to wait.
 
     Attributes:
-        brake: tells the robot to stop it. Called where it ends before its time and the robot has to be stopped.
+        brake: tells the robot to stop it; may raise `LinkError`. Called where it ends before its time and the robot has
+            to be stopped.
+        handle: what users hold of it; None where they hold nothing.
     """
 
-    def __init__(self, name: str, callbacks: CallbackThread) -> None:
+    def __init__(
+        self,
+        name: str,
+        callbacks: CallbackThread,
+        waiting: Callable[[], contextlib.AbstractContextManager[object]] = contextlib.nullcontext,
+    ) -> None:
         self.name = name
         self.brake: Callable[[], object] = lambda: None
+        self.handle: Handle | None = None
         self._callbacks = callbacks
+        self._waiting = waiting
         self._is_running = False
         self._end: dict[str, tuple[Phase, Exception | None]] = {}
         self._future: Future[None] = Future()
         # So that nobody who awaits it can cancel the future instead of the motion.
         self._future.set_running_or_notify_cancel()
+        self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
 
     @property
@@ -146,43 +161,60 @@ class Lifecycle:
         try:
             if brake:
                 self.brake()
+        except LinkError as failure:
+            # It was stopped by other means, or the link is gone.
+            _log.info("%s: the robot was not told to stop: %s", self.name, failure)
         finally:
+            _drain(self._releases, lambda release: release())
             if error is None:
                 self._future.set_result(None)
             else:
                 self._future.set_exception(error)
-            self._call_back()
+            _drain(self._done_callbacks, self._callbacks.call)
         return True
 
-    def _call_back(self) -> None:
-        while True:
-            try:
-                callback = self._done_callbacks.popleft()
-            except IndexError:
-                return
-            self._callbacks.call(callback)
-
     # -- who wants to know ---------------------------------------------------------------------------
+
+    def on_end(self, release: Callable[[], object]) -> None:
+        """Call `release` when it ends, in the thread that ends it: the library's own, which neither wait nor raise."""
+        self._releases.append(release)
+        if self.is_over:
+            _drain(self._releases, lambda release: release())
 
     def call_back(self, callback: Callable[[], object]) -> None:
         """Call `callback` when it has ended, in the thread for callbacks."""
         self._done_callbacks.append(callback)
         if self._future.done():
-            self._call_back()
+            _drain(self._done_callbacks, self._callbacks.call)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until it has ended; False when time is up."""
+        """Wait until it has ended; False when time is up.
+
+        Raises:
+            LocalError: in a thread that would have to tell itself.
+        """
         if not self.is_over:
-            try:
-                self._future.exception(timeout)
-            except (FutureTimeout, TimeoutError):
-                return self.is_over
+            with self._waiting():
+                try:
+                    self._future.exception(timeout)
+                except (FutureTimeout, TimeoutError):
+                    return self.is_over
         return True
 
     @property
     def future(self) -> Future[None]:
         """Settled when it has ended; not to be cancelled."""
         return self._future
+
+
+def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], object]], object]) -> None:
+    """Use each once, also where two threads do so at the same time."""
+    while True:
+        try:
+            each = waiting.popleft()
+        except IndexError:
+            return
+        use(each)
 
 
 class Handle:
@@ -192,11 +224,9 @@ class Handle:
     block is left before it is over. Awaiting it and giving that up does not stop the robot; `cancel` does.
     """
 
-    #: Seconds that `wait` waits unless it is told otherwise.
-    TIMEOUT: ClassVar[float] = 60.0
-
     def __init__(self, life: Lifecycle) -> None:
         self._life = life
+        life.handle = self
 
     @property
     def name(self) -> str:
@@ -218,19 +248,19 @@ class Handle:
         """Why it did not come to its own end: what `wait` raises; None if it did, or is not over."""
         return self._life.error
 
-    def wait(self, timeout: float | None = None) -> None:
+    def wait(self, timeout: float = 60.0) -> None:
         """Wait until it is over; in done callbacks too.
-
-        Args:
-            timeout: seconds; by default `TIMEOUT`.
 
         Raises:
             BadValue: `timeout` is no number of seconds.
+            LocalError: in a callback of an arm's stream that was subscribed with ``inline=True``: this is the thread
+                that would have to hear of the end.
             LinkTimeout: it was not over in time; it goes on.
             Cancelled: it was cancelled, or preempted by another.
-            LinkError: what else ended it.
+            LinkError: what else ended it. Of an arm: `SafetyStop`, `NotRunning`, `ConnectFailed`, `ConnectionLost`,
+                `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
         """
-        seconds = check_seconds(self.TIMEOUT if timeout is None else timeout, "timeout", finite=True)
+        seconds = check_seconds(timeout, "timeout", finite=True)
         if not self._life.wait(seconds):
             raise LinkTimeout(f"{self.name} is {self.phase.value}, and not over within {seconds:g} s; it goes on")
         error = self._life.error
@@ -238,8 +268,9 @@ class Handle:
             raise error
 
     def cancel(self) -> None:
-        """End it, and stop the robot. Returns at once; without effect if it is over."""
-        self._life.cancel("cancelled", brake=True)
+        """End it, and let the robot brake. Returns at once, which is before it stands; without effect if it is over."""
+        if self._life.cancel("cancelled", brake=True):
+            _log.info("%s was cancelled", self.name)
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
         """Call back once it is over, in the robot's thread for callbacks; soon if it is over already.
@@ -266,3 +297,21 @@ class Handle:
     def __repr__(self) -> str:
         error = "" if self.error is None else f": {self.error}"
         return f"<{type(self).__name__} {self.name} {self.phase.value}{error}>"
+
+
+class Motion(Handle):
+    """A movement under way.
+
+    Args:
+        life: what becomes of it.
+        measure: tells which part of it is behind the robot, from 0 to 1; what is beyond counts as the nearest of them.
+    """
+
+    def __init__(self, life: Lifecycle, measure: Callable[[], float] = lambda: 0.0) -> None:
+        super().__init__(life)
+        self._measure = measure
+
+    @property
+    def progress(self) -> float:
+        """How much of it is behind the robot, from 0 to 1; 1 only once it has come to its own end."""
+        return 1.0 if self.phase is Phase.DONE else min(max(self._measure(), 0.0), 1.0)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
-from linkcore.handle import Handle, Lifecycle
+from linkcore.handle import Lifecycle
+from linkcore.handle import Motion as HandleOfMotion
 from linkcore.threads import started
 
 from .smrcl.controller import Controller
@@ -45,19 +46,8 @@ _SETTLING = 500
 _CLOSE_TIMEOUT = 5.0
 
 
-class DriveMotion(Handle):
+class DriveMotion(HandleOfMotion):
     """A motion under way. Made by `Drive`."""
-
-    def __init__(self, life: Lifecycle, measure: Callable[[], float]) -> None:
-        super().__init__(life)
-        self._measure = measure
-
-    @property
-    def progress(self) -> float:
-        """How much of it is behind the robot, from 0 to 1; 1 only once it has come to its own end."""
-        if self.done and self.error is None:
-            return 1.0
-        return min(max(self._measure(), 0.0), 1.0)
 
 
 class _Command:

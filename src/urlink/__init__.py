@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         BadRecording as BadRecording,
         BadValue as BadValue,
         BadVersion as BadVersion,
+        Cancelled as Cancelled,
         Closed as Closed,
         ConnectFailed as ConnectFailed,
         ConnectionLost as ConnectionLost,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
         RemoteError as RemoteError,
         WrongPeer as WrongPeer,
     )
+    from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.recording.recorder import Recorder as Recorder
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
@@ -45,13 +47,11 @@ if TYPE_CHECKING:
     from linkcore.streaming.stream import Stream as Stream
     from linkcore.streaming.subscription import Subscription as Subscription
     from linkcore.wire.packet import State as State
-    from .commanding.handle import Handle as Handle, Motion as Motion, Phase as Phase, Program as Program
     from .commanding.io import IO as IO, Analog as Analog
     from .commanding.safety import Safety as Safety
-    from .commanding.scripts import Scripts as Scripts
+    from .commanding.scripts import Program as Program, Scripts as Scripts
     from .decoding import decode as decode
     from .errors import (
-        Cancelled as Cancelled,
         CompileError as CompileError,
         NotConfirmed as NotConfirmed,
         NotEnabled as NotEnabled,
@@ -134,9 +134,10 @@ else:
         __name__,
         {
             "linkcore.errors": """
-                BadAddress BadRecording BadValue BadVersion Closed ConnectFailed ConnectionLost LinkError
+                BadAddress BadRecording BadValue BadVersion Cancelled Closed ConnectFailed ConnectionLost LinkError
                 LinkTimeout LocalError PacketError RemoteError WrongPeer
             """,
+            "linkcore.handle": "Handle Motion Phase",
             "linkcore.recording.recorder": "Recorder",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
@@ -146,13 +147,12 @@ else:
             "linkcore.streaming.stream": "Stream",
             "linkcore.streaming.subscription": "Subscription",
             "linkcore.wire.packet": "State",
-            ".commanding.handle": "Handle Motion Phase Program",
             ".commanding.io": "IO Analog",
             ".commanding.safety": "Safety",
-            ".commanding.scripts": "Scripts",
+            ".commanding.scripts": "Program Scripts",
             ".decoding": "decode",
             ".errors": """
-                Cancelled CompileError NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
+                CompileError NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
                 ScriptError ScriptFailed ToleranceExceeded
             """,
             ".firmware": "Firmware",

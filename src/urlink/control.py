@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+from linkcore.callbacks import CallbackThread
 from linkcore.errors import Closed, LocalError
 from linkcore.streaming.stream import Stream
 
-from .commanding.callbacks import CallbackThread
 from .commanding.channel import CommandChannel
 from .commanding.interlock import Interlock, Policy
 from .commanding.io import IO

@@ -1,10 +1,8 @@
 """What can go wrong when a robot is commanded: the part of the error tree that knows robots.
 
-They hang below the two branches of `linkcore.errors`::
+They hang below a branch of `linkcore.errors`::
 
     LinkError
-    ├── LocalError                  you called it wrongly; nothing was sent
-    │   └── Cancelled               waited for a motion or program that was cancelled, or preempted by another
     └── RemoteError                 the peer sent nonsense, or went away, or refused
         ├── SafetyStop              a stop holds, or came in between: `cause` says which
         │   └── NotEnabled          all is clear, but `safety.enable()` has to be called first
@@ -19,10 +17,9 @@ They hang below the two branches of `linkcore.errors`::
 
 from __future__ import annotations
 
-from linkcore.errors import LocalError, RemoteError
+from linkcore.errors import RemoteError
 
 __all__ = [
-    "Cancelled",
     "CompileError",
     "NotConfirmed",
     "NotEnabled",
@@ -33,10 +30,6 @@ __all__ = [
     "ScriptFailed",
     "ToleranceExceeded",
 ]
-
-
-class Cancelled(LocalError):
-    """The motion or program was cancelled, or preempted by another one of this robot object."""
 
 
 class SafetyStop(RemoteError):

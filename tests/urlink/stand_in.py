@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from linkcore.callbacks import CallbackThread
+from linkcore.handle import Handle
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import ScriptedTransport
 from tests.waiting import until
-from urlink.commanding.callbacks import CallbackThread
 from urlink.commanding.channel import CommandChannel
-from urlink.commanding.handle import Handle
 from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
 from urlink.commanding.io import IO
 from urlink.commanding.monitor import SafetyMonitor

@@ -38,7 +38,7 @@ def test_move_joints() -> None:
         "urlink.motion.motions",  # arguments
         "urlink.urscript.programs",  # the text
         "urlink.urscript.source",  # what is put around it
-        "urlink.commanding.handle",  # the one state machine of its life
+        "linkcore.handle",  # the one state machine of its life
         "urlink.commanding.programs",  # the registry
         "urlink.commanding.channel",  # the one way out
         "urlink.commanding.section",

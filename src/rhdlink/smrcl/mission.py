@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from linkcore.arguments import check_callable
 from linkcore.callbacks import CallbackThread
@@ -290,8 +290,6 @@ class Mission:
 class MissionRun(Handle):
     """A run of a mission. Made by `Mission`."""
 
-    TIMEOUT: ClassVar[float] = 3600.0
-
     def __init__(self, name: str, execution: Execution, owned: RobotLink | None) -> None:
         self._callback_thread = CallbackThread(f"mission {name} callbacks")
         super().__init__(Lifecycle(name, self._callback_thread))
@@ -360,6 +358,10 @@ class MissionRun(Handle):
         return symbols.pool[symbol.place]
 
     # -- its life ------------------------------------------------------------------------------------
+
+    def wait(self, timeout: float = 3600.0) -> None:
+        """Wait until it is over, an hour at most unless told otherwise; see `Handle.wait`."""
+        super().wait(timeout)
 
     def cancel(self) -> None:
         """End it at the robot's next tick, and have the robot stand. Returns at once; `wait` returns when it stands."""

@@ -10,6 +10,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from linkcore.callbacks import CallbackThread
 from linkcore.errors import LinkError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
@@ -18,7 +19,6 @@ from linkcore.wire.packet import State
 from ..interfaces.primary.robot_message import SafetyModeMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
-from .callbacks import CallbackThread
 from .interlock import Interlock, Status
 from .section import Section
 

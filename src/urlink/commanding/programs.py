@@ -18,23 +18,23 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from linkcore.errors import Closed, ConnectionLost, LinkError, LinkTimeout
+from linkcore.callbacks import CallbackThread
+from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
+from linkcore.handle import Lifecycle
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.subscription import Subscription
 from linkcore.text import printable
 from linkcore.wire.packet import State
 
-from ..errors import Cancelled, CompileError, NotRunning, ProgramStopped, ScriptError, ScriptFailed
+from ..errors import CompileError, NotRunning, ProgramStopped, ScriptError, ScriptFailed
 from ..identity import KnownIdentity
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..urscript import programs
 from ..urscript import source as sources
 from ..urscript.source import Permission, Wrapped
-from .callbacks import CallbackThread
 from .channel import CommandChannel
-from .handle import Lifecycle
 from .monitor import SafetyMonitor
 from .section import Section
 
@@ -151,7 +151,7 @@ class Programs:
 
     def life(self, name: str) -> Lifecycle:
         """Of something that is about to be begun."""
-        return Lifecycle(name, self._section, self._callbacks)
+        return Lifecycle(name, self._callbacks, self._section.waiting)
 
     def wrap(self, source: str) -> Wrapped:
         """A user's source as a program.

@@ -8,20 +8,36 @@ from collections.abc import Callable
 from pathlib import Path
 
 from linkcore.arguments import check_callable
+from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue
+from linkcore.handle import Handle, Lifecycle
 
 from ..urscript.text import checked
-from .callbacks import CallbackThread
 from .channel import CommandChannel
-from .handle import Program
 from .programs import Programs
 
-__all__ = ["Scripts"]
+__all__ = ["Program", "Scripts"]
 
 #: Seconds that `run(wait=True)` waits.
 _RUN_TIMEOUT = 60.0
 #: Lines of `textmsg` that are kept of a program.
 _TEXTS = 1000
+
+
+class Program(Handle):
+    """A program that was sent to the controller; made by `robot.script.run`."""
+
+    def __init__(self, life: Lifecycle, texts: deque[str]) -> None:
+        super().__init__(life)
+        self._texts = texts
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The lines that its `textmsg` sent, the last thousand.
+
+        A controller does not say which program a line is from: those of a `sec` that runs beside are here too.
+        """
+        return tuple(self._texts.copy())  # in one step: another thread may be adding
 
 
 class Scripts:

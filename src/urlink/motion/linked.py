@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 from linkcore.errors import ConnectionLost, LinkError, LocalError, RemoteError
+from linkcore.handle import Lifecycle
 from linkcore.streaming.policy import latest
 from linkcore.streaming.subscription import Subscription
 
-from ..commanding.handle import Lifecycle
 from ..errors import ProgramStopped, ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs

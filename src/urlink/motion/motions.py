@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, LocalError
+from linkcore.handle import Motion
 
-from ..commanding.handle import Motion
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import programs

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
+from linkcore.handle import Motion
 
-from ..commanding.handle import Motion
 from ..interfaces.realtime.packets import RealtimeState
 from ..vectors import JOINTS, six
 from .context import MotionContext

@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 
 import urlink
-from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
+from linkcore.handle import Handle, Phase
 from linkcore.streaming.events import ConnectionState
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.commanding import programs as module
-from urlink.commanding.handle import Handle, Phase, Program
-from urlink.errors import Cancelled, CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.commanding.scripts import Program
+from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 
 

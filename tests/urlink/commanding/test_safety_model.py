@@ -14,11 +14,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from linkcore.callbacks import CallbackThread
 from linkcore.errors import ConnectionLost, LinkError
 from linkcore.stamp import Stamp
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
-from urlink.commanding.callbacks import CallbackThread
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
 from urlink.commanding.monitor import SafetyMonitor

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import urlink
+from linkcore.errors import Cancelled
+from linkcore.handle import Phase
 from tests.waiting import until
-from urlink.commanding.handle import Phase
-from urlink.errors import Cancelled, CompileError, NotConfirmed, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.errors import CompileError, NotConfirmed, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 
 FIRMWARES = ("sim://ur5?firmware=1.8", "sim://ur5?firmware=3.4", "sim://ur5e?firmware=5.11")
 

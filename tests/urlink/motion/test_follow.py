@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linkcore.errors import BadAddress, BadValue, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.handle import Motion, Phase
 from tests.urlink.motion.rehearsal import FOLLOW, PATIENCE, STOP, WAIT, Rehearsal, turned
 from tests.waiting import until
-from urlink.commanding.handle import Motion, Phase
-from urlink.errors import Cancelled, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.interfaces.enums import SafetyMode
 from urlink.motion import TrajectoryFeedback
 from urlink.motion.trajectory import Trajectory

@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
+from linkcore.handle import Motion, Phase
 from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal, turned
 from tests.waiting import until
-from urlink.commanding.handle import Motion, Phase
-from urlink.errors import Cancelled, CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
+from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.urscript.source import expiry_marker, start_marker
 
@@ -85,7 +85,7 @@ def test_is_let_go_on_once_it_has_begun(
         assert len(robot.sent) == 1
         assert "get_flag" not in robot.sent[0]
     else:
-        assert robot.sent[1:] == ["sec urlink_command():\n  set_flag(31, True)\nend\n"]
+        assert robot.sent[1:] == ["sec urlink_permission():\n  set_flag(31, True)\nend\n"]
         assert "\n  while urlink_cycles < 2500 and not get_flag(31):\n" in robot.sent[0]
 
 
@@ -103,7 +103,7 @@ def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Cal
     assert [text.split("(")[0] for text in robot.sent] == [
         f"def {robot.program.rpartition('_')[0]}_1",
         f"def {after.name}",
-        "sec urlink_command",
+        "sec urlink_permission",
     ]
 
 

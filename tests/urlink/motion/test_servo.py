@@ -8,11 +8,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LocalError
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, ConnectionLost, LocalError
+from linkcore.handle import Phase
 from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.waiting import until
-from urlink.commanding.handle import Phase
-from urlink.errors import Cancelled, ProgramStopped, SafetyStop
+from urlink.errors import ProgramStopped, SafetyStop
 from urlink.interfaces.enums import SafetyMode
 from urlink.motion import Servo
 

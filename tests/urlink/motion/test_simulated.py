@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore.errors import BadValue, ConnectionLost
+from linkcore.errors import BadValue, Cancelled, ConnectionLost
+from linkcore.handle import Motion, Phase
 from tests.waiting import until
-from urlink.commanding.handle import Motion, Phase
-from urlink.errors import Cancelled, SafetyStop
+from urlink.errors import SafetyStop
 from urlink.motion import TrajectoryFeedback
 from urlink.motion.reverse import ReverseLink
 from urlink.motion.trajectory import Trajectory

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import sys
 import threading
@@ -13,12 +14,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from linkcore.errors import BadValue, ConnectionLost, LinkTimeout, LocalError
+from linkcore.callbacks import CallbackThread
+from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
+from linkcore.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
 from tests.waiting import until
-from urlink.commanding.callbacks import CallbackThread
-from urlink.commanding.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
-from urlink.commanding.section import Section
-from urlink.errors import Cancelled
 
 OVER = (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
 
@@ -33,7 +32,7 @@ def callbacks() -> Iterator[CallbackThread]:
 
 @pytest.fixture
 def life(callbacks: CallbackThread) -> Lifecycle:
-    return Lifecycle("job", Section(), callbacks)
+    return Lifecycle("job", callbacks)
 
 
 def happen(life: Lifecycle, event: Event) -> bool:
@@ -81,7 +80,7 @@ class Life(RuleBasedStateMachine):
     @initialize()
     def begin(self) -> None:
         self.callbacks = CallbackThread("callbacks of a state machine")
-        self.life = Lifecycle("job", Section(), self.callbacks)
+        self.life = Lifecycle("job", self.callbacks)
         self.handle = Motion(self.life)
         self.brakes = 0
         self.life.brake = lambda: setattr(self, "brakes", self.brakes + 1)
@@ -167,8 +166,11 @@ def test_what_ended_it_is_raised_each_time(life: Lifecycle) -> None:
 
 
 def test_waiting_where_one_would_wait_for_oneself(callbacks: CallbackThread) -> None:
-    life = Lifecycle("job", Section(lambda: True), callbacks)
-    with pytest.raises(LocalError, match="inline=True"):
+    def refusing() -> contextlib.AbstractContextManager[object]:
+        raise LocalError("this thread has to hear of it")
+
+    life = Lifecycle("job", callbacks, refusing)
+    with pytest.raises(LocalError, match="has to hear of it"):
         Handle(life).wait(10)
     life.finish()
     Handle(life).wait(10)  # there is nothing to wait for
@@ -210,7 +212,7 @@ def test_done_callbacks_are_called_in_a_thread_of_their_own(life: Lifecycle) -> 
 
     def command(each: Handle) -> None:
         each.wait(10)  # it is over
-        other = Lifecycle("other", Section(), CallbackThread("others"))
+        other = Lifecycle("other", CallbackThread("others"))
         threading.Timer(0.01, other.finish).start()
         Handle(other).wait(10)  # and what is not over can be waited for
         threads.append(threading.current_thread().name)
@@ -253,7 +255,7 @@ def test_a_mistake_in_the_brake_leaves_nobody_waiting(life: Lifecycle) -> None:
 
 def test_two_threads_end_it_once(callbacks: CallbackThread) -> None:
     for _ in range(200):
-        life = Lifecycle("job", Section(), callbacks)
+        life = Lifecycle("job", callbacks)
         ends: list[bool] = []
         start = threading.Barrier(2)
 
