@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from tests.waiting import until
+from urlink.interfaces.enums import RobotMode
 from urlink.simulator import Controller
 
 from .conftest import Run
@@ -18,6 +20,7 @@ def test_a_text_in_several_words(run: Run, controller: Controller, address: str)
 def test_start(run: Run) -> None:
     with Controller("UR5e", "5.11") as controller:
         controller.faults.power_off()
+        until(lambda: controller.modes.robot_mode is RobotMode.POWER_OFF)  # an arm that still runs is left alone
         assert run("dashboard", controller.address, "start") == (0, "the arm runs\n", "")
         assert controller.modes.may_move
 
