@@ -152,8 +152,8 @@ def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
 
 def test_a_cut_connection_is_told_and_a_person_can_go_on(robot: urlink.Robot) -> None:
     controller = robot.controller
-    program = robot.script.run(LONG)
-    until(lambda: program.phase is Phase.RUNNING)
+    program = robot.script.run('textmsg("goes on")\n' + LONG)
+    until(lambda: program.texts == ("goes on",))  # it has been let go on
     controller.faults.cut("primary")
     with pytest.raises(urlink.ConnectionLost, match="may still run"):
         program.wait(20)
