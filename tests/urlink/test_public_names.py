@@ -130,3 +130,44 @@ def test_each_is_there_and_says_what_it_is() -> None:
         value = getattr(urlink, name)
         if inspect.isclass(value) or inspect.isfunction(value):
             assert inspect.getdoc(value), f"{name} has no docstring"
+
+
+HANDLE = "add_done_callback cancel done error name phase wait"
+#: The attributes and methods of what users hold, as tab completion shows them.
+SURFACES = {
+    "robot": """address close controller dashboard firmware identity io model motion popup primary realtime record
+        safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot.identity": "arm firmware model said_so",
+    "robot.motion": "current follow move_joints move_linear servo speed_joints speed_linear stop",
+    "robot.motion.stop()": f"{HANDLE} progress",
+    "robot.motion.servo()": f"{HANDLE} progress rate send stats",
+    "robot.script": "run send_line",
+    "robot.script.run('sync()')": f"{HANDLE} texts",
+    "robot.io": """analog_in analog_out configurable_digital_in configurable_digital_out digital_in digital_out
+        set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_digital_out set_tool_voltage
+        tool_analog_in tool_digital_in tool_digital_out tool_voltage""",
+    "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
+        wait_until_clear""",
+    "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup
+        generate_flight_report generate_support_file is_in_remote_control is_program_saved load load_installation
+        loaded_program operational_mode pause play polyscope_version popup power_off power_on program_state quit
+        restart_safety robot_mode robot_model running safety_mode safety_status save_log send serial_number
+        set_operational_mode set_user_role shutdown start stop unlock_protective_stop user_role version""",
+    "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv has_velocities
+        is_quintic points q qd qdd sample time to_csv""",
+    "robot.controller": """address arm call close counters cycle dashboard faults firmware flags follow greeting host
+        is_running_program is_serving is_up model modes pendant ports program_name realtime_packet received registers
+        remote_control schedule serial signals speed_fraction start state_package step stopped_since take take_messages
+        time""",
+    "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
+        reboot split stall unknown_package unknown_sub_package""",
+}
+
+
+def test_what_users_hold_shows_what_they_should_touch() -> None:
+    shown = {}
+    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+        for path in SURFACES:
+            held = eval(path, {"robot": robot, "urlink": urlink})
+            shown[path] = sorted(name for name in dir(held) if not name.startswith("_"))
+    assert shown == {path: sorted(names.split()) for path, names in SURFACES.items()}
