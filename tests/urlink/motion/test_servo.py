@@ -209,3 +209,23 @@ def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> 
         over.set()
         thread.join()
     assert robot.motion.current is None
+
+
+def test_a_done_callback_of_one_that_cannot_begin_may_command_and_wait(robot: Rehearsal) -> None:
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause is not None)
+    seen: list[BaseException] = []
+
+    def command(servo: Servo) -> None:
+        for act in (robot.motion.stop, servo.wait, robot.motion.servo().__enter__):
+            try:
+                act()
+            except SafetyStop as error:
+                seen.append(error)
+
+    servo = robot.motion.servo()
+    servo.add_done_callback(command)
+    with pytest.raises(SafetyStop), servo:
+        pass
+    until(lambda: len(seen) == 3)
+    assert robot.sent == []
