@@ -22,6 +22,7 @@ extensions = [
     "figures",
     "functions",
     "layouts",
+    "missions",
     "packages",
 ]
 exclude_patterns = ["_build", "_extensions"]

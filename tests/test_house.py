@@ -55,6 +55,10 @@ BELOW: dict[str, dict[str, set[str]]] = {
         "replica": {"variables", "wire", "errors"},
         "host": {"host", "variables", "wire", "errors"},
         "plugins": {"plugins", "host", "variables", "wire", "recording", "world", "errors"},
+        "scene": {"scene", "host"},
+        "world": {"world", "scene"},
+        "smrcl": {"smrcl", "client", "variables", "host", "world", "errors"},
+        "drive": {"drive", "smrcl", "world"},
     },
 }
 

@@ -322,7 +322,7 @@ class MissionRun(Handle):
             return 1.0
         run = self._execution.controller.run
         lines = 0 if run is None else len(run.plan.lines)
-        return min(self.line / lines, 1.0) if lines else 0.0
+        return max(self.line - 1, 0) / lines if lines else 0.0
 
     @property
     def cycles(self) -> int:
