@@ -1,0 +1,155 @@
+"""What a mission costs: interpreter, odometry and motion control, at ticks of 10 ms and in lockstep.
+
+In lockstep: how long the square spiral takes that the original MRC was recorded with, 35 s of driving, with the turtle
+that is driven in the same process and without it; the best of several runs. Without it, the answers are those that the
+turtle gave before, so the interpreter, its motion control and nothing else is measured.
+
+In real time: the share of a processor that this process uses while it drives a turtle that a host in another process
+serves at ticks of 10 ms; and next to it the share of a loop that does nothing but write two values and sync at each
+tick. The figure to look at is their difference. Both are several times as much as in lockstep: a process that is woken
+a hundred times a second finds nothing of its code and data in the processor's caches.
+
+    python benchmarks/missions.py            # some 40 s
+    python benchmarks/missions.py --quick    # some 12 s
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection
+
+from rhdlink import Cancelled, Host, Mission, connect
+from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.smrcl.controller import Controller
+from rhdlink.smrcl.profile import find_profile
+from rhdlink.smrcl.robot_conf import SMR, VELOMEGA
+from rhdlink.smrcl.robot_link import PluginLink
+from rhdlink.world import World
+
+#: Eight legs of 0.2 to 0.9 m with a turn behind each, and the diagonal.
+SPIRAL = "".join(f"fwd {0.2 + 0.1 * leg:.1f}\nturn 90\n" for leg in range(8)) + "turn 45\nfwd 0.5\nstop\n"
+#: Goes on for as long as it is measured, with a stop condition that is evaluated in each cycle.
+ENDLESS = 'label "on"\nfwd 0.5 : ($drivendist > 0.4) | ($odovelocity > 3)\nturn 90\nn = n + 1\nif (1) "on"\n'
+
+#: s, and the share of a processor.
+MOST_SECONDS, MOST_SHARE = 0.5, 0.05
+ROBOTS = {"velocity-omega": Turtle, "SMR": SmrTurtle}
+
+Answers = list[dict[str, Sequence[int]]]
+
+
+def driven(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[float, int]:
+    """Seconds, and ticks, of the spiral on a turtle in this process."""
+    mission = Mission(SPIRAL, robot(World(1000.0)), compat=profile)
+    began = time.perf_counter()
+    run = mission.run()
+    return time.perf_counter() - began, run.cycles
+
+
+def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[Controller, Answers]:
+    """A controller that has begun nothing, and what the turtle answered to another one like it."""
+    link = PluginLink([robot(World(1000.0))])
+    conf = VELOMEGA if robot is Turtle else SMR
+    first, second = (Controller(conf, link.read, link.write, profile=find_profile(profile)) for _ in range(2))
+    first.load(SPIRAL)
+    second.load(SPIRAL)
+    request: Mapping[str, Sequence[int]] = first.first_request()
+    answers: Answers = []
+    while not first.is_finished:
+        answer = link.exchange(request)
+        answers.append({name: answer[name] for name in link.read})
+        request = first.step(answers[-1])
+    second.first_request()
+    return second, answers
+
+
+def computed(robot: type[Turtle | SmrTurtle], profile: str) -> float:
+    """Seconds of the spiral without the turtle."""
+    controller, answers = answers_of(robot, profile)
+    began = time.perf_counter()
+    for answer in answers:
+        controller.step(answer)
+    assert controller.is_finished
+    return time.perf_counter() - began
+
+
+def serve(ports: Connection, robot: type[Turtle | SmrTurtle]) -> None:
+    with Host([robot(World(1000.0))], port=0, period=0.01) as host:
+        ports.send(host.address)
+        ports.recv()
+
+
+def shares(robot: type[Turtle | SmrTurtle], seconds: float) -> tuple[float, float]:
+    """The shares of a processor that a mission uses in real time, and that a loop of syncs does."""
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe()
+    host = spawn.Process(target=serve, args=(theirs, robot))
+    host.start()
+    with connect(ours.recv(), access="w") as client:
+        with Mission(ENDLESS, client, variables={"n": 0.0}).start() as run:
+            time.sleep(0.5)  # until it drives
+            driving = used(lambda: time.sleep(seconds))
+            assert not run.done, run.error
+        with contextlib.suppress(Cancelled):
+            run.wait(10.0)
+        names = [variable.name for variable in client.variables if variable.direction == "w"][:2]
+
+        def synced() -> None:
+            until = time.perf_counter() + seconds
+            while time.perf_counter() < until:
+                for name in names:
+                    client[name] = 0
+                client.sync()
+
+        bare = used(synced)
+    ours.send(None)
+    host.join(10)
+    return driving, bare
+
+
+def used(wait: Callable[[], object]) -> float:
+    """The share of a processor that this process uses meanwhile."""
+    began, before = time.perf_counter(), time.process_time()
+    wait()
+    return (time.process_time() - before) / (time.perf_counter() - began)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter runs")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args()
+    runs, seconds = (3, 3.0) if args.quick else (10, 12.0)
+    results = {}
+    for name, robot in ROBOTS.items():
+        both = [driven(robot, "sound") for _ in range(runs)]
+        alone = min(computed(robot, "sound") for _ in range(runs))
+        ticks = both[0][1]
+        driving, bare = shares(robot, seconds)
+        results[name] = {
+            "ticks": ticks,
+            "lockstep_s": round(min(took for took, _ in both), 3),
+            "computed_s": round(alone, 3),
+            "tick_us": round(alone / ticks * 1e6, 1),
+            "share": round(driving, 4),
+            "share_of_syncs": round(bare, 4),
+        }
+    if args.json:
+        print(json.dumps(results))
+        return
+    for name, found in results.items():
+        print(f"{name}: {found['ticks']} ticks of 10 ms")
+        print(f"  in lockstep with the turtle   {found['lockstep_s']:.2f} s   (at most {MOST_SECONDS:g} s)")
+        print(f"  without it                    {found['computed_s']:.2f} s   {found['tick_us']:.0f} us a tick")
+        more = found["share"] - found["share_of_syncs"]
+        print(f"  in real time                  {more:.1%} of a processor   (at most {MOST_SHARE:.0%})")
+        print(f"    beside the syncs with       {found['share_of_syncs']:.1%}")
+
+
+if __name__ == "__main__":
+    main()
