@@ -37,14 +37,14 @@ if TYPE_CHECKING:
         RemoteError as RemoteError,
         WrongPeer as WrongPeer,
     )
-    from linkcore.handle import Handle as Handle, Phase as Phase
+    from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
     from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
     from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
     from linkcore.streaming.subscription import Subscription as Subscription
     from .client import Variables as Variables, connect as connect
-    from .drive import Drive as Drive, DriveMotion as DriveMotion
+    from .drive import Drive as Drive
     from .errors import AccessDenied as AccessDenied, NotThere as NotThere, WrongVariables as WrongVariables
     from .host.config import (
         BadConfiguration as BadConfiguration,
@@ -95,14 +95,14 @@ else:
                 BadAddress BadRecording BadValue Cancelled Closed ConnectFailed ConnectionLost LinkError LinkTimeout
                 LocalError PacketError RemoteError WrongPeer
             """,
-            "linkcore.handle": "Handle Phase",
+            "linkcore.handle": "Handle Motion Phase",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "ConnectionEvent ConnectionState",
             "linkcore.streaming.policy": "Policy block drop_oldest latest",
             "linkcore.streaming.subscription": "Subscription",
             ".client": "Variables connect",
-            ".drive": "Drive DriveMotion",
+            ".drive": "Drive",
             ".errors": "AccessDenied NotThere WrongVariables",
             ".host.config": "BadConfiguration Configuration Element read_config",
             ".host.host": "Host HostFailed HostStatistics PluginFailed",

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
-from linkcore.handle import Lifecycle
-from linkcore.handle import Motion as HandleOfMotion
+from linkcore.handle import Lifecycle, Motion
 from linkcore.threads import started
 
 from .smrcl.controller import Controller
 from .smrcl.execution import Callbacks, Execution, error_of, leaving_at_exit
 from .smrcl.interpreter import Run
 from .smrcl.mission import Robot, suitable_conf
-from .smrcl.motion.control import Motion, MotionControl
+from .smrcl.motion.control import Motion as Controlled
+from .smrcl.motion.control import MotionControl
 from .smrcl.motion.following import FollowLine, FollowWall
 from .smrcl.motion.standing import Stop
 from .smrcl.motion.straight import FollowDirection, Forward, Wheels
@@ -35,7 +35,7 @@ from .world import Pose
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Drive", "DriveMotion"]
+__all__ = ["Drive"]
 
 #: m, m/s, m/s2 or degrees beyond which no mobile robot is meant.
 _MOST = 1e6
@@ -46,10 +46,6 @@ _SETTLING = 500
 _CLOSE_TIMEOUT = 5.0
 
 
-class DriveMotion(HandleOfMotion):
-    """A motion under way. Made by `Drive`."""
-
-
 class _Command:
     """A motion that was asked for.
 
@@ -57,7 +53,7 @@ class _Command:
         begin: is called in the thread that drives, before the motion begins.
     """
 
-    def __init__(self, motion: Motion, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
+    def __init__(self, motion: Controlled, life: Lifecycle, begin: Callable[[Vehicle], object]) -> None:
         self.motion = motion
         self.life = life
         self.begin = begin
@@ -202,22 +198,22 @@ class Drive:
 
     # -- motions -------------------------------------------------------------------------------------
 
-    def forward(self, distance: float, *, speed: float | None = None) -> DriveMotion:
+    def forward(self, distance: float, *, speed: float | None = None) -> Motion:
         """Straight on for `distance` m, backward if it is negative; slows down before obstacles and before the end.
 
         The way is measured from the place that the motion before aimed at, so that errors do not add up.
         """
         return self._begin("forward", Forward(_number("distance", distance)), speed)
 
-    def turn(self, angle: float, *, speed: float | None = None) -> DriveMotion:
+    def turn(self, angle: float, *, speed: float | None = None) -> Motion:
         """On the spot by `angle` degrees, also beyond 180. `speed` is that of a wheel."""
         return self._begin("turn", Turn(math.radians(_number("angle", angle))), speed)
 
-    def arc(self, radius: float, angle: float, *, speed: float | None = None) -> DriveMotion:
+    def arc(self, radius: float, angle: float, *, speed: float | None = None) -> Motion:
         """Along a circle of `radius` m until the robot has turned by `angle` degrees; it stands behind its end."""
         return self._begin("arc", Arc(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
 
-    def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> DriveMotion:
+    def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> Motion:
         """To a pose, by the shortest way of an arc, a straight line and an arc, forward or backward.
 
         It ends a few centimetres and degrees off, since nothing corrects it on the way.
@@ -225,7 +221,7 @@ class Drive:
         goal = Place(_number("x", x), _number("y", y), math.radians(_number("heading", heading)))
         return self._begin("to", DriveToPoint(goal, _positive("radius", radius), is_absolute=True), speed)
 
-    def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> DriveMotion:
+    def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> Motion:
         """Along the line through (x, y) in `direction`, until another motion begins or it is cancelled."""
         place = _number("x", x), _number("y", y), math.radians(_number("direction", direction))
 
@@ -235,7 +231,7 @@ class Drive:
 
         return self._begin("along", FollowDirection(), speed, begin)
 
-    def follow_line(self, kind: str = "bm", *, speed: float | None = None) -> DriveMotion:
+    def follow_line(self, kind: str = "bm", *, speed: float | None = None) -> Motion:
         """Along a line on the floor, "bm" a black one by its middle, "br" and "bl" by its edges, "wm" a white one.
 
         It goes on until another motion begins or it is cancelled, and stands where there is no line for 0.2 m.
@@ -250,23 +246,27 @@ class Drive:
 
         return self._begin("follow_line", FollowLine(), speed, begin)
 
-    def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> DriveMotion:
+    def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> Motion:
         """Beside a wall on the "left" or "right", in `distance` m, until another motion begins or it is cancelled."""
         if side not in ("left", "right"):
             raise BadValue(f"side is {side!r}; expected 'left' or 'right'")
         return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
 
-    def wheels(self, left: float, right: float) -> DriveMotion:
+    def wheels(self, left: float, right: float) -> Motion:
         """The speeds of the wheels, m/s, until another motion begins. It is over at once."""
         return self._begin("wheels", Wheels(_number("left", left), _number("right", right)), None)
 
-    def stop(self) -> DriveMotion:
+    def stop(self) -> Motion:
         """Stand, and hold the heading."""
         return self._begin("stop", Stop(), None)
 
     def _begin(
-        self, name: str, motion: Motion, speed: float | None, begin: Callable[[Vehicle], object] = lambda vehicle: None
-    ) -> DriveMotion:
+        self,
+        name: str,
+        motion: Controlled,
+        speed: float | None,
+        begin: Callable[[Vehicle], object] = lambda vehicle: None,
+    ) -> Motion:
         if self._closing.is_set() or self._error is not None:
             raise Closed(f"{self._link.name} is not driven any more") from self._error
         wanted = self._speed if speed is None else _number("speed", speed)
@@ -278,7 +278,7 @@ class Drive:
 
         life = Lifecycle(name, self._callbacks)
         life.brake = self._wake.set
-        handle = DriveMotion(life, lambda: _progress(motion, control))
+        handle = Motion(life, lambda: _progress(motion, control))
         self._motions.put(_Command(motion, life, prepare))
         self._wake.set()
         return handle
@@ -385,7 +385,7 @@ class Drive:
         return f"<Drive {self._link.name} {state} at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(theta):.1f} deg>"
 
 
-def _progress(motion: Motion, control: MotionControl) -> float:
+def _progress(motion: Controlled, control: MotionControl) -> float:
     return motion.progress(control) if control.motion is motion else 0.0
 
 

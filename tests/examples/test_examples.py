@@ -166,6 +166,20 @@ def test_rhd_arc_ends_where_it_should(tmp_path: Path, options: tuple[str, ...]) 
     assert len(way(tmp_path / "arc.svg")) > 50
 
 
+def test_rhd_mission_docks_however_it_was_begun(tmp_path: Path) -> None:
+    """From Python, from the command line, and through the server's port."""
+    lines = output("rhd_mission.py", str(tmp_path / "way.svg")).splitlines()
+    assert [line.strip() for line in lines[:2]] == ["userevent round", "userevent docked"]
+    ends = [re.match(r"(.*?) +ended at x (.*) m, y (.*) m, heading (.*) deg", line) for line in lines[2:]]
+    found = {end.group(1): tuple(map(float, end.groups()[1:])) for end in ends if end is not None}
+    assert found.keys() == {"Python", "command line", "port"}
+    # All at one place, 3.5 m and 6 m from where it began.
+    ((x, y, heading),) = set(found.values())
+    assert (x, y) == pytest.approx((5.0, 8.0), abs=0.05)
+    assert heading == pytest.approx(0.0, abs=3.0)
+    assert "<polyline" in (tmp_path / "way.svg").read_text()
+
+
 def test_every_example_is_run_here() -> None:
     here = Path(__file__).read_text()
     assert [path.name for path in sorted(EXAMPLES.glob("*.py")) if path.name not in here] == []
