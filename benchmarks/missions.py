@@ -1,8 +1,8 @@
 """What a mission costs: interpreter, odometry and motion control, at ticks of 10 ms and in lockstep.
 
 In lockstep: how long the square spiral takes that the original MRC was recorded with, 35 s of driving, with the turtle
-that is driven in the same process and without it; the best of several runs. Without it, the answers are those that the
-turtle gave before, so the interpreter, its motion control and nothing else is measured.
+that is driven in the same process and without it: processor time, the best of several runs. Without it, the answers are
+those that the turtle gave before, so the interpreter, its motion control and nothing else is measured.
 
 In real time: the share of a processor that this process uses while it drives a turtle that a host in another process
 serves at ticks of 10 ms; and next to it the share of a loop that does nothing but write two values and sync at each
@@ -46,9 +46,9 @@ Answers = list[dict[str, Sequence[int]]]
 def driven(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[float, int]:
     """Seconds, and ticks, of the spiral on a turtle in this process."""
     mission = Mission(SPIRAL, robot(World(1000.0)), compat=profile)
-    began = time.perf_counter()
+    began = time.process_time()
     run = mission.run()
-    return time.perf_counter() - began, run.cycles
+    return time.process_time() - began, run.cycles
 
 
 def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[Controller, Answers]:
@@ -71,11 +71,11 @@ def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[Controlle
 def computed(robot: type[Turtle | SmrTurtle], profile: str) -> float:
     """Seconds of the spiral without the turtle."""
     controller, answers = answers_of(robot, profile)
-    began = time.perf_counter()
+    began = time.process_time()
     for answer in answers:
         controller.step(answer)
     assert controller.is_finished
-    return time.perf_counter() - began
+    return time.process_time() - began
 
 
 def serve(ports: Connection, robot: type[Turtle | SmrTurtle]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -106,6 +106,38 @@ def test_a_value_is_read_from_the_memory_of_a_table_as_from_its_words(
         if isinstance(value, np.ndarray):
             assert not value.flags.writeable
             assert value.dtype == expected.dtype
+
+
+#: What somebody may set, of which little fits.
+ANYTHING = st.one_of(
+    st.integers(-(2**33), 2**33),
+    st.floats(),
+    st.booleans(),
+    st.none(),
+    st.text(max_size=2),
+    st.integers(-9, 9).map(np.int64),
+    st.lists(st.one_of(st.integers(-(2**32), 2**32), st.integers(-9, 9), st.floats(), st.booleans()), max_size=4),
+    st.lists(st.integers(-(2**31), 2**31 - 1), min_size=3, max_size=3),
+)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("value_type", [Int32, UInt32, Float64, Bool, Scaled(0.01), Scaled(1 / 40000)], ids=repr)
+@given(value=ANYTHING, count=st.sampled_from([1, 3]))
+def test_what_packs_quickly_packs_the_same_and_refuses_the_same(
+    value_type: ValueType[Any, Any, Any], value: Any, count: int
+) -> None:
+    def packed(pack: Callable[[], Any]) -> Any:
+        try:
+            return np.atleast_1d(pack()).tolist()
+        except BadValue as error:
+            return str(error)
+
+    quickly = packed(lambda: value_type.packer(count, "little")(value))
+    if count == 1:
+        assert quickly == packed(lambda: value_type.pack(value, "little"))
+    else:
+        assert quickly == packed(lambda: value_type.pack_many(value, count, "little"))
 
 
 def test_a_double_is_low_word_first_unless_its_machine_is_big() -> None:

@@ -25,6 +25,7 @@ original has not. It is set when a variable came in the last batch with another 
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -44,6 +45,8 @@ __all__ = ["Database", "Table", "TimeStamp", "now"]
 #: Selections that a table remembers, one for each number of variables. Working one out takes ten times as long as using
 #: it, and a robot whose plugins set things at different rates has a few that come again and again.
 _REMEMBERED = 8
+#: A word, and a time stamp, as tables have them in memory.
+_WORD_FORM, _STAMP_FORM = struct.Struct("=i"), struct.Struct("=qq")
 
 
 class TimeStamp(NamedTuple):
@@ -116,6 +119,7 @@ class Table:
         self._ids: dict[str, int] = {}
         self.memory = bytearray()
         self.values: Words = np.empty(0, np.int32)
+        self._stamp_memory = bytearray()
         self.stamps: Stamps = np.empty((0, 2), np.int64)
         self.updated: NDArray[np.bool_] = np.empty(0, np.bool_)
         self.dirty = DirtySet(0)
@@ -133,7 +137,8 @@ class Table:
         # Whatever was set before stays: the original zeroes its pool here (docs/protocols/rhd.md, Defects, 16).
         self.memory = bytearray(self.memory).ljust(WORD * self.layout.words, b"\0")
         self.values = np.frombuffer(self.memory, np.int32)
-        self.stamps = np.concatenate((self.stamps, np.zeros((count - before, 2), np.int64)))
+        self._stamp_memory = bytearray(self._stamp_memory).ljust(_STAMP_FORM.size * count, b"\0")
+        self.stamps = np.frombuffer(self._stamp_memory, np.int64).reshape(-1, 2)
         self.updated = np.concatenate((self.updated, np.zeros(count - before, np.bool_)))
         self.changed: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self.fresh: NDArray[np.bool_] = np.zeros(count, np.bool_)
@@ -220,8 +225,13 @@ class Table:
             BadValue: no variable has such an id, or it cannot hold that.
         """
         start, size = self.start(identity), self._sizes[identity]
-        self.values[start : start + size] = _fitting(words, size)
-        self.stamps[identity] = stamp or self.clock()
+        words = _fitting(words, size)
+        if size == 1 and type(words) is int:
+            # The usual case, in which numpy would take five times as long.
+            _WORD_FORM.pack_into(self.memory, WORD * start, words)
+        else:
+            self.values[start : start + size] = words
+        _STAMP_FORM.pack_into(self._stamp_memory, _STAMP_FORM.size * identity, *(stamp or self.clock()))
         self.updated[identity] = True
         self.dirty.add(identity)
 

@@ -18,7 +18,7 @@ from linkcore.errors import BadValue, LocalError
 from ..errors import NotThere, WrongVariables
 from ..wire.schema import WORD
 from .database import Database, Table
-from .value_types import Order, ValueType
+from .value_types import Order, Packer, ValueType
 
 __all__ = ["Declaration", "Declarations", "Read", "Write", "bind", "create_variables", "refuse_hiding"]
 
@@ -105,13 +105,13 @@ class Declaration(Generic[V, S]):
         return read()
 
     def __set__(self, instance: Declarations, value: S) -> None:
-        instance._place(self)
-        instance._check_set(self)
-        order = self.order or instance._word_order
         try:
-            words = (
-                self.type.pack(value, order) if self.count == 1 else self.type.pack_many(value, self.count, order)  # type: ignore[arg-type]
-            )
+            pack = instance._bound_packers[self.attribute]
+        except KeyError:
+            self._missing(instance)
+        instance._check_set(self)
+        try:
+            words = pack(value)
         except BadValue as error:
             raise BadValue(f"{self.name}: {error}") from None
         with instance._bound_lock:
@@ -121,7 +121,7 @@ class Declaration(Generic[V, S]):
 
     def _missing(self, instance: Declarations) -> NoReturn:
         instance._place(self)  # says what is wrong
-        raise AssertionError(f"{self.name} has a place and no reader")
+        raise AssertionError(f"{self.name} has a place and nothing that reads and packs it")
 
     def unpack(self, words: Any, order: Order) -> V:
         """The value in the words of the variable."""
@@ -226,6 +226,7 @@ class Declarations:
 
     _bound_places: Mapping[str, tuple[Table, int]] | None = None
     _bound_readers: Mapping[str, Callable[[], Any]] = MappingProxyType({})
+    _bound_packers: Mapping[str, Packer] = MappingProxyType({})
     _bound_lock: threading.RLock
 
     def __init_subclass__(cls, *, order: Order | None = None, **options: Any) -> None:
@@ -304,6 +305,7 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
     """
     places: dict[str, tuple[Table, int]] = {}
     readers: dict[str, Callable[[], Any]] = {}
+    packers: dict[str, Packer] = {}
     # All of them are collected: who connects to a robot of another kind sees at once how it differs.
     differences = []
     # Re-entrant: a signal handler may read a variable while the main thread is reading one.
@@ -314,12 +316,14 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
         if identity is not None and table.rows[identity].length == declaration.length:
             places[attribute] = table, identity
             readers[attribute] = _reader(declaration, instance._word_order, table, identity, lock)
+            packers[attribute] = declaration.type.packer(declaration.count, declaration.order or instance._word_order)
         elif (difference := _difference(declaration, database)) is not None:
             differences.append(difference)
     if differences:
         raise WrongVariables(differences)
     # Last, so that an instance which cannot be bound keeps working on the tables that it had.
-    instance._bound_lock, instance._bound_places, instance._bound_readers = lock, places, readers
+    instance._bound_lock, instance._bound_places = lock, places
+    instance._bound_readers, instance._bound_packers = readers, packers
 
 
 def _reader(
