@@ -107,7 +107,7 @@ def test_each_is_there_and_says_what_it_is() -> None:
 VARIABLES = """access address background changed close connection declared discarded fresh received reconnects stamp
     subscribe subscribe_connection sync updated variables width"""
 PLUGIN = "declared init is_critical is_updated name periodic safety terminate"
-VALUE_TYPE = "length pack pack_many reader unit unpack unpack_many"
+VALUE_TYPE = "length pack pack_many packer reader unit unpack unpack_many"
 SURFACES: list[tuple[object, str]] = [
     (rhdlink.Variables, VARIABLES),
     (rhdlink.Smr, f"{VARIABLES} {' '.join(rhdlink.Smr.declared())}"),
