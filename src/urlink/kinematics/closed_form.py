@@ -1,0 +1,202 @@
+"""All joint positions that put the flange of a published UR arm at a pose, in closed form.
+
+An arm reaches a pose in up to eight ways: shoulder left or right, wrist flipped or not, elbow up or down. This is the
+classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel axes; joint 1 follows from where the
+wrist is, joints 5 and 6 from the orientation, joints 2 and 3 from the triangle of the two arm links.
+
+In three places a joint is not determined (the singularities): where the wrist is on a cylinder of radius d4 about the
+base's axis (joint 1), where joints 4 and 6 turn about the same direction (joint 6), and where the arm is stretched or
+folded (two ways meet). `branches` looks after them one pose at a time. `branches_of_rows` computes many poses at once
+and says which of them are too close to the second one for its formulas.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
+from .geometry import Angles, Lengths
+
+__all__ = ["BRANCHES", "branches", "branches_of_rows", "wrapped"]
+
+#: Ways to reach a pose.
+BRANCHES = 8
+
+# How much orientation, rad, may be given up for a better joint 6. At a singular wrist, where joint 6 hardly counts, it
+# buys any joint 6.
+_SLACK = 1e-13
+# How far outside its reach, relative to it, rounding may put a pose that is exactly on the edge.
+_EDGE = 1e-13
+# The same two for loose ways, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the
+# published one, a hundredth of its reach.
+_LOOSE_SLACK = 0.01
+_LOOSE_EDGE = 0.05
+_ALMOST_STRAIGHT = 0.999
+# Sine of joint 5 below which rows are left to `branches`: at 1e-4 joint 6 is known to 1e-12 rad, which is not yet felt
+# in the reach of the arm.
+_SINGULAR = 1e-4
+
+
+def branches(
+    lengths: Lengths, target: Rigid[float], free_q6: float = 0.0, is_loose: bool = False
+) -> list[Angles[float] | None]:
+    """The eight ways to put the flange at `target`, rad, not wrapped; None for one that does not reach.
+
+    Args:
+        target: the flange in the base frame.
+        free_q6: joint 6 where it is free; where that would put the wrist out of reach, the closest to it.
+        is_loose: a way counts as one where it is almost in reach, and the elbow is never quite straight: as a start
+            for the search of a calibrated arm, which reaches a little further here and less far there.
+
+    Returns:
+        In the order of `Arm.branches`. Where two meet in a singularity, both are there.
+    """
+    d1, a2, a3, d4, d5, _ = lengths
+    r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = target
+    found: list[Angles[float] | None] = []
+    x5, y5, z5 = _wrist(lengths, target)
+    slack, margin, straight = (_LOOSE_SLACK, _LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_SLACK, _EDGE, 1.0)
+    if x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin):
+        return [None] * BRANCHES  # Too close to the axis of the base.
+    for q1 in _shoulder(FLOATS, d4, x5, y5, margin if is_loose else 0.0):
+        s1, c1, out5, up5, nx, ny, nz, sine = _plane(FLOATS, d1, target, q1, x5, y5, z5)
+        q5, q6 = math.atan2(sine, nz), math.atan2(-ny, nx)
+        for flip in (1.0, -1.0):
+            if flip < 0.0:
+                q5, q6 = -q5, math.atan2(ny, -nx)
+            shift = wrapped(free_q6 - q6)
+            if abs(shift) * sine < slack:
+                q6 += shift
+                s6, c6 = math.sin(q6), math.cos(q6)
+            else:
+                s6, c6 = -flip * ny / sine, flip * nx / sine
+            # z4 = -y5 = -(s6 x6 + c6 y6) lies in the plane of the arm.
+            zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
+            along, across = zx * c1 + zy * s1, zz
+            # Joint 6 moves the origin of frame 4 too: turn it, as far as the slack goes, to where the arm reaches.
+            bearing = math.atan2(across, along)
+            if sine < _SINGULAR:
+                shift = _into_reach(bearing, out5, up5, d5, abs(a2) + abs(a3), abs(abs(a2) - abs(a3)))
+                if abs(shift) * sine < slack:
+                    bearing += shift
+                    q6 -= math.copysign(1.0, nz) * shift
+                along, across = math.cos(bearing), math.sin(bearing)
+            out, up = out5 - d5 * along, up5 - d5 * across
+            c3 = (out * out + up * up - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
+            if abs(c3) > 1.0 + margin:
+                found += (None, None)  # Further than the stretched arm reaches, or closer than the folded one.
+                continue
+            q234 = bearing + 0.5 * math.pi
+            for q2, q3 in _elbow(FLOATS, a2, a3, out, up, max(-straight, min(straight, c3))):
+                found.append((q1, q2, q3, q234 - q2 - q3, q5, q6))
+    return found
+
+
+def branches_of_rows(lengths: Lengths, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """The eight ways for each of n poses.
+
+    Args:
+        targets: the flange in the base frame, n times.
+
+    Returns:
+        (8, 6, n) rad, not wrapped, NaN where a way does not reach, in the order of `branches`; and (n,) whether a pose
+        is too close to the singularity of the wrist, so that these figures are not to be used.
+    """
+    d1, a2, a3, d4, d5, _ = lengths
+    r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
+    x5, y5, z5 = _wrist(lengths, targets)
+    found = np.empty((BRANCHES, 6, len(x5)))
+    near = x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - _EDGE)
+    singular = np.zeros(len(x5), dtype=bool)
+    at = 0
+    for q1 in _shoulder(ROWS, d4, x5, y5):
+        s1, c1, out5, up5, nx, ny, nz, sine = _plane(ROWS, d1, targets, q1, x5, y5, z5)
+        singular |= sine < _SINGULAR
+        length = np.where(sine > 0.0, sine, 1.0)
+        s6, c6 = -ny / length, nx / length
+        zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
+        along, across = d5 * (zx * c1 + zy * s1), d5 * zz
+        q5, q6, q234 = np.arctan2(sine, nz), np.arctan2(s6, c6), np.arctan2(zz, zx * c1 + zy * s1) + 0.5 * np.pi
+        for flip in (1.0, -1.0):
+            out, up = out5 - flip * along, up5 - flip * across
+            c3 = (out * out + up * up - (a2 * a2 + a3 * a3)) * (0.5 / (a2 * a3))
+            out_of_reach = (np.abs(c3) > 1.0 + _EDGE) | near
+            c3 = np.maximum(np.minimum(c3, 1.0), -1.0)
+            for q2, q3 in _elbow(ROWS, a2, a3, out, up, c3):
+                way = found[at]
+                way[0], way[1], way[2], way[3] = q1, q2, q3, q234 - q2 - q3
+                way[4], way[5] = flip * q5, q6
+                if out_of_reach.any():
+                    way[:, out_of_reach] = np.nan
+                at += 1
+            q6, q234 = q6 + np.pi, q234 + np.pi
+    return found, singular
+
+
+def _wrist(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Number]:
+    """The origin of frame 5."""
+    d6 = lengths[5]
+    _, _, r02, _, _, r12, _, _, r22, px, py, pz = target
+    return px - d6 * r02, py - d6 * r12, pz - d6 * r22
+
+
+def _shoulder(f: Functions[Number], d4: float, x5: Number, y5: Number, apart: float = 0.0) -> tuple[Number, Number]:
+    """Joint 1: the origin of frame 5 lies d4 off the plane of the arm, on the side of its normal (s1, -c1, 0).
+
+    Where both solutions are closer together than a share of `apart` in d4 makes them, they are kept that far apart.
+    """
+    bearing = f.atan2(y5, x5)
+    lean = f.atan2(d4, f.sqrt(f.positive(x5 * x5 + y5 * y5 - d4 * d4) + (apart * d4) ** 2))
+    return bearing + lean, bearing + (math.pi - lean)
+
+
+def _plane(
+    f: Functions[Number], d1: float, target: Rigid[Number], q1: Number, x5: Number, y5: Number, z5: Number
+) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number]:
+    """Sine and cosine of joint 1; frame 5's origin in the plane of the arm, from the shoulder; the normal in frame 6.
+
+    That normal is (c6 s5, -s6 s5, c5). The last number is the length of its first two: the sine of joint 5, with all
+    its digits where an arc cosine of c5 would lose half of them.
+    """
+    r00, r01, r02, r10, r11, r12, _, _, _, _, _, _ = target
+    s1, c1 = f.sin(q1), f.cos(q1)
+    nx, ny, nz = r00 * s1 - r10 * c1, r01 * s1 - r11 * c1, r02 * s1 - r12 * c1
+    return s1, c1, x5 * c1 + y5 * s1, z5 - d1, nx, ny, nz, f.hypot(nx, ny)
+
+
+def _elbow(
+    f: Functions[Number], a2: float, a3: float, out: Number, up: Number, c3: Number
+) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
+    """Joints 2 and 3, both ways: two links that reach from the shoulder to the origin of frame 4."""
+    s3 = f.sqrt((1.0 - c3) * (1.0 + c3))
+    q3 = f.atan2(s3, c3)
+    bearing = f.atan2(up, out)
+    # a2 and a3 are negative, so the upper arm points away from (a2 + a3 c3, a3 s3).
+    part = f.atan2(a3 * s3, a2 + a3 * c3)
+    return (bearing - part, q3), (bearing + part, -q3)
+
+
+def _into_reach(bearing: float, out: float, up: float, length: float, furthest: float, closest: float) -> float:
+    """How far to turn a link that ends at (out, up) for its other end to come within reach of 0, 0.
+
+    Zero where it is in reach. Where no turn brings it there, it turns as close as it can come.
+    """
+    distance = math.hypot(out, up)
+    lever = 2.0 * length * distance
+    if lever == 0.0:
+        return 0.0
+    # By the law of cosines; the end comes closest to 0, 0 where the link points straight away from it.
+    squares = length * length + distance * distance
+    widest = math.acos(max(-1.0, min(1.0, (squares - furthest * furthest) / lever)))
+    narrowest = math.acos(max(-1.0, min(1.0, (squares - closest * closest) / lever)))
+    angle = math.remainder(bearing - math.atan2(up, out), math.tau)
+    return math.copysign(max(narrowest, min(widest, abs(angle))), angle) - angle
+
+
+def wrapped(angle: float) -> float:
+    """The same direction in (-pi, pi]."""
+    around = math.remainder(angle, math.tau)
+    return math.pi if around <= -math.pi else around

@@ -1,0 +1,346 @@
+"""Rigid transforms as twelve numbers: what poses, kinematics and dynamics are computed with.
+
+A transform is a tuple of twelve: the rows of the rotation matrix, then the position in m. Each of the twelve is either
+a float or an array of n floats, one for each of n transforms. The same formulas serve both: one transform costs no
+call into numpy, which would take longer than the arithmetic, and a thousand cost as many calls as one.
+
+Rotations come in and go out as rotation vectors, as Universal Robots writes them: the direction is the axis, the length
+is the angle in rad. Conversions go by way of the unit quaternion, taken from its largest component, so that they keep
+their precision at every angle, 0 and pi included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from linkcore.errors import BadValue
+
+__all__ = [
+    "FLOATS",
+    "IDENTITY",
+    "ROWS",
+    "FloatArray",
+    "Functions",
+    "Number",
+    "Rigid",
+    "Six",
+    "aligned",
+    "floats",
+    "from_matrices",
+    "from_matrix",
+    "from_pose",
+    "from_poses",
+    "invert",
+    "is_single",
+    "product",
+    "quaternions",
+    "rotation_vector",
+    "row",
+    "rows",
+    "take",
+    "to_matrices",
+    "to_matrix",
+    "to_pose",
+    "to_poses",
+]
+
+FloatArray = NDArray[np.float64]
+
+Number = TypeVar("Number", float, FloatArray)
+
+#: Rotation by rows, then position: r00 r01 r02 r10 r11 r12 r20 r21 r22 px py pz.
+Rigid = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number]
+Six = tuple[Number, Number, Number, Number, Number, Number]
+Quaternion = tuple[Number, Number, Number, Number]
+
+IDENTITY: Rigid[float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class Functions(NamedTuple, Generic[Number]):
+    """The functions that formulas need, for floats or for arrays."""
+
+    sin: Callable[[Number], Number]
+    cos: Callable[[Number], Number]
+    sqrt: Callable[[Number], Number]
+    atan2: Callable[[Number | float, Number], Number]
+    hypot: Callable[[Number, Number], Number]
+    #: at least zero: `max(x, 0)`
+    positive: Callable[[Number], Number]
+
+
+FLOATS: Functions[float] = Functions(
+    math.sin, math.cos, math.sqrt, math.atan2, math.hypot, lambda x: x if x > 0.0 else 0.0
+)
+ROWS: Functions[FloatArray] = Functions(np.sin, np.cos, np.sqrt, np.arctan2, np.hypot, lambda x: np.maximum(x, 0.0))
+
+
+def floats(values: ArrayLike, n: int, what: str) -> list[float]:
+    """`n` finite numbers as plain floats: arithmetic on numpy scalars costs several times as much.
+
+    Raises:
+        BadValue: they are not `n` finite numbers.
+    """
+    try:
+        plain = values.tolist() if isinstance(values, np.ndarray) else list(map(float, values))  # type: ignore[arg-type]
+        usable = len(plain) == n and all(map(math.isfinite, plain))
+    except (TypeError, ValueError):
+        usable = False
+    if not usable:
+        raise BadValue(f"{what} must be {n} finite numbers, not {values!r}")
+    return plain
+
+
+def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
+    """An array of finite float64 whose last dimensions are `shape`.
+
+    Raises:
+        BadValue: it has another shape, or holds what is no finite number. The message names the first such row.
+    """
+    expected = f"{what} must have the shape (..., {', '.join(map(str, shape))}) and hold finite numbers"
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadValue(f"{expected} ({error})") from None
+    if array.shape[array.ndim - len(shape) :] != shape or array.ndim < len(shape):
+        raise BadValue(f"{expected}, not the shape {array.shape}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        at = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise BadValue(f"{expected}; at {list(at)} is {array[at]}")
+    return array
+
+
+def is_single(values: ArrayLike) -> bool:
+    """One row of numbers, rather than rows of them; what is neither is left to `floats` and `rows` to refuse."""
+    if isinstance(values, np.ndarray):
+        return values.ndim <= 1
+    try:
+        return np.ndim(values) <= 1
+    except ValueError:  # rows of different lengths
+        return False
+
+
+def aligned(*arrays: FloatArray) -> tuple[list[FloatArray], tuple[int, ...]]:
+    """The arrays with their leading dimensions broadcast and flattened to n rows, and what the dimensions were.
+
+    Raises:
+        BadValue: the leading dimensions do not broadcast.
+    """
+    try:
+        shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
+    except ValueError:
+        given = " and ".join(str(array.shape) for array in arrays)
+        raise BadValue(f"these shapes do not go together: {given}") from None
+    return [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in arrays], shape
+
+
+def row(of: Rigid[FloatArray], i: int) -> Rigid[float]:
+    """One of n transforms."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = (float(number[i]) for number in of)
+    return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
+
+
+def take(of: Rigid[FloatArray], chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Rigid[FloatArray]:
+    """Some of n transforms, chosen as numpy does."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = (number[chosen] for number in of)
+    return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
+
+
+# --- the group ---
+
+
+def product(first: Rigid[Number], second: Rigid[Number]) -> Rigid[Number]:
+    """`second`, given in the frame that `first` describes, in the frame that `first` is given in."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = first
+    b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = second
+    return (
+        a00 * b00 + a01 * b10 + a02 * b20,
+        a00 * b01 + a01 * b11 + a02 * b21,
+        a00 * b02 + a01 * b12 + a02 * b22,
+        a10 * b00 + a11 * b10 + a12 * b20,
+        a10 * b01 + a11 * b11 + a12 * b21,
+        a10 * b02 + a11 * b12 + a12 * b22,
+        a20 * b00 + a21 * b10 + a22 * b20,
+        a20 * b01 + a21 * b11 + a22 * b21,
+        a20 * b02 + a21 * b12 + a22 * b22,
+        a00 * bx + a01 * by + a02 * bz + ax,
+        a10 * bx + a11 * by + a12 * bz + ay,
+        a20 * bx + a21 * by + a22 * bz + az,
+    )
+
+
+def invert(rigid: Rigid[Number]) -> Rigid[Number]:
+    """The transform that undoes `rigid`."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid
+    return (
+        r00,
+        r10,
+        r20,
+        r01,
+        r11,
+        r21,
+        r02,
+        r12,
+        r22,
+        -(r00 * px + r10 * py + r20 * pz),
+        -(r01 * px + r11 * py + r21 * pz),
+        -(r02 * px + r12 * py + r22 * pz),
+    )
+
+
+# --- rotation vectors and poses ---
+
+
+def _turned(px: Number, py: Number, pz: Number, x: Number, y: Number, z: Number, s: Number, v: Number) -> Rigid[Number]:
+    """Rodrigues' formula: about the unit axis x, y, z by the angle with the sine `s` and 1 - cosine `v`."""
+    sx, sy, sz = s * x, s * y, s * z
+    vx, vy, vz = v * x, v * y, v * z
+    xx, yy, zz, xy, yz, zx = vx * x, vy * y, vz * z, vx * y, vy * z, vz * x
+    return (
+        1.0 - yy - zz,
+        xy - sz,
+        zx + sy,
+        xy + sz,
+        1.0 - xx - zz,
+        yz - sx,
+        zx - sy,
+        yz + sx,
+        1.0 - xx - yy,
+        px,
+        py,
+        pz,
+    )
+
+
+def from_pose(pose: Six[float] | list[float]) -> Rigid[float]:
+    """The transform of x, y, z in m and a rotation vector in rad."""
+    px, py, pz, rx, ry, rz = pose
+    angle = math.hypot(rx, ry, rz)
+    if angle == 0.0:
+        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, px, py, pz)
+    return _turned(px, py, pz, rx / angle, ry / angle, rz / angle, math.sin(angle), 1.0 - math.cos(angle))
+
+
+def from_poses(poses: FloatArray) -> Rigid[FloatArray]:
+    """The transforms of (n, 6) poses."""
+    px, py, pz, rx, ry, rz = poses.T
+    angle = np.hypot(np.hypot(rx, ry), rz)
+    # Without a rotation any axis will do, and 0, 0, 0 gives the identity.
+    length = np.where(angle > 0.0, angle, 1.0)
+    return _turned(px, py, pz, rx / length, ry / length, rz / length, np.sin(angle), 1.0 - np.cos(angle))
+
+
+# Of a unit quaternion, four times the products of one component with all of them: w, x, y, z. By the largest component,
+# these are as precise as the matrix.
+def _by_w(r: Rigid[Number]) -> Quaternion[Number]:
+    return 1.0 + r[0] + r[4] + r[8], r[7] - r[5], r[2] - r[6], r[3] - r[1]
+
+
+def _by_x(r: Rigid[Number]) -> Quaternion[Number]:
+    return r[7] - r[5], 1.0 + r[0] - r[4] - r[8], r[3] + r[1], r[2] + r[6]
+
+
+def _by_y(r: Rigid[Number]) -> Quaternion[Number]:
+    return r[2] - r[6], r[3] + r[1], 1.0 + r[4] - r[0] - r[8], r[7] + r[5]
+
+
+def _by_z(r: Rigid[Number]) -> Quaternion[Number]:
+    return r[3] - r[1], r[2] + r[6], r[7] + r[5], 1.0 + r[8] - r[0] - r[4]
+
+
+def _scaled_quaternion(rigid: Rigid[float]) -> Quaternion[float]:
+    """A positive multiple of the quaternion w, x, y, z with w at least 0, so that its angle is at most pi."""
+    r00, r11, r22 = rigid[0], rigid[4], rigid[8]
+    if r00 + r11 + r22 > 0.0:
+        return _by_w(rigid)
+    w, x, y, z = _by_x(rigid) if r00 >= r11 and r00 >= r22 else _by_y(rigid) if r11 >= r22 else _by_z(rigid)
+    # Both quaternions of a rotation do; this one has the smaller angle.
+    return (-w, -x, -y, -z) if w < 0.0 else (w, x, y, z)
+
+
+def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
+    """The same as (4, n)."""
+    r00, r11, r22 = rigid[0], rigid[4], rigid[8]
+    by_y = (r11 >= r22) & (r11 > r00)
+    by_x = (r00 >= r22) & (r00 >= r11)
+    by_w = r00 + r11 + r22 > 0.0
+    found = np.array(np.broadcast_arrays(*_by_w(rigid)))
+    if not by_w.all():
+        for chosen, formula in (
+            (by_x & ~by_w, _by_x),
+            (by_y & ~by_w, _by_y),
+            (~(by_x | by_y | by_w), _by_z),
+        ):
+            if chosen.any():
+                found[:, chosen] = np.array(formula(rigid))[:, chosen]
+        found *= np.where(found[0] < 0.0, -1.0, 1.0)
+    return found
+
+
+def rotation_vector(rigid: Rigid[float]) -> tuple[float, float, float]:
+    """The rotation vector, of an angle of 0 to pi.
+
+    At exactly pi both directions of the axis are the same rotation; the one whose largest component is positive is
+    given.
+    """
+    w, x, y, z = _scaled_quaternion(rigid)
+    sine = math.hypot(x, y, z)
+    scale = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 0.0
+    return scale * x, scale * y, scale * z
+
+
+def to_pose(rigid: Rigid[float]) -> Six[float]:
+    """x, y, z and the rotation vector."""
+    return (*rigid[9:], *rotation_vector(rigid))
+
+
+def to_poses(rigid: Rigid[FloatArray]) -> FloatArray:
+    """(n, 6) poses."""
+    w, x, y, z = _scaled_quaternions(rigid)
+    sine = np.hypot(np.hypot(x, y), z)
+    scale = 2.0 * np.arctan2(sine, w) / np.where(sine > 0.0, sine, 1.0)
+    return np.stack(np.broadcast_arrays(*rigid[9:], scale * x, scale * y, scale * z), axis=-1)
+
+
+def quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
+    """(n, 4) unit quaternions x, y, z, w with w at least 0."""
+    scaled = _scaled_quaternions(rigid)
+    unit: FloatArray = (scaled / np.linalg.norm(scaled, axis=0)).T
+    return unit[:, [1, 2, 3, 0]]
+
+
+# --- homogeneous matrices ---
+
+
+def to_matrix(rigid: Rigid[float]) -> FloatArray:
+    """(4, 4) homogeneous matrix."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid
+    flat = (r00, r01, r02, px, r10, r11, r12, py, r20, r21, r22, pz, 0.0, 0.0, 0.0, 1.0)
+    return np.array(flat).reshape(4, 4)
+
+
+def to_matrices(rigid: Rigid[FloatArray]) -> FloatArray:
+    """(n, 4, 4) homogeneous matrices."""
+    parts = np.broadcast_arrays(*rigid)
+    matrices = np.zeros((*parts[0].shape, 4, 4))
+    matrices[..., :3, :3] = np.stack(parts[:9], axis=-1).reshape(*parts[0].shape, 3, 3)
+    matrices[..., :3, 3] = np.stack(parts[9:], axis=-1)
+    matrices[..., 3, 3] = 1.0
+    return matrices
+
+
+def from_matrix(matrix: FloatArray) -> Rigid[float]:
+    """The transform of a (4, 4) matrix; its last row is not looked at."""
+    (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = matrix[:3].tolist()
+    return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
+
+
+def from_matrices(matrices: FloatArray) -> Rigid[FloatArray]:
+    """The transforms of (n, 4, 4) matrices."""
+    (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = np.moveaxis(matrices[:, :3], 0, -1)
+    return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
