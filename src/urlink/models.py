@@ -8,13 +8,22 @@ Which figure comes from where:
   calibration of up to a few millimetres, which it sends in its kinematics packet.
 - **Position and speed limits**: the user manuals, by way of `joint_limits.yaml` of `ur_description`, without
   that file's narrower elbow, which is a planner's choice and not a property of the arm.
-- **Link masses and centres of mass**: the same article; for UR15 and UR30 the `physical_parameters.yaml` of
-  `ur_description`. Those of UR3e and UR5e explain the currents that simulated controllers report.
+- **Link masses and centres of mass**: the same article; for UR15, UR18, UR30 and wrist 3 of UR20 the
+  `physical_parameters.yaml` of `ur_description`. Those of UR3e and UR5e explain the currents that simulated controllers
+  report. Inertias: see `urlink.inertias`.
+- **Joint torques**: the vendor's article "Max. joint torques" and `joint_limits.yaml`.
 - **Payload and reach**: the vendor's data sheets. Where a payload was raised during a model's life, it is the
   newest.
 - **Acceleration limits** are not published. The figures are what controllers report in their configuration
   packet: a CB2 UR5 for the CB arms, a simulated UR5e for the others. For any model but those two they are an
   approximation.
+- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. They are said to report the robot types of those,
+  so an arm cannot be told from its successor by what it sends.
+- **UR18 and UR8 Long**: the lengths are those that the package ur-analytic-ik (0.1.0.post3) computes with. UR8 Long
+  has no `physical_parameters.yaml`: shoulder and wrists are those of UR15, whose meshes it is drawn with, and the arm
+  links are those of the vendor's ur10g-1750, which is drawn with the meshes of UR8 Long.
+
+What is not published for a model but taken over from another one stands in its `guesses`.
 """
 
 from __future__ import annotations
@@ -30,6 +39,8 @@ from numpy.typing import NDArray
 
 from linkcore.errors import BadValue, LocalError
 
+from .inertias import INERTIAS
+
 __all__ = ["MODELS", "Model", "UnknownModel", "model", "model_of"]
 
 FloatArray = NDArray[np.float64]
@@ -44,6 +55,8 @@ _SHAPES: Mapping[str, tuple[int, ...]] = {
     "max_acceleration": (6,),
     "link_masses": (6,),
     "link_cogs": (6, 3),
+    "link_inertias": (6, 3, 3),
+    "max_torque": (6,),
 }
 
 _HALF_PI = math.pi / 2.0
@@ -63,7 +76,7 @@ class Model:
     Attributes:
         name: as the vendor writes it, such as `"UR5e"`.
         generation: `"CB"` (CB2 and CB3) or `"e"` (e-Series and the arms that came after it, up to UR30).
-        robot_type: the number in the configuration packet; a CB arm and its e-Series successor share it.
+        robot_type: the number in the configuration packet; a CB arm and its successors share it.
         dh_a: (6,) link lengths, m. The arm lengths are negative, as the vendor writes them.
         dh_d: (6,) link offsets, m.
         dh_alpha: (6,) link twists, rad.
@@ -77,6 +90,9 @@ class Model:
         reach: as on the data sheet, m.
         link_masses: (6,) mass of the link behind each joint, kg; the base does not move and is left out.
         link_cogs: (6, 3) its centre of mass in the DH frame at the end of the link, m.
+        link_inertias: (6, 3, 3) its inertia about the centre of mass along the axes of that frame, kg m².
+        max_torque: (6,) Nm.
+        guesses: names of those of these attributes that are not known of this model, but of one that is like it.
 
     Raises:
         BadValue: an array has the wrong shape, or the DH rows are not those of a nominal UR arm (a1, a4..a6,
@@ -98,6 +114,9 @@ class Model:
     reach: float
     link_masses: FloatArray
     link_cogs: FloatArray
+    link_inertias: FloatArray
+    max_torque: FloatArray
+    guesses: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for field, shape in _SHAPES.items():
@@ -128,9 +147,14 @@ def _arm(
     reach: float,
     masses: Sequence[float],
     cogs: Sequence[tuple[float, float, float]],
+    torque: tuple[float, float, float],
     endless_wrist: bool = False,
+    guesses: tuple[str, ...] = (),
 ) -> Model:
-    """A `Model` from the lengths that tell arms apart: a2, a3 and d1, d4, d5, d6 in m; `speed` in deg/s."""
+    """A `Model` from the lengths that tell arms apart: a2, a3 and d1, d4, d5, d6 in m.
+
+    `speed` is in deg/s, `torque` in Nm: of base and shoulder, of the elbow, of the wrists.
+    """
     turn = 2.0 * math.pi
     limits = np.array([[-turn, turn]] * 6)
     if endless_wrist:
@@ -150,6 +174,9 @@ def _arm(
         reach=reach,
         link_masses=np.array(masses),
         link_cogs=np.array(cogs),
+        link_inertias=INERTIAS[name],
+        max_torque=np.array([torque[0]] * 2 + [torque[1]] + [torque[2]] * 3),
+        guesses=frozenset(guesses) if name in ("UR5", "UR5e") else frozenset({"max_acceleration", *guesses}),
     )
 
 
@@ -180,6 +207,15 @@ _UR10_COGS = [
     (0.0, 0.0, -0.026),
 ]
 
+_UR15_COGS = [
+    (0.000024, -0.033309, 0.025304),
+    (0.419009, -0.000083, 0.192787),
+    (0.305471, 0.000019, 0.070552),
+    (0.000025, -0.019695, 0.016413),
+    (0.000025, 0.01996, 0.015886),
+    (-0.000018, -0.000112, -0.053397),
+]
+
 #: Every arm that is known, by the name the vendor gives it.
 MODELS: Mapping[str, Model] = MappingProxyType(
     {
@@ -194,6 +230,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(180, 180, 180, 360, 360, 360),
                 payload=3.0,
                 reach=0.5,
+                torque=(56, 28, 12),
                 masses=(2.0, 3.42, 1.26, 0.8, 0.8, 0.35),
                 cogs=_UR3_COGS,
                 endless_wrist=True,
@@ -208,6 +245,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(180, 180, 180, 180, 180, 180),
                 payload=5.0,
                 reach=0.85,
+                torque=(150, 150, 28),
                 masses=(3.7, 8.393, 2.33, 1.219, 1.219, 0.1879),
                 cogs=_UR5_COGS,
             ),
@@ -220,6 +258,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(120, 120, 180, 180, 180, 180),
                 payload=10.0,
                 reach=1.3,
+                torque=(330, 150, 56),
                 masses=(7.1, 12.7, 4.27, 2.0, 2.0, 0.365),
                 cogs=_UR10_COGS,
             ),
@@ -232,6 +271,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(180, 180, 180, 360, 360, 360),
                 payload=3.0,
                 reach=0.5,
+                torque=(54, 28, 9),
                 masses=(1.98, 3.4445, 1.437, 0.871, 0.805, 0.261),
                 cogs=_UR3_COGS,
                 endless_wrist=True,
@@ -245,6 +285,21 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(180, 180, 180, 180, 180, 180),
                 payload=5.0,
                 reach=0.85,
+                torque=(150, 150, 28),
+                masses=(3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
+                cogs=_UR5_COGS,
+            ),
+            _arm(
+                "UR7e",
+                "e",
+                1,
+                a=(-0.425, -0.3922),
+                d=(0.1625, 0.1333, 0.0997, 0.0996),
+                speed=(180, 180, 180, 180, 180, 180),
+                payload=7.5,
+                reach=0.85,
+                torque=(150, 150, 28),
+                guesses=("max_speed", "max_torque"),
                 masses=(3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
                 cogs=_UR5_COGS,
             ),
@@ -257,6 +312,20 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(120, 120, 180, 180, 180, 180),
                 payload=12.5,
                 reach=1.3,
+                torque=(330, 150, 54),
+                masses=(7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
+                cogs=_UR10_COGS,
+            ),
+            _arm(
+                "UR12e",
+                "e",
+                2,
+                a=(-0.6127, -0.57155),
+                d=(0.1807, 0.17415, 0.11985, 0.11655),
+                speed=(120, 120, 180, 180, 180, 180),
+                payload=12.5,
+                reach=1.3,
+                torque=(330, 150, 54),
                 masses=(7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
                 cogs=_UR10_COGS,
             ),
@@ -269,6 +338,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(120, 120, 180, 180, 180, 180),
                 payload=16.0,
                 reach=0.9,
+                torque=(330, 150, 54),
                 masses=(7.369, 10.45, 4.321, 2.18, 2.033, 0.907),
                 cogs=[
                     (0.0, -0.016, 0.03),
@@ -280,6 +350,25 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 ],
             ),
             _arm(
+                "UR8 Long",
+                "e",
+                6,
+                a=(-0.8989, -0.7149),
+                d=(0.2186, 0.1824, 0.1361, 0.1434),
+                speed=(180, 180, 240, 300, 300, 300),
+                payload=8.0,
+                reach=1.75,
+                torque=(433, 204, 70),
+                guesses=("max_speed", "max_torque", "link_masses", "link_cogs", "link_inertias"),
+                masses=(9.9883, 17.0738, 7.6393, 2.089, 2.0869, 1.0666),
+                cogs=[
+                    _UR15_COGS[0],
+                    (0.565429, -0.000074, 0.19542),
+                    (0.416102, 0.000058, 0.065663),
+                    *_UR15_COGS[3:],
+                ],
+            ),
+            _arm(
                 "UR15",
                 "e",
                 9,
@@ -288,14 +377,27 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(180, 180, 240, 300, 300, 300),
                 payload=17.5,
                 reach=1.3,
+                torque=(433, 204, 70),
+                guesses=("max_torque",),
                 masses=(9.9883, 14.9255, 6.1015, 2.089, 2.0869, 1.0666),
+                cogs=_UR15_COGS,
+            ),
+            _arm(
+                "UR18",
+                "e",
+                5,
+                a=(-0.475, -0.3389),
+                d=(0.2186, 0.1824, 0.1361, 0.1434),
+                speed=(180, 180, 240, 300, 300, 300),
+                payload=18.0,
+                reach=0.95,
+                torque=(433, 204, 70),
+                masses=(9.9883, 14.2009, 5.52, 2.089, 2.0869, 1.0666),
                 cogs=[
-                    (0.000024, -0.033309, 0.025304),
-                    (0.419009, -0.000083, 0.192787),
-                    (0.305471, 0.000019, 0.070552),
-                    (0.000025, -0.019695, 0.016413),
-                    (0.000025, 0.01996, 0.015886),
-                    (-0.000018, -0.000112, -0.053397),
+                    _UR15_COGS[0],
+                    (0.308664, -0.000088, 0.190204),
+                    (0.199652, 0.000021, 0.073101),
+                    *_UR15_COGS[3:],
                 ],
             ),
             _arm(
@@ -307,14 +409,15 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(120, 120, 150, 210, 210, 210),
                 payload=25.0,
                 reach=1.75,
-                masses=(16.343, 29.632, 7.879, 3.054, 3.126, 0.846),
+                torque=(738, 433, 107),
+                masses=(16.343, 29.632, 7.879, 3.054, 3.126, 0.926),
                 cogs=[
                     (0.0, -0.061, 0.0062),
                     (0.5226, 0.0, 0.2098),
                     (0.3234, 0.0, 0.0604),
                     (0.0, -0.0026, 0.0393),
                     (0.0, 0.0024, 0.0379),
-                    (0.0, -0.0003, -0.0318),
+                    (0.0, 0.0, -0.0293),
                 ],
             ),
             _arm(
@@ -326,6 +429,8 @@ MODELS: Mapping[str, Model] = MappingProxyType(
                 speed=(120, 120, 150, 210, 210, 210),
                 payload=35.0,
                 reach=1.3,
+                torque=(738, 433, 107),
+                guesses=("link_inertias",),
                 masses=(16.343, 28.542, 7.156, 3.054, 3.126, 0.926),
                 cogs=[
                     (-0.0001, -0.06, 0.0069),
@@ -340,12 +445,15 @@ MODELS: Mapping[str, Model] = MappingProxyType(
     }
 )
 
-_BY_FOLDED_NAME = {name.casefold(): arm for name, arm in MODELS.items()}
-_BY_ROBOT_TYPE = {(arm.robot_type, arm.generation): arm for arm in MODELS.values()}
+_BY_FOLDED_NAME = {
+    spelling: arm for name, arm in MODELS.items() for spelling in (name.casefold(), name.casefold().replace(" ", ""))
+}
+# The arm that a number was first given to: UR7e and UR12e report those of UR5e and UR10e.
+_BY_ROBOT_TYPE = {(arm.robot_type, arm.generation): arm for arm in reversed(list(MODELS.values()))}
 
 
 def model(name: str) -> Model:
-    """The arm called `name`, in upper or lower case.
+    """The arm called `name`, in upper or lower case; the space in "UR8 Long" may be left out.
 
     Raises:
         UnknownModel: no arm is called that; the message lists those that are.
@@ -362,7 +470,8 @@ def model(name: str) -> Model:
 def model_of(robot_type: int, e_series: bool) -> Model | None:
     """The arm of a robot type (from a configuration packet) on a controller with software 5 or later, or not.
 
-    None for a number that stands for no known arm, or for one that was never made in that generation.
+    None for a number that stands for no known arm, or for one that was never made in that generation. UR7e and UR12e
+    report the numbers of UR5e and UR10e and are taken for these.
 
     >>> model_of(1, e_series=False).name, model_of(1, e_series=True).name, model_of(4, e_series=False)
     ('UR5', 'UR5e', None)
