@@ -32,7 +32,7 @@ _SLACK = 1e-13
 _EDGE = 1e-13
 # The same two for loose ways, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the
 # published one, a hundredth of its reach.
-_LOOSE_SLACK = 0.01
+_LOOSE_SLACK = 0.03
 _LOOSE_EDGE = 0.05
 _ALMOST_STRAIGHT = 0.999
 # Sine of joint 5 below which rows are left to `branches`: at 1e-4 joint 6 is known to 1e-12 rad, which is not yet felt
@@ -95,26 +95,31 @@ def branches(
     return found
 
 
-def branches_of_rows(lengths: Lengths, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
+def branches_of_rows(
+    lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = False
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """The eight ways for each of n poses.
 
     Args:
         targets: the flange in the base frame, n times.
+        is_loose: as for `branches`.
 
     Returns:
-        (8, 6, n) rad, not wrapped, NaN where a way does not reach, in the order of `branches`; and (n,) whether a pose
+        (8, 6, n) rad, not wrapped, NaN where a way does not reach, in the order of `branches`; and (8, n) whether a way
         is too close to the singularity of the wrist, so that these figures are not to be used.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
+    margin, straight = (_LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_EDGE, 1.0)
     x5, y5, z5 = _wrist(lengths, targets)
     found = np.empty((BRANCHES, 6, len(x5)))
-    near = x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - _EDGE)
-    singular = np.zeros(len(x5), dtype=bool)
+    near = x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin)
+    singular = np.empty((BRANCHES, len(x5)), dtype=bool)
+    limit = _LOOSE_SLACK / math.pi if is_loose else _SINGULAR
     at = 0
-    for q1 in _shoulder(ROWS, d4, x5, y5):
+    for q1 in _shoulder(ROWS, d4, x5, y5, margin if is_loose else 0.0):
         s1, c1, out5, up5, nx, ny, nz, sine = _plane(ROWS, d1, targets, q1, x5, y5, z5)
-        singular |= sine < _SINGULAR
+        singular[at : at + 4] = sine < limit
         length = np.where(sine > 0.0, sine, 1.0)
         s6, c6 = -ny / length, nx / length
         zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
@@ -123,8 +128,8 @@ def branches_of_rows(lengths: Lengths, targets: Rigid[FloatArray]) -> tuple[Floa
         for flip in (1.0, -1.0):
             out, up = out5 - flip * along, up5 - flip * across
             c3 = (out * out + up * up - (a2 * a2 + a3 * a3)) * (0.5 / (a2 * a3))
-            out_of_reach = (np.abs(c3) > 1.0 + _EDGE) | near
-            c3 = np.maximum(np.minimum(c3, 1.0), -1.0)
+            out_of_reach = (np.abs(c3) > 1.0 + margin) | near
+            c3 = np.maximum(np.minimum(c3, straight), -straight)
             for q2, q3 in _elbow(ROWS, a2, a3, out, up, c3):
                 way = found[at]
                 way[0], way[1], way[2], way[3] = q1, q2, q3, q234 - q2 - q3

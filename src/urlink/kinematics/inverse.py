@@ -23,15 +23,17 @@ from .refinement import error_at, refine, refine_anywhere, refine_rows
 
 __all__ = ["around", "closest", "closest_rows", "distance", "ways", "ways_of_rows"]
 
-# A way of the closed form further than this from the given joint positions, rad, is not taken for their continuation
-# before it is known that they do not almost do: miss the pose by less than the second, m and rad, and lead to one that
-# is no further away than the third, rad.
+# The closest way of the closed form is taken for the continuation of the given joint positions if it is as close to
+# them as the first, rad, and the search goes no further from it than the second: in a singularity there are others.
 _CONTINUES = 0.1
+_REGULAR = 0.02
+# Otherwise the search begins at the given joint positions if they miss the pose by less than this, m and rad; what is
+# found further away than the second, rad, is no continuation.
 _ALMOST = 0.02
 _ASIDE = 0.5
-# Where joint 6 is almost free, by the sine of joint 5, the search also begins at so many positions of it.
-_FREE = 0.05
-_TURNS = 8
+# Where joint 6 is almost free, the search begins at so many positions of it; not twice where it has begun, rad.
+_TURNS = 16
+_TRIED = 1e-3
 
 
 def distance(q: Sequence[float], other: Sequence[float]) -> float:
@@ -63,19 +65,22 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
     seeds = _seeds(geometry, target, near)
     if seeds and distance(seeds[0], near) < _CONTINUES:
         found = refine(geometry, seeds[0], target)
-        if found is not None and distance(found, near) < _CONTINUES:
+        if found is not None and distance(found, seeds[0]) < _REGULAR:
             return found
     if max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
         found = _found(geometry, near, target)
         if found is not None and distance(found, near) < _ASIDE:
             return found
+    tried: list[Angles[float]] = []
     for turn in range(_TURNS):
         for seed in seeds:
-            # Only where joint 6 is free does another position of it lead elsewhere.
-            if turn == 0 or abs(math.sin(seed[4])) < _FREE:
-                found = _found(geometry, seed, target)
-                if found is not None:
-                    return found
+            # Another turn leads elsewhere only where joint 6 is free.
+            if any(distance(seed, other) < _TRIED for other in tried):
+                continue
+            tried.append(seed)
+            found = _found(geometry, seed, target)
+            if found is not None:
+                return found
         seeds = _seeds(geometry, target, near, (turn + 1) * math.tau / _TURNS)
     return None
 
@@ -101,21 +106,31 @@ def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
 
 def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
     """`closest` of n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none."""
-    found, singular = branches_of_rows(geometry.lengths, targets)
+    found, singular = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     found -= np.array(geometry.offsets)[:, np.newaxis]
-    moves = np.abs(around(found - nears.T)).max(axis=1)
+    turns = np.abs(around(found - nears.T))
+    moves = turns.max(axis=1)
     moves[np.isnan(moves)] = np.inf
-    chosen = moves.argmin(axis=0)
+    chosen, least = moves.argmin(axis=0), moves.min(axis=0)
     q = np.take_along_axis(found, chosen[np.newaxis, np.newaxis], axis=0)[0]
-    again = singular
+    # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a way is at least.
+    # Such a way may reach although another joint 6 puts it out of reach.
+    again = np.asarray((singular & ~(turns[:, 0] > least)).any(axis=0))
     if not geometry.is_nominal:
-        q = refine_rows(geometry, q, targets)
-        again = singular | np.isnan(q[0])
-        far = np.flatnonzero(~again & (moves.min(axis=0) > _CONTINUES))
-        if len(far):
-            q1, q2, q3, q4, q5, q6 = nears[far].T
-            missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, rigid.take(targets, far))
-            again[far] = np.max(np.abs(missed), axis=0) < _ALMOST
+        seeds, q = q, refine_rows(geometry, q, targets)
+        with np.errstate(invalid="ignore"):
+            aside = (least > _CONTINUES) | (np.abs(q - seeds).max(axis=0) > _REGULAR)
+        again |= np.isnan(q[0]) & ~np.isnan(seeds[0])
+        rest = np.flatnonzero(aside & ~again)
+        close = nears[rest].T
+        with_rest = rigid.take(targets, rest)
+        q1, q2, q3, q4, q5, q6 = close
+        almost = np.max(np.abs(error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, with_rest)), axis=0) < _ALMOST
+        rest, close = rest[almost], close[:, almost]
+        continued = refine_rows(geometry, close, rigid.take(with_rest, almost))
+        is_near = np.abs(continued - close).max(axis=0) < _ASIDE
+        q[:, rest[is_near]] = continued[:, is_near]
+        again[rest[~is_near]] = True
     rows: FloatArray = q.T
     for i in np.flatnonzero(again).tolist():
         q1, q2, q3, q4, q5, q6 = nears[i].tolist()
@@ -128,17 +143,19 @@ def ways_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatA
     """`ways` of n transforms.
 
     Returns:
-        (n, 8, 6) rad, in (-pi, pi], NaN out of reach; and (n,) whether the wrist is close to its singularity.
+        (n, 8, 6) rad, in (-pi, pi], NaN out of reach; and (n,) whether a pose is close to a singularity.
     """
-    found, singular = branches_of_rows(geometry.lengths, targets)
-    again = singular
+    found, singular = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
+    again = np.asarray(singular.any(axis=0))
     if not geometry.is_nominal:
         found -= np.array(geometry.offsets)[:, np.newaxis]
         number = found.shape[2]
         seeds = found.transpose(1, 0, 2).reshape(6, -1)
-        refined = refine_rows(geometry, seeds, rigid.take(targets, np.tile(np.arange(number), BRANCHES)))
+        at = np.flatnonzero(~np.isnan(seeds[0]))
+        refined = np.full_like(seeds, np.nan)
+        refined[:, at] = refine_rows(geometry, seeds[:, at], rigid.take(targets, at % number))
+        again |= (np.isnan(refined[0]) & ~np.isnan(seeds[0])).reshape(BRANCHES, number).any(axis=0)
         found = refined.reshape(6, BRANCHES, number).transpose(1, 0, 2)
-        again = singular | np.isnan(found[:, 0]).any(axis=0)
     rows = np.ascontiguousarray(found.transpose(2, 0, 1))
     for i in np.flatnonzero(again).tolist():
         each = ways(geometry, rigid.row(targets, i))

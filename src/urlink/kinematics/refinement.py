@@ -28,7 +28,7 @@ _COARSE = 1e-4
 # More steps than this are needed only where they do not converge.
 _STEPS = 8
 # Steps that are longer, rad, or leave more of the error are for `refine_anywhere`.
-_TOO_LONG, _TOO_LITTLE = 0.5, 0.3
+_TOO_LONG, _TOO_LITTLE = 0.5, 0.1
 
 # Of `refine_anywhere`: the most steps; the largest step of a joint, rad; how far ahead the second derivative is
 # measured, in steps; the most that a step may be bent, in its length; and how many steps in a row may gain less than a
@@ -58,8 +58,7 @@ def refine(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Ang
             return None
         q = _moved(q, step)
         way, rest = max(map(abs, step)), max(map(abs, left))
-        # The second of the two steps that `_newton` makes leaves of `left` what the first one left of the error.
-        if _CURVATURE * way * way * size + rest * rest <= CONVERGED * size:
+        if _CURVATURE * way * way + rest <= CONVERGED:
             return q
         if way > _TOO_LONG or rest > _TOO_LITTLE * size:
             return None
@@ -82,15 +81,18 @@ def refine_rows(geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray
         for n in range(_STEPS):
             frames = chain(geometry, ROWS, _angles(q))
             error = _error(frames[5], targets)
-            if n == 0:
-                q = q + _step(frames, error)
+            size = np.max(np.abs(error), axis=0)
+            there = size <= CONVERGED
+            found[:, at[there]] = q[:, there]
+            if n == 0 and (size > _COARSE).any():
+                q = np.where(there, q, q + _step(frames, error))
                 continue
             step, left = _newton(frames, error)
             q = q + step
-            way, rest, size = (np.max(np.abs(six), axis=0) for six in (step, left, error))
-            done = _CURVATURE * way * way * size + rest * rest <= CONVERGED * size
+            way, rest = (np.max(np.abs(six), axis=0) for six in (step, left))
+            done = ~there & (_CURVATURE * way * way + rest <= CONVERGED)
             found[:, at[done]] = q[:, done]
-            going = ~done & (way <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
+            going = ~there & ~done & (way <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
             if not going.any():
                 break
             at, q, targets = at[going], q[:, going], take(targets, going)
@@ -124,14 +126,15 @@ def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
 
 
 def _newton(frames: list[Rigid[Number]], error: Six[Number]) -> tuple[Six[Number], Six[Number]]:
-    """How to move the joints for the flange to move by `error`; and what of it the first of two steps left.
+    """How to move the joints for the flange to move by `error`; and what is left of it, but for the bend of the way.
 
     Raises:
         ZeroDivisionError: in a singularity (floats only).
     """
     first = _step(frames, error)
     left = _left(frames, error, first)
-    return _moved(first, _step(frames, left)), left
+    second = _step(frames, left)
+    return _moved(first, second), _left(frames, left, second)
 
 
 def _left(frames: list[Rigid[Number]], error: Six[Number], step: Six[Number]) -> Six[Number]:
