@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from linkcore.errors import BadValue
 
+from .vectors import FloatArray
+
 __all__ = [
     "FLOATS",
     "IDENTITY",
@@ -48,8 +50,6 @@ __all__ = [
     "to_pose",
     "to_poses",
 ]
-
-FloatArray = NDArray[np.float64]
 
 Number = TypeVar("Number", float, FloatArray)
 

@@ -19,7 +19,7 @@ and orientations of the links are not touched by this, and the arithmetic keeps 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
 
@@ -29,7 +29,8 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 
 from ..models import Model
-from ..rigid import FloatArray, Functions, Number, Rigid
+from ..rigid import Functions, Number, Rigid
+from ..vectors import six
 
 __all__ = ["Angles", "DenavitHartenberg", "Geometry", "Lengths", "calibrated", "chain", "flange", "jacobian", "nominal"]
 
@@ -39,6 +40,8 @@ Lengths = tuple[float, float, float, float, float, float]
 #: Six joint positions, rad.
 Angles = tuple[Number, Number, Number, Number, Number, Number]
 
+# Controllers that are not calibrated send the published table, with nine decimals, m and rad.
+_UNCALIBRATED = 1e-8
 # How far the calibration of an arm may be from the published table. Calibrations that were seen are within 2 mm and
 # 20 mrad.
 _FAR = 0.03  # m
@@ -75,7 +78,6 @@ class Link:
         d: m, along z.
         alpha: rad, about x.
         beta: rad, about the y axis that comes of it; not zero only in a calibrated arm, at joints 2 and 3.
-        turns: cosine and sine of alpha, then of beta; exact where alpha is a multiple of 90 degrees.
     """
 
     offset: float
@@ -100,32 +102,32 @@ class Geometry:
     """Where the joints of one arm are.
 
     Attributes:
-        lengths: of the published arm, or of the one of its build that is closest to a calibrated arm.
         links: six links.
-        offsets: of the six joints, rad; all zero in a published arm.
         is_nominal: as published, so that the closed forms hold.
+        lengths: of a published arm; of a calibrated one, those of the arm with right angles that is closest to it.
+        offsets: of the six joints, rad; all zero in a published arm.
+        rows: offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.
     """
 
-    lengths: Lengths
     links: tuple[Link, ...]
-    offsets: Angles[float]
     is_nominal: bool
-    # For `chain`: offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link.
-    rows: tuple[tuple[float, float, float, float, float, float, float], ...]
+    lengths: Lengths = field(init=False)
+    offsets: Angles[float] = field(init=False)
+    rows: tuple[tuple[float, float, float, float, float, float, float], ...] = field(init=False)
 
-
-def _geometry(links: tuple[Link, ...], is_nominal: bool) -> Geometry:
-    d1, d4, d5, d6 = (links[i].d for i in (0, 3, 4, 5))
-    o1, o2, o3, o4, o5, o6 = (link.offset for link in links)
-    rows = tuple((link.offset, link.a, link.d, *link.turns) for link in links)
-    return Geometry((d1, links[1].a, links[2].a, d4, d5, d6), links, (o1, o2, o3, o4, o5, o6), is_nominal, rows)
+    def __post_init__(self) -> None:
+        one, two, three, four, five, six_ = self.links
+        object.__setattr__(self, "lengths", (one.d, two.a, three.a, four.d, five.d, six_.d))
+        object.__setattr__(self, "offsets", tuple(link.offset for link in self.links))
+        rows = tuple((link.offset, link.a, link.d, *link.turns) for link in self.links)
+        object.__setattr__(self, "rows", rows)
 
 
 @lru_cache(maxsize=64)
 def nominal(model: Model) -> Geometry:
     """The geometry that the vendor publishes."""
     table = zip(model.dh_theta.tolist(), model.dh_a.tolist(), model.dh_d.tolist(), model.dh_alpha.tolist(), strict=True)
-    return _geometry(tuple(Link(theta, a, d, alpha, 0.0) for theta, a, d, alpha in table), True)
+    return Geometry(tuple(Link(theta, a, d, alpha, 0.0) for theta, a, d, alpha in table), is_nominal=True)
 
 
 def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
@@ -135,48 +137,35 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
         BadValue: not four times six finite numbers, or not the table of such an arm; the message says which link is how
             far off.
     """
-    theta, a, d, alpha = (_six(getattr(table, name), name) for name in ("dh_theta", "dh_a", "dh_d", "dh_alpha"))
-    published = nominal(model)
-    if all(
-        np.array_equal(ours, published_row)
-        for ours, published_row in (
-            (theta, model.dh_theta),
-            (a, model.dh_a),
-            (d, model.dh_d),
-            (np.round(alpha - model.dh_alpha, 15), np.zeros(6)),
-        )
-    ):
-        return published
+    names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
+    given = np.stack([six(getattr(table, name), name) for name in names])
+    if np.abs(given - [getattr(model, name) for name in names]).max() < _UNCALIBRATED:
+        return nominal(model)
     links: list[Link] = []
-    along, about = 0.0, 0.0  # how far the frame at hand was moved along its axis and turned about it
-    for i in range(6):
-        turn, offset = float(theta[i]) - about, float(d[i]) - along
-        along = about = 0.0
+    # How far the frame before the link at hand was moved along its z axis and turned about it.
+    along, about = 0.0, 0.0
+    for i, (theta, a, d, alpha) in enumerate(given.T.tolist()):
+        theta, d = theta - about, d - along
         if i not in (1, 2):
-            links.append(Link(turn, float(a[i]), offset, float(alpha[i]), 0.0))
+            links.append(Link(_wrapped(theta), a, d, alpha, 0.0))
+            along = about = 0.0
             continue
-        # Along the next axis to where this link does not go along its own, as in the published table.
-        ca, sa = math.cos(alpha[i]), math.sin(alpha[i])
-        along = -offset / ca
-        x, y = float(a[i]), -along * sa
-        link_angle = math.atan2(-y, -x)
-        # Rz(rest) Rx(alpha) = Rx(tilt) Ry(beta) Rz(about): the last commutes with the next joint.
-        rest = -link_angle
-        s, c = math.sin(rest), math.cos(rest)
-        about = math.atan2(s * ca, c)
-        tilt, beta = math.atan2(c * sa, ca), math.atan2(s * sa, math.hypot(c, s * ca))
-        links.append(Link(turn + link_angle, -math.hypot(x, y), 0.0, tilt, beta))
-        about = -about
-    found = _geometry(tuple(Link(_wrapped(k.offset), k.a, k.d, k.alpha, k.beta) for k in links), False)
-    _check_close(model, published, found)
+        # Along the next axis, to where the link does not lead along its own.
+        along = -d / math.cos(alpha)
+        x, y = a, -along * math.sin(alpha)
+        # The link leads along -x, as published. What its frame was turned for that, Rz(turn), is taken back at its end.
+        turn = math.atan2(-y, -x)
+        alpha, beta, about = _hayati(-turn, alpha)
+        links.append(Link(_wrapped(theta + turn), -math.hypot(x, y), 0.0, alpha, beta))
+    found = Geometry(tuple(links), is_nominal=False)
+    _check_close(model, nominal(model), found)
     return found
 
 
-def _six(values: ArrayLike, name: str) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != (6,) or not np.isfinite(array).all():
-        raise BadValue(f"{name} must be six finite numbers, not {values!r}")
-    return array
+def _hayati(theta: float, alpha: float) -> tuple[float, float, float]:
+    """Rz(theta) Rx(alpha) as Rx(alpha') Ry(beta) Rz(-about): alpha', beta and about."""
+    s, c, sa, ca = math.sin(theta), math.cos(theta), math.sin(alpha), math.cos(alpha)
+    return math.atan2(c * sa, ca), math.atan2(s * sa, math.hypot(c, s * ca)), -math.atan2(s * ca, c)
 
 
 def _wrapped(angle: float) -> float:

@@ -218,11 +218,11 @@ def test_out_of_reach_is_an_error_of_one_pose_and_nan_among_many(arm: Arm, there
         assert found.shape == (0, 6)
         assert found.dtype == np.float64
     assert np.isnan(arm.branches(there)).all()
-    rows = arm.inverse([arm.forward(near), there], near)
+    rows = arm.inverse(np.array([arm.forward(near), there]), near)
     np.testing.assert_allclose(rows[0], near, atol=1e-9)
     assert np.isnan(rows[1]).all()
     with pytest.raises(Unreachable, match="row 1: "):
-        arm.inverse_path([arm.forward(near), there], near)
+        arm.inverse_path(np.array([arm.forward(near), there]), near)
 
 
 @EVERY
