@@ -24,9 +24,9 @@ from contextlib import closing
 
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import ProgramState
+from urlink.kinematics import Arm
 from urlink.motion.setpoints import STOP_WORD, setpoint
 from urlink.simulator import Controller, Still
-from urlink.simulator.robot.kinematics import pose
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.limits import MAX_TOKENS
 from urlink.urscript import programs, source, waypoints
@@ -156,7 +156,7 @@ def moving(model: str, firmware: str) -> float:
     """The same for a joint movement of five seconds and a linear one of five."""
     controller = standing(model, firmware)
     turned = [*READY[:5], 1.0]
-    below = pose(controller.model, turned).tolist()
+    below = Arm(controller.model).forward(turned).tolist()
     below[2] -= 0.1
     half = 0.5 * SECONDS
     run(controller, programs.move_joints(turned, 1.0, 1.0, half) + programs.move_linear(below, 1.0, 1.0, half))
@@ -166,7 +166,7 @@ def moving(model: str, firmware: str) -> float:
         controller.step()
         cycles += 1
     taken = time.process_time() - began
-    check(pose(controller.model, controller.arm.setpoint.q).tolist(), below, within=1e-6)
+    check(Arm(controller.model).forward(controller.arm.setpoint.q).tolist(), below, within=1e-6)
     return taken * SECONDS * controller.firmware.rate / cycles
 
 

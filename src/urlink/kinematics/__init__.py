@@ -8,5 +8,6 @@
 from __future__ import annotations
 
 from .arm import Arm, Unreachable
+from .geometry import DenavitHartenberg
 
-__all__ = ["Arm", "Unreachable"]
+__all__ = ["Arm", "DenavitHartenberg", "Unreachable"]

@@ -17,6 +17,7 @@ from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
 from .closed_form import BRANCHES, wrapped
 from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal
 from .inverse import around, closest, closest_rows, distance, ways, ways_of_rows
+from .velocity import velocity
 
 __all__ = ["Arm", "Unreachable"]
 
@@ -52,10 +53,11 @@ class Arm:
     [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
     """
 
-    __slots__ = ("_geometry", "_model")
+    __slots__ = ("_geometry", "_model", "_table")
 
     def __init__(self, model: str | Model) -> None:
         self._model = model if isinstance(model, Model) else model_called(model)
+        self._table: DenavitHartenberg = self._model
         self._geometry = nominal(self._model)
 
     @classmethod
@@ -72,6 +74,7 @@ class Arm:
             BadValue: the parameters are not those of such an arm; the message says which one is how far off.
         """
         arm = cls(model)
+        arm._table = table
         arm._geometry = calibrated(arm._model, table)
         return arm
 
@@ -87,6 +90,11 @@ class Arm:
     def is_calibrated(self) -> bool:
         """Whether the geometry differs from the published one."""
         return not self._geometry.is_nominal
+
+    @property
+    def table(self) -> DenavitHartenberg:
+        """The DH parameters that it was made from: `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, six of each."""
+        return self._table
 
     @property
     def geometry(self) -> Geometry:
@@ -302,6 +310,29 @@ class Arm:
         columns: FloatArray = np.array(jacobian(links, _with(links[5], tcp)[9:]))
         return np.ascontiguousarray(columns.transpose(2, 1, 0)).reshape(*given.shape, 6)
 
+    def velocity(self, q: ArrayLike, qd: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
+        """The velocity of the tool: the Jacobian times the joint speeds, for less than the Jacobian costs.
+
+        Args:
+            q: (..., 6) joint positions, rad.
+            qd: (..., 6) joint speeds, rad/s.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Returns:
+            (..., 6) velocity of the TCP, m/s, and angular velocity, rad/s, in the base frame.
+
+        Raises:
+            BadValue: not joint positions and speeds, shapes that do not broadcast, or no TCP.
+        """
+        if rigid.is_single(q) and rigid.is_single(qd):
+            at, speed = _one(q), _one(qd, "joint speeds")
+            return np.array(velocity(self._geometry, FLOATS, at, speed, _with(self._flange(FLOATS, at), tcp)[9:]))
+        given = rigid.rows(q, (6,), "joint positions"), rigid.rows(qd, (6,), "joint speeds")
+        (ats, speeds), shape = rigid.aligned(*given)
+        points = _with(self._flange(ROWS, _rows(ats)), tcp)[9:]
+        found = velocity(self._geometry, ROWS, _rows(ats), _rows(speeds), points)
+        return np.stack(found, axis=-1).reshape(*shape, 6)
+
     def manipulability(self, q: ArrayLike) -> FloatArray:
         """How far from a singularity: the product of the singular values of the Jacobian (Yoshikawa), m³.
 
@@ -356,8 +387,8 @@ class Arm:
 # --- arguments ---
 
 
-def _one(q: ArrayLike) -> Angles[float]:
-    q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, "joint positions")
+def _one(q: ArrayLike, what: str = "joint positions") -> Angles[float]:
+    q1, q2, q3, q4, q5, q6 = rigid.floats(q, 6, what)
     return q1, q2, q3, q4, q5, q6
 
 

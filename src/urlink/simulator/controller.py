@@ -13,6 +13,8 @@ from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
 from urlink.firmware import NEWEST, RELEASES, Firmware
+from urlink.kinematics import Arm as Kinematics
+from urlink.kinematics import DenavitHartenberg
 from urlink.models import Model
 from urlink.ports import PORTS, interface
 
@@ -75,6 +77,7 @@ class Controller:
         files: path -> URScript of the programs that are saved at the pendant.
         reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
             clients always are.
+        calibration: DH parameters of the arm; it then moves as they say and sends them. None for those published.
 
     Attributes:
         host: address that it listens on.
@@ -85,8 +88,8 @@ class Controller:
     Raises:
         UnknownModel: no such arm.
         BadVersion: no such firmware.
-        BadValue: the firmware does not go with the model, `ports` is none of the above, or an address in `reachable`
-            is not numeric.
+        BadValue: the firmware does not go with the model, the calibration is not of such an arm, `ports` is none of the
+            above, or an address in `reachable` is not numeric.
     """
 
     def __init__(
@@ -102,10 +105,12 @@ class Controller:
         output_limit: int = 1 << 20,
         files: Mapping[str, str] | None = None,
         reachable: Iterable[str] = (),
+        calibration: DenavitHartenberg | None = None,
     ) -> None:
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
         arm = models.model(model)
+        kinematics = Kinematics(arm) if calibration is None else Kinematics.calibrated(arm, calibration)
         newest = NEWEST if arm.generation == "e" else _NEWEST_CB3
         chosen = firmware_for(arm, newest if firmware is None else firmware)
         self.host = host
@@ -121,7 +126,7 @@ class Controller:
         def source() -> SetpointSource:
             return motion or Demonstration()
 
-        self._state = state = ControllerState(arm, chosen, source(), serial=serial, seed=seed)
+        self._state = state = ControllerState(kinematics, chosen, source(), serial=serial, seed=seed)
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware, release_of
+from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
 from .registers import Registers, Watchdogs
@@ -94,13 +95,13 @@ class ControllerState:
     """What a controller is at one moment.
 
     Args:
-        model: the arm.
+        kinematics: of the arm.
         firmware: what it begins with.
         serial: serial number of the arm.
         seed: of the noise on the sensors.
 
     Attributes:
-        model, serial: as given.
+        kinematics, serial: as given.
         firmware: what runs at present.
         period: s from one cycle to the next.
         cycle: number of the cycle since the controller was made, reboots included.
@@ -124,8 +125,10 @@ class ControllerState:
         outbox: messages to be sent.
     """
 
-    def __init__(self, model: Model, firmware: Firmware, source: SetpointSource, *, serial: str, seed: int) -> None:
-        self.model = model
+    def __init__(
+        self, kinematics: Kinematics, firmware: Firmware, source: SetpointSource, *, serial: str, seed: int
+    ) -> None:
+        self.kinematics = kinematics
         self.serial = serial
         self.seed = seed
         self.cycle = 0
@@ -135,7 +138,7 @@ class ControllerState:
         self.log: list[str] = []
         self.counters = Counters()
         self.outbox = Outbox(self.counters)
-        self.arm = Arm(model, source.advance(0.0), seed)
+        self.arm = Arm(kinematics, source.advance(0.0), seed)
         self._next_firmware = firmware
         self._begin(firmware, source)
 
@@ -170,11 +173,16 @@ class ControllerState:
         """
         before = self.arm
         source.start(before.setpoint.q)
-        self.arm = Arm(self.model, source.advance(0.0), self.seed)
+        self.arm = Arm(self.kinematics, source.advance(0.0), self.seed)
         self.arm.take_tool_of(before)
         self._begin(self._next_firmware, source)
 
     # -- time ----------------------------------------------------------------------------------------
+
+    @property
+    def model(self) -> Model:
+        """Geometry as published, limits and masses of the arm."""
+        return self.kinematics.model
 
     @property
     def time(self) -> float:

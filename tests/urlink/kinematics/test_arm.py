@@ -386,6 +386,16 @@ def test_jacobian_is_the_derivative_of_the_pose(arm: Arm, q: list[float], tcp: A
 
 
 @pytest.mark.property
+@given(arms, joints, joints, tcps)
+def test_velocity_is_the_jacobian_times_the_speeds(
+    arm: Arm, q: list[float], qd: list[float], tcp: Array | None
+) -> None:
+    expected = arm.jacobian(q, tcp) @ qd
+    np.testing.assert_allclose(arm.velocity(q, qd, tcp), expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(arm.velocity([q, q], qd, tcp)[1], expected, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.property
 @given(arms, joints, tcps)
 def test_manipulability_is_the_product_of_the_singular_values(arm: Arm, q: list[float], tcp: Array | None) -> None:
     expected = float(np.prod(np.linalg.svd(arm.jacobian(q, tcp), compute_uv=False)))

@@ -176,6 +176,15 @@ def test_a_path_is_followed_to_the_last_digit() -> None:
     np.testing.assert_allclose(arm.inverse_path(arm.forward(q), READY), q, atol=1e-9)
 
 
+def test_velocity_is_the_jacobian_times_the_speeds() -> None:
+    arm = calibrated("UR16e", 8)
+    qd = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
+    tcp = [0.1, 0.0, 0.2, 0.3, 0.0, 0.0]
+    expected = arm.jacobian(READY, tcp) @ qd
+    np.testing.assert_allclose(arm.velocity(READY, qd, tcp), expected, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(arm.velocity([READY], qd, tcp), [expected], rtol=0.0, atol=1e-13)
+
+
 def test_jacobian_is_the_derivative() -> None:
     arm = calibrated("UR16e", 8)
     step = 1e-6

@@ -8,6 +8,7 @@ from typing import Any, Literal, cast
 
 from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
+from urlink.kinematics import Arm
 from urlink.models import model
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
@@ -61,7 +62,7 @@ class Bench:
         self.model = model("UR5e" if firmware.is_e_series else "UR5")
         self.period = 1.0 / firmware.rate
         self.cycle = 0
-        self.motion = MotionGenerator(self.model, Setpoint(list(q), [0.0] * 6, [0.0] * 6))
+        self.motion = MotionGenerator(Arm(self.model), Setpoint(list(q), [0.0] * 6, [0.0] * 6))
         self.sockets = Line()
         self.texts: list[str] = []
         self.path: list[list[float]] = []

@@ -5,17 +5,16 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
+from urlink.dynamics import GRAVITY, Dynamics
 from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.kinematics import Arm
 from urlink.models import MODELS
 from urlink.simulator import Controller
-from urlink.simulator.robot import kinematics
-from urlink.simulator.robot.arm import Arm
+from urlink.simulator.robot import arm as simulated
 from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
-from urlink.simulator.robot.tool_velocity import geometry, tool_velocity
 
 ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 
@@ -40,23 +39,13 @@ def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
     controller.step(500)
     for state in run(controller, 3):
         for joints, tool in [(state.q_actual, state.tool_vector_actual), (state.q_target, state.tool_vector_target)]:
-            assert tool == pytest.approx(kinematics.pose(controller.model, joints, controller.arm.tcp), abs=1e-12)
-        jacobian = kinematics.jacobian(controller.model, state.q_actual, controller.arm.tcp)
+            assert tool == pytest.approx(Arm(controller.model).forward(joints, controller.arm.tcp), abs=1e-12)
+        jacobian = Arm(controller.model).jacobian(state.q_actual, controller.arm.tcp)
         assert state.tcp_speed_actual == pytest.approx(jacobian @ state.qd_actual, abs=1e-12)
-        jacobian = kinematics.jacobian(controller.model, state.q_target, controller.arm.tcp)
+        jacobian = Arm(controller.model).jacobian(state.q_target, controller.arm.tcp)
         assert state.tcp_speed_target == pytest.approx(jacobian @ state.qd_target, abs=1e-12)
-        elbow = kinematics.frames(controller.model, state.q_actual)[2][:3, 3]
+        elbow = Arm(controller.model).frames(state.q_actual)[2][:3, 3]
         assert state.elbow_position == pytest.approx(elbow, abs=1e-12)
-
-
-@pytest.mark.property
-@given(st.sampled_from(sorted(MODELS)), ANGLES, ANGLES, ANGLES)
-def test_the_tool_speed_in_closed_form_is_that_of_the_jacobian(
-    name: str, q: list[float], qd: list[float], tcp: list[float]
-) -> None:
-    model = MODELS[name]
-    speed = tool_velocity(geometry(model), q, qd, kinematics.pose(model, q, tcp).tolist())
-    assert speed == pytest.approx(kinematics.jacobian(model, q, tcp) @ qd, abs=1e-9)
 
 
 @pytest.mark.parametrize(("name", "firmware"), [("UR5e", "5.11"), ("UR10", "3.14"), ("UR5", "1.8")])
@@ -107,8 +96,8 @@ def test_the_demonstration_is_gentle(name: str) -> None:
     assert (q < model.position_limits[:, 1] - 1.0).all()
     for row in q[::40]:
         # Never near a singular posture, and never into the floor.
-        assert np.linalg.cond(kinematics.jacobian(model, row)) < 40.0
-        assert kinematics.frames(model, row)[1:, 2, 3].min() > 0.05
+        assert np.linalg.cond(Arm(model).jacobian(row)) < 40.0
+        assert Arm(model).frames(row)[1:, 2, 3].min() > 0.05
 
 
 def test_the_demonstration_comes_from_wherever_the_arm_stands() -> None:
@@ -199,12 +188,12 @@ def test_an_arm_without_program_stands_still() -> None:
 def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
     empty = run(controller, 1)[0]
-    assert empty.M_target == pytest.approx(kinematics.gravity_torque(controller.model, empty.q_target))
+    assert empty.M_target == pytest.approx(Dynamics(controller.model).gravity_torque(empty.q_target))
     assert empty.M_target[1] < -15.0
     assert (np.sign(empty.I_target[1:3]) == np.sign(empty.M_target[1:3])).all()
     assert np.abs(empty.I_actual - empty.I_target).max() < 0.1
     # The tool points down: gravity goes along its z axis.
-    assert empty.tool_accelerometer == pytest.approx([0.0, 0.0, kinematics.GRAVITY], abs=0.1)
+    assert empty.tool_accelerometer == pytest.approx([0.0, 0.0, GRAVITY], abs=0.1)
     controller.arm.payload = 4.0
     loaded = run(controller, 1)[0]
     assert loaded.M_target[1] < empty.M_target[1] - 5.0
@@ -216,7 +205,7 @@ def test_moments_grow_with_acceleration() -> None:
     controller = Controller("UR5e", "5.11")
     states = run(controller, 1000)
     for state in states[::100]:
-        held = kinematics.gravity_torque(controller.model, state.q_target)
+        held = Dynamics(controller.model).gravity_torque(state.q_target)
         extra = state.M_target - held
         assert (np.sign(extra[[0, 1, 4]]) == np.sign(state.qdd_target[[0, 1, 4]])).all()
 
@@ -283,7 +272,7 @@ def test_the_joints_alone_are_those_of_the_sample() -> None:
 
 
 def test_a_tcp_is_six_finite_numbers() -> None:
-    arm = Arm(MODELS["UR5e"], Still().advance(0.0))
+    arm = simulated.Arm(Arm("UR5e"), Still().advance(0.0))
     for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
         with pytest.raises(BadValue, match="six finite numbers"):
             arm.tcp = wrong

@@ -27,12 +27,12 @@ from urlink.interfaces.primary.robot_state import (
     SubPackage,
 )
 from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.kinematics import Arm
 from urlink.models import MODELS, UnknownModel
 from urlink.simulator import Controller
 from urlink.simulator.ports.form import Form
 from urlink.simulator.ports.primary import _CHANGING, _UNCHANGING
 from urlink.simulator.ports.realtime import _fields
-from urlink.simulator.robot import kinematics
 
 
 def suits(release: Release, name: str) -> bool:
@@ -149,7 +149,7 @@ def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
     assert isinstance(cartesian, CartesianInfo)
     pose = [cartesian.X, cartesian.Y, cartesian.Z, cartesian.Rx, cartesian.Ry, cartesian.Rz]
     assert pose == now.tool_vector_actual.tolist()
-    assert pose == pytest.approx(kinematics.pose(controller.model, now.q_actual, controller.arm.tcp), abs=1e-12)
+    assert pose == pytest.approx(Arm(controller.model).forward(now.q_actual, controller.arm.tcp), abs=1e-12)
     assert cartesian.tcp_offset_Rz == 0.3
 
     board = subs[MasterboardData]
@@ -161,7 +161,7 @@ def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
 
     force = subs[ForceModeData]
     assert isinstance(force, ForceModeData)
-    determinant = np.linalg.det(kinematics.jacobian(controller.model, now.q_target))
+    determinant = np.linalg.det(Arm(controller.model).jacobian(now.q_target))
     assert force.robot_dexterity == pytest.approx(determinant**2)
 
 

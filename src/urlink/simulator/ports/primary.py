@@ -7,7 +7,10 @@ comment says so.
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable
+
+import numpy as np
 
 from urlink.firmware import Firmware, release_of
 from urlink.interfaces.enums import SafetyMode
@@ -218,14 +221,17 @@ def _cartesian(state: ControllerState) -> Fields:
 
 
 def _kinematics(state: ControllerState) -> Fields:
-    model = state.model
+    table = np.array([getattr(state.kinematics.table, name) for name in ("dh_theta", "dh_a", "dh_d", "dh_alpha")])
+    # All ones: not calibrated, as simulated controllers send it. What a checksum is of is not known; a guess.
+    is_calibrated = state.kinematics.is_calibrated
+    checksum = [zlib.crc32(row.tobytes()) for row in table.T] if is_calibrated else [0xFFFFFFFF] * 6
+    theta, a, d, alpha = table.tolist()
     return {
-        # All ones: not calibrated, as simulated controllers send it.
-        "checksum": [0xFFFFFFFF] * 6,
-        "dh_theta": model.dh_theta.tolist(),
-        "dh_a": model.dh_a.tolist(),
-        "dh_d": model.dh_d.tolist(),
-        "dh_alpha": model.dh_alpha.tolist(),
+        "checksum": checksum,
+        "dh_theta": theta,
+        "dh_a": a,
+        "dh_d": d,
+        "dh_alpha": alpha,
         # The oldest firmware has its laser pointer here; these are the bytes of the one capture.
         "pointer": [1000.0] * 3,
     }

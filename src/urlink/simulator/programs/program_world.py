@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from urlink.firmware import Firmware
-from urlink.models import Model
+from urlink.kinematics import Arm
 
 from ..messages import popup_message, text_message
 from ..registers import Action, Registers
@@ -37,7 +37,7 @@ class ProgramWorld:
     @property
     def motion(self) -> MotionGenerator:
         if self._generator is None:
-            return MotionGenerator(self._state.model, self._state.arm.setpoint)
+            return MotionGenerator(self._state.kinematics, self._state.arm.setpoint)
         return self._generator
 
     @property
@@ -45,8 +45,8 @@ class ProgramWorld:
         return self._state.firmware
 
     @property
-    def model(self) -> Model:
-        return self._state.model
+    def kinematics(self) -> Arm:
+        return self._state.kinematics
 
     @property
     def cycle(self) -> int:

@@ -50,7 +50,7 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It takes over from what moved the arm before, at its speed.
-        self._generator = MotionGenerator(state.model, state.arm.setpoint)
+        self._generator = MotionGenerator(state.kinematics, state.arm.setpoint)
         self._world = ProgramWorld(state, route, self._generator)
         self._execution = Execution(script, self._world)
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from linkcore.errors import BadValue
+from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
-from . import kinematics
 from .sensors import Sample, Sensors
 from .sources import BRAKING, Setpoint
 
@@ -27,12 +25,13 @@ class Arm:
     """Six joints of a model.
 
     Args:
-        model: geometry, masses and limits.
+        kinematics: of a model, as published or calibrated.
         setpoint: where the arm is in the beginning.
         seed: of the noise on its sensors.
 
     Attributes:
-        model: geometry, masses and limits.
+        kinematics: as given.
+        model: geometry as published, masses and limits.
         payload: kg at the flange.
         payload_cog: (3,) its centre of mass in the flange frame, m.
         payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
@@ -41,8 +40,9 @@ class Arm:
         uses_external_force: it is shown in place of what the sensor measures.
     """
 
-    def __init__(self, model: Model, setpoint: Setpoint, seed: int = 0) -> None:
-        self.model = model
+    def __init__(self, kinematics: Kinematics, setpoint: Setpoint, seed: int = 0) -> None:
+        self.kinematics = kinematics
+        self.model = kinematics.model
         self.payload = 0.0
         self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
         self.payload_inertia: Sequence[float] = (0.0,) * 6
@@ -51,7 +51,7 @@ class Arm:
         self.uses_external_force = False
         self._tcp: list[float] = list(_ZERO)
         self._setpoint = setpoint
-        self._sensors = Sensors(model, setpoint.q, seed)
+        self._sensors = Sensors(kinematics, setpoint.q, seed)
         self._is_following = True
         # Where braking began, the seconds that it takes, and those that are over.
         self._brake: tuple[Setpoint, float, float] | None = None
@@ -162,7 +162,7 @@ class Arm:
 
         This is the number that three captured force mode packets hold, to all their digits.
         """
-        return float(np.linalg.det(kinematics.jacobian(self.model, self._setpoint.q))) ** 2
+        return float(self.kinematics.manipulability(self._setpoint.q)) ** 2
 
 
 def braking_time(model: Model, qd: Sequence[float]) -> float:

@@ -19,11 +19,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from urlink.dynamics import GRAVITY, Dynamics
+from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
-from . import kinematics
 from .sources import Setpoint
-from .tool_velocity import geometry, tool_velocity
 
 __all__ = ["Sample", "Sensors"]
 
@@ -112,19 +112,22 @@ class Sensors:
     """The sensors of one arm.
 
     Args:
-        model: of the arm.
+        kinematics: of the arm.
         q: (6,) rad, the joint positions that decide how warm each joint gets.
         seed: of the noise.
     """
 
-    def __init__(self, model: Model, q: Sequence[float], seed: int) -> None:
-        self._model = model
+    def __init__(self, kinematics: Kinematics, q: Sequence[float], seed: int) -> None:
+        model = kinematics.model
+        self._model, self._kinematics = model, kinematics
+        # What is carried, and the dynamics with it.
+        self._carried: tuple[float, tuple[float, ...]] = (0.0, (0.0, 0.0, 0.0))
+        self._dynamics = Dynamics(kinematics)
         self._noise_table = _noise(seed)
         self._inertia = _inertia(model)
-        self._geometry = geometry(model)
         self._constants = _TORQUE_CONSTANTS.get(model.name, _TORQUE_CONSTANTS_LARGE)
         self._mass = float(model.link_masses.sum())
-        load = kinematics.gravity_torque(model, q).tolist()
+        load = self._dynamics.gravity_torque(q).tolist()
         self._rise = [4.0 + 3.0 * math.sqrt(abs(m / k)) for m, k in zip(load, self._constants, strict=True)]
         self._warmed_to = -1
         self._warm: list[float] = []
@@ -159,7 +162,7 @@ class Sensors:
             time: s since the arm was switched on, which decides the temperatures.
             is_powered: the motors have power.
         """
-        model = self._model
+        kinematics = self._kinematics
         q, qd, qdd = setpoint
         s = Sample()
         s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
@@ -170,12 +173,14 @@ class Sensors:
             noise = self._noise(cycle, 1, _NOISE_QD)
             s.qd_actual = [v - _LAG * a + n for v, a, n in zip(qd, qdd, noise, strict=True)]
 
-        s.pose_target = kinematics.pose(model, q, tcp).tolist()
-        s.pose_actual = kinematics.pose(model, s.q_actual, tcp).tolist()
-        s.speed_target = tool_velocity(self._geometry, q, qd, s.pose_target) if is_moving else _ZERO
-        s.speed_actual = tool_velocity(self._geometry, s.q_actual, s.qd_actual, s.pose_actual) if is_moving else _ZERO
+        s.pose_target = kinematics.forward(q, tcp).tolist()
+        s.pose_actual = kinematics.forward(s.q_actual, tcp).tolist()
+        s.speed_target = s.speed_actual = _ZERO
+        if is_moving:
+            s.speed_target = kinematics.velocity(q, qd, tcp).tolist()
+            s.speed_actual = kinematics.velocity(s.q_actual, s.qd_actual, tcp).tolist()
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
-        s.elbow_position, s.elbow_velocity = _elbow(model, s.q_actual, s.qd_actual)
+        s.elbow_position, s.elbow_velocity = _elbow(self._model, s.q_actual, s.qd_actual)
         s.accelerometer = [
             g + n for g, n in zip(_gravity_in_tool(s.pose_actual), self._noise(cycle, 2, _NOISE_ACC)[:3], strict=True)
         ]
@@ -188,7 +193,11 @@ class Sensors:
 
     def _measure_load(self, s: Sample, payload: float, payload_cog: Sequence[float], cycle: int) -> None:
         """Moments, currents, voltages and the force at the TCP."""
-        held = kinematics.gravity_torque(self._model, s.q_target, payload, payload_cog).tolist()
+        carried = payload, tuple(payload_cog)
+        if carried != self._carried:
+            self._carried = carried
+            self._dynamics = Dynamics(self._kinematics, payload=payload, payload_cog=payload_cog)
+        held = self._dynamics.gravity_torque(s.q_target).tolist()
         s.M_target = [g + m * a for g, m, a in zip(held, self._inertia, s.qdd_target, strict=True)]
         s.I_target = [m / k for m, k in zip(s.M_target, self._constants, strict=True)]
         s.I_control = [i + _FRICTION * math.tanh(v / _STICTION) for i, v in zip(s.I_target, s.qd_target, strict=True)]
@@ -217,7 +226,7 @@ def _gravity_in_tool(pose: Sequence[float]) -> tuple[float, float, float]:
     """
     rx, ry, rz = pose[3:]
     angle = math.sqrt(rx * rx + ry * ry + rz * rz)
-    g = kinematics.GRAVITY
+    g = GRAVITY
     if angle < 1e-12:
         return 0.0, 0.0, -g
     x, y, z = rx / angle, ry / angle, rz / angle

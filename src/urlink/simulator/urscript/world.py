@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Literal, Protocol
 
 from urlink.firmware import Firmware
-from urlink.models import Model
+from urlink.kinematics import Arm
 
 from ..registers import Action, Registers
 from ..robot.signals import Signals
@@ -115,7 +115,7 @@ class World(Protocol):
     @property
     def firmware(self) -> Firmware: ...
     @property
-    def model(self) -> Model: ...
+    def kinematics(self) -> Arm: ...
     @property
     def period(self) -> float: ...
     @property

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
 from urlink.simulator.robot.generator import MotionGenerator, Move
 from urlink.simulator.robot.sources import HOME, Setpoint
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def standing(q: Sequence[float] = HOME, arm: Model = UR5E) -> MotionGenerator:
-    return MotionGenerator(arm, Setpoint(list(q), REST, REST))
+    return MotionGenerator(Arm(arm), Setpoint(list(q), REST, REST))
 
 
 def cycles(generator: MotionGenerator, count: int, cycle: float = CYCLE) -> list[Setpoint]:

@@ -23,8 +23,8 @@ from tests.urlink.simulator.generator.stepping import (
     to_rest,
     trapezoid,
 )
+from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
-from urlink.simulator.robot import kinematics
 from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Move, Unreachable
 from urlink.simulator.robot.sources import HOME, Setpoint
 
@@ -36,11 +36,11 @@ def moved(*by: float) -> list[float]:
 
 
 def tool(q: list[float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return kinematics.pose(UR5E, q)[:3]
+    return Arm(UR5E).forward(q)[:3]
 
 
 def shifted(x: float, y: float, z: float) -> list[float]:
-    pose: list[float] = np.add(kinematics.pose(UR5E, HOME), [x, y, z, 0, 0, 0]).tolist()
+    pose: list[float] = np.add(Arm(UR5E).forward(HOME), [x, y, z, 0, 0, 0]).tolist()
     return pose
 
 
@@ -197,7 +197,7 @@ def test_release_brakes_whatever_goes_on() -> None:
 
 
 def test_a_drive_that_begins_in_motion_brakes() -> None:
-    generator = MotionGenerator(UR5E, Setpoint(list(HOME), [0.5] * 6, REST))
+    generator = MotionGenerator(Arm(UR5E), Setpoint(list(HOME), [0.5] * 6, REST))
     assert not generator.is_standing
     to_rest(generator)
     assert generator.setpoint.q[0] > HOME[0]
@@ -287,7 +287,7 @@ COMMANDS = (
 
 def begin(generator: MotionGenerator, name: str, six: list[float], a: float, v: float, r: float) -> Move | None:
     q = [now + 0.5 * part for now, part in zip(generator.setpoint.q, six, strict=True)]
-    pose = (kinematics.pose(UR5E, generator.setpoint.q) + np.multiply(six, 0.1)).tolist()
+    pose = (Arm(UR5E).forward(generator.setpoint.q) + np.multiply(six, 0.1)).tolist()
     slight = [0.2 * part for part in six]
     if name == "movej":
         return generator.movej(q, a, v, 0.0, r)

@@ -20,10 +20,9 @@ from tests.urlink.simulator.generator.stepping import (
     standing,
     to_rest,
 )
-from urlink.simulator.robot import kinematics
+from urlink.kinematics import Arm
 from urlink.simulator.robot.generator import LimitViolation, Move
 from urlink.simulator.robot.sources import HOME
-from urlink.simulator.robot.tool_velocity import geometry, tool_velocity
 
 
 def test_joints_speed_up_in_proportion_and_keep_their_speed() -> None:
@@ -82,14 +81,13 @@ def test_the_tool_keeps_its_speed_on_a_line() -> None:
     setpoints = finish(generator, generator.speedl(wanted, 0.5, None, 1.0))
     assert len(setpoints) == pytest.approx(float(np.linalg.norm(wanted[:3])) / 0.5 / CYCLE, abs=1)
     setpoints += cycles(generator, 300)
-    pose = kinematics.pose(UR5E, generator.setpoint.q, generator.tcp)
-    reached = tool_velocity(geometry(UR5E), generator.setpoint.q, generator.setpoint.qd, pose.tolist())
+    reached = Arm(UR5E).velocity(generator.setpoint.q, generator.setpoint.qd, generator.tcp)
     np.testing.assert_allclose(reached, wanted, atol=1e-3)
     setpoints += finish(generator, generator.stopl(0.5, 1.0))
     assert generator.setpoint.qd == REST
     assert generator.is_standing
     check_continuous(before, setpoints, UR5E.max_acceleration)
-    path = np.array([kinematics.pose(UR5E, setpoint.q, generator.tcp)[:3] for setpoint in setpoints])
+    path = np.array([Arm(UR5E).forward(setpoint.q, generator.tcp)[:3] for setpoint in setpoints])
     direction = np.array(wanted[:3]) / np.linalg.norm(wanted[:3])
     across = (path - path[0]) - np.outer((path - path[0]) @ direction, direction)
     assert np.abs(across).max() < 1e-6

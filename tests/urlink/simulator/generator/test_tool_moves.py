@@ -22,8 +22,9 @@ from tests.urlink.simulator.generator.stepping import (
     standing,
     trapezoid,
 )
+from urlink.kinematics import Arm
 from urlink.models import MODELS, Model
-from urlink.simulator.robot import kinematics
+from urlink.poses import compose, invert
 from urlink.simulator.robot.generator import LimitViolation, MotionGenerator, Unreachable
 from urlink.simulator.robot.sources import HOME, Setpoint
 
@@ -41,13 +42,13 @@ def with_tool(arm: Model = UR5E) -> MotionGenerator:
 
 
 def pose(q: object, arm: Model = UR5E) -> Array:
-    return kinematics.pose(arm, np.array(q), TOOL)
+    return Arm(arm).forward(np.array(q), TOOL)
 
 
 def shifted(by: Array, turn: Array, arm: Model = UR5E) -> list[float]:
     """The pose of the tool at home, moved in the base frame and turned in its own."""
     home = pose(HOME, arm)
-    turned = kinematics.pose_trans(home, np.concatenate([[0, 0, 0], turn]))
+    turned = compose(home, np.concatenate([[0, 0, 0], turn]))
     found: list[float] = np.concatenate([home[:3] + by, turned[3:]]).tolist()
     return found
 
@@ -57,7 +58,7 @@ def tool_path(setpoints: list[Setpoint], arm: Model = UR5E) -> Array:
 
 
 def turned_by(first: Array, second: Array) -> Array:
-    return kinematics.pose_trans(kinematics.pose_inv(first), second)[3:]
+    return compose(invert(first), second)[3:]
 
 
 @pytest.mark.property
@@ -126,7 +127,7 @@ def test_a_line_through_what_is_out_of_reach_ends_there() -> None:
 @pytest.mark.parametrize("q", [[0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0], [0.0] * 6])
 def test_a_line_out_of_a_singular_posture_moves_or_is_a_violation(q: list[float]) -> None:
     generator = standing(q)
-    down = kinematics.pose(UR5E, q) - np.array([0, 0, 0.05, 0, 0, 0])
+    down = Arm(UR5E).forward(q) - np.array([0, 0, 0.05, 0, 0, 0])
     before, setpoints = generator.setpoint, []
     move = generator.movel(down.tolist())
     with suppress(LimitViolation):
@@ -179,7 +180,7 @@ def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: flo
     else:
         # The orientation has turned with the arc: seen from the arm of the circle, it is what it was.
         about = np.concatenate([[0, 0, 0], -angle * np.cross(x, y)])
-        undone = kinematics.pose_trans(about, np.concatenate([[0, 0, 0], path[-1, 3:]]))
+        undone = compose(about, np.concatenate([[0, 0, 0], path[-1, 3:]]))
         np.testing.assert_allclose(turned_by(start, undone), 0.0, atol=1e-6)
         length = radius * angle
     assert len(setpoints) == pytest.approx(trapezoid(length, v, 0.5) / 0.008, abs=1.001)

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from urlink.firmware import Firmware
-from urlink.models import MODELS
+from urlink.kinematics import Arm
 from urlink.simulator.registers import Action, Registers
-from urlink.simulator.robot import kinematics
 from urlink.simulator.robot.generator import Unreachable
 from urlink.simulator.robot.signals import Signals
 from urlink.simulator.robot.sources import HOME
@@ -148,7 +147,7 @@ class StandIn:
 
     def __init__(self, firmware: str = "5.11") -> None:
         self.firmware = Firmware.parse(firmware)
-        self.model = MODELS["UR5e"]
+        self.kinematics = Arm("UR5e")
         self.period = 1.0 / self.firmware.rate if hasattr(self.firmware, "rate") else 0.002
         self.cycle = 0
         self.notes: list[str] = []
@@ -180,7 +179,7 @@ class StandIn:
 
     @property
     def pose_target(self) -> Sequence[float]:
-        found: list[float] = kinematics.pose(self.model, self.q_target, self.tcp).tolist()
+        found: list[float] = self.kinematics.forward(self.q_target, self.tcp).tolist()
         return found
 
     pose_actual = pose_target

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import pytest
 
 from tests.urlink.simulator.urscript.standin import StandIn
+from urlink.kinematics import Arm
 from urlink.models import MODELS
-from urlink.simulator.robot import kinematics
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import HOME, Setpoint
 from urlink.simulator.urscript import Execution, compile_script
@@ -17,7 +17,7 @@ from urlink.simulator.urscript import Execution, compile_script
 def play(text: str, seconds: float = 20.0) -> tuple[StandIn, list[Sequence[float]], Execution]:
     """The stand-in with a real motion generator, its joint positions cycle by cycle, and the execution."""
     world = StandIn()
-    generator = MotionGenerator(MODELS["UR5e"], Setpoint(list(HOME), [0.0] * 6, [0.0] * 6))
+    generator = MotionGenerator(Arm("UR5e"), Setpoint(list(HOME), [0.0] * 6, [0.0] * 6))
     generator.tcp = world.tcp
     world.motion = generator  # type: ignore[assignment]
     execution = Execution(compile_script(text, world.firmware), world)
@@ -45,7 +45,7 @@ end
     world, path, execution = play(text)
     assert execution.error is None
     assert [note.split(maxsplit=1)[1] for note in world.notes] == ["textmsg True"] * 3
-    begin, end = (kinematics.pose(MODELS["UR5e"], q, world.tcp) for q in ([0, -1.5, 1.5, -1.5, -1.5, 0], path[-1]))
+    begin, end = (Arm(MODELS["UR5e"]).forward(q, world.tcp) for q in ([0, -1.5, 1.5, -1.5, -1.5, 0], path[-1]))
     assert end[2] - begin[2] == pytest.approx(0.05, abs=1e-6)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from linkcore.errors import BadValue
-from urlink.models import Model
+from urlink.kinematics import Arm
 
 from ..sources import BRAKING, Setpoint
 from .joint_limits import JointLimits, LimitViolation, checked, positive
@@ -53,7 +53,7 @@ class MotionGenerator:
     """Makes the set-points of six joints.
 
     Args:
-        model: whose limits and kinematics count.
+        kinematics: of the arm, whose limits count as well.
         setpoint: where the joints are, and how they move; that is braked until a command comes.
 
     Attributes:
@@ -61,11 +61,11 @@ class MotionGenerator:
         speed_fraction: of the speed slider, in [0, 1]. It scales everything but servoj and stops.
     """
 
-    def __init__(self, model: Model, setpoint: Setpoint) -> None:
+    def __init__(self, kinematics: Arm, setpoint: Setpoint) -> None:
         self.setpoint = setpoint
         self.speed_fraction = 1.0
-        self._model = model
-        self._limits = JointLimits(model)
+        self._kinematics = kinematics
+        self._limits = JointLimits(kinematics.model)
         self._gentle = [BRAKING * limit for limit in self._limits.acceleration]
         self._tcp = list(_REST)
         self._scaling = 1.0
@@ -152,7 +152,7 @@ class MotionGenerator:
         """
         end = checked(q, "joint positions")
         start, blend = self._take_over()
-        path = JointPath(self._model, self._limits, self.tcp, start, end)
+        path = JointPath(self._kinematics, self._limits, self.tcp, start, end)
         move = self._follow_path(path, start, blend, a, v, t, r)
         self._check_target(end)
         return move
@@ -170,7 +170,7 @@ class MotionGenerator:
             Unreachable: the arm does not reach the pose.
         """
         start, blend = self._take_over()
-        path = LinearPath(self._model, self.tcp, start, checked(pose, "a pose"))
+        path = LinearPath(self._kinematics, self.tcp, start, checked(pose, "a pose"))
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movec(
@@ -191,7 +191,7 @@ class MotionGenerator:
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
         start, blend = self._take_over()
         ends = checked(via, "a pose"), checked(to, "a pose")
-        path = CircularPath(self._model, self.tcp, start, *ends, fixed=mode == 1)
+        path = CircularPath(self._kinematics, self.tcp, start, *ends, fixed=mode == 1)
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
@@ -309,7 +309,7 @@ class MotionGenerator:
         line = positive(a, "an acceleration")
         turn = line if not a_rot else positive(a_rot, "an angular acceleration")
         old = self._command if isinstance(self._command, ToolSpeed) else None
-        return ToolSpeed(self._model, self._limits, self.tcp, self.setpoint, xd, line, turn, t, old)
+        return ToolSpeed(self._kinematics, self._limits, self.tcp, self.setpoint, xd, line, turn, t, old)
 
     def _at_most(self, a: float) -> list[float]:
         acceleration = positive(a, "an acceleration")

@@ -11,9 +11,8 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from urlink.models import Model
+from urlink.kinematics import Arm
 
-from .. import kinematics
 from ..sources import Setpoint
 from .joint_limits import JointLimits
 
@@ -184,8 +183,10 @@ class JointPath:
     goes furthest, in rad.
     """
 
-    def __init__(self, model: Model, limits: JointLimits, tcp: Sequence[float], start: list[float], end: list[float]):
-        self._model, self._tcp = model, tcp
+    def __init__(
+        self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], start: list[float], end: list[float]
+    ) -> None:
+        self._kinematics, self._tcp = kinematics, tcp
         self._start, self._end = start, end
         way = [b - a for a, b in zip(start, end, strict=True)]
         self.length = max(map(abs, way))
@@ -208,13 +209,13 @@ class JointPath:
 
     def left(self, q: Sequence[float]) -> float:
         """How far the TCP is from its place at the end when the joints are at `q`, m."""
-        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self.end_pose[:3])
+        return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
 
     @property
     def end_pose(self) -> list[float]:
         """The pose of the TCP at the end, m and rad."""
         if self._end_pose is None:
-            self._end_pose = kinematics.pose(self._model, self._end, self._tcp).tolist()
+            self._end_pose = self._kinematics.forward(self._end, self._tcp).tolist()
         return self._end_pose
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from urlink.models import Model
+from urlink.kinematics import Arm
+from urlink.poses import compose
 
-from .. import kinematics
 from ..sources import Setpoint
-from ..tool_velocity import geometry, tool_velocity
 from .joint_limits import JointLimits, LimitViolation, Unreachable
 from .path_motion import Move
 from .tool_paths import setpoint_at
@@ -69,7 +68,7 @@ class ToolSpeed:
 
     def __init__(
         self,
-        model: Model,
+        kinematics: Arm,
         limits: JointLimits,
         tcp: Sequence[float],
         begin: Setpoint,
@@ -84,14 +83,14 @@ class ToolSpeed:
         Where this takes over from an `old` one, the line goes on exactly.
         """
         self.move = Move()
-        self._model, self._limits, self._tcp = model, limits, list(tcp)
+        self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
-        self._pose: list[float] = kinematics.pose(model, begin.q, tcp).tolist()
+        self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
         self._speed: list[float] = list(_REST)
         if old is not None and old._brake is None and old._tcp == self._tcp:
             self._speed = old._speed
         elif any(begin.qd):
-            self._speed = tool_velocity(geometry(model), begin.q, begin.qd, self._pose)
+            self._speed = kinematics.velocity(begin.q, begin.qd, tcp).tolist()
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
         self.is_at_rest = False
@@ -114,11 +113,11 @@ class ToolSpeed:
         step = [0.5 * seconds * (old + new) for old, new in zip(self._speed, speed, strict=True)]
         pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
         if any(step[3:]):
-            pose += kinematics.pose_trans((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
+            pose += compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
         else:
             pose += self._pose[3:]
         try:
-            setpoint = setpoint_at(self._model, pose, self._tcp, last, seconds)
+            setpoint = setpoint_at(self._kinematics, pose, self._tcp, last, seconds)
             if self._stops:
                 self._limits.check(last, setpoint, seconds)
         except (Unreachable, LimitViolation) as error:
@@ -136,7 +135,7 @@ class ToolSpeed:
 
     def restart(self, begin: Setpoint) -> None:
         """Go on from rest elsewhere."""
-        self._pose = kinematics.pose(self._model, begin.q, self._tcp).tolist()
+        self._pose = self._kinematics.forward(begin.q, self._tcp).tolist()
         self._speed = list(_REST)
 
     def _braking(self, brake: JointSpeed, last: Setpoint, seconds: float) -> Setpoint:

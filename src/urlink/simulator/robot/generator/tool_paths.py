@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from urlink.models import Model
+from urlink import kinematics
+from urlink.kinematics import Arm
+from urlink.poses import compose, invert
 
-from .. import kinematics
 from ..sources import Setpoint
 from .joint_limits import LimitViolation, Unreachable
 
@@ -19,33 +20,33 @@ RADIAN = 0.25
 _REST = [0.0] * 6
 
 
-def joints_at(model: Model, pose: Sequence[float], tcp: Sequence[float], near: Sequence[float]) -> list[float]:
+def joints_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], near: Sequence[float]) -> list[float]:
     """The joint positions closest to `near` that put the TCP at a pose.
 
     Raises:
         Unreachable: there are none.
     """
-    found = kinematics.inverse(model, pose, tcp, near)
-    if not len(found):
-        raise Unreachable(f"the arm does not reach the pose {[round(number, 4) for number in pose]}")
-    nearest: list[float] = found[0].tolist()
-    return nearest
+    try:
+        found: list[float] = arm.inverse(pose, near, tcp, is_limited=False).tolist()
+    except kinematics.Unreachable:
+        raise Unreachable(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
+    return found
 
 
-def setpoint_at(model: Model, pose: Sequence[float], tcp: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
+def setpoint_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
     """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
 
     Raises:
         Unreachable: the arm does not reach the pose.
     """
-    q = joints_at(model, pose, tcp, last.q)
+    q = joints_at(arm, pose, tcp, last.q)
     qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
     return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
 
 
 def turn_between(first: Sequence[float], second: Sequence[float]) -> list[float]:
     """The rotation vector, in the frame of the first pose, of the shortest turn to the second, rad."""
-    turn: list[float] = kinematics.pose_trans(kinematics.pose_inv(first), second).tolist()[3:]
+    turn: list[float] = compose(invert(first), second).tolist()[3:]
     return turn
 
 
@@ -54,9 +55,7 @@ def rotated(pose: Sequence[float], turn: Sequence[float], part: float) -> list[f
     if not any(turn):
         return list(pose[3:])
     x, y, z = turn
-    turned: list[float] = kinematics.pose_trans(
-        (0.0, 0.0, 0.0, *pose[3:]), (0.0, 0.0, 0.0, part * x, part * y, part * z)
-    ).tolist()
+    turned: list[float] = compose((0.0, 0.0, 0.0, *pose[3:]), (0.0, 0.0, 0.0, part * x, part * y, part * z)).tolist()
     return turned[3:]
 
 
@@ -72,12 +71,12 @@ class ToolPath:
     speed = math.inf
     acceleration = math.inf
 
-    def __init__(self, model: Model, tcp: Sequence[float], length: float, end: list[float], near: list[float]) -> None:
-        self._model, self._tcp = model, tcp
+    def __init__(self, arm: Arm, tcp: Sequence[float], length: float, end: list[float], near: list[float]) -> None:
+        self._kinematics, self._tcp = arm, tcp
         self.length = length
         self.end_pose = end
         self._end_joints: list[float] | None = None
-        joints_at(model, end, tcp, near)
+        joints_at(arm, end, tcp, near)
 
     def pose(self, part: float) -> list[float]:
         """Where the TCP is, after a part in [0, 1] of the way."""
@@ -92,7 +91,7 @@ class ToolPath:
         if not speed and not acceleration:
             return Setpoint(last.q, _REST, _REST)
         try:
-            return setpoint_at(self._model, self.pose(way / self.length), self._tcp, last, seconds)
+            return setpoint_at(self._kinematics, self.pose(way / self.length), self._tcp, last, seconds)
         except Unreachable as error:
             raise LimitViolation(str(error)) from None
 
@@ -104,30 +103,30 @@ class ToolPath:
         """
         if self._end_joints is None:
             try:
-                self._end_joints = joints_at(self._model, self.end_pose, self._tcp, near)
+                self._end_joints = joints_at(self._kinematics, self.end_pose, self._tcp, near)
             except Unreachable as error:
                 raise LimitViolation(str(error)) from None
         return self._end_joints
 
     def left(self, q: Sequence[float]) -> float:
         """How far the TCP is from its place at the end when the joints are at `q`, m."""
-        return math.dist(kinematics.pose(self._model, q, self._tcp)[:3].tolist(), self.end_pose[:3])
+        return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
 
 
 class LinearPath(ToolPath):
     """The TCP goes straight to a pose while the tool turns about one axis, both in proportion."""
 
-    def __init__(self, model: Model, tcp: Sequence[float], start: list[float], end: list[float]) -> None:
+    def __init__(self, arm: Arm, tcp: Sequence[float], start: list[float], end: list[float]) -> None:
         """From joint positions to a pose.
 
         Raises:
             Unreachable: the arm does not reach the pose.
         """
-        self._start: list[float] = kinematics.pose(model, start, tcp).tolist()
+        self._start: list[float] = arm.forward(start, tcp).tolist()
         self._way = [b - a for a, b in zip(self._start[:3], end[:3], strict=True)]
         self._turn = turn_between(self._start, end)
         length = max(math.hypot(*self._way), RADIAN * math.hypot(*self._turn))
-        super().__init__(model, tcp, length, end, start)
+        super().__init__(arm, tcp, length, end, start)
 
     def pose(self, part: float) -> list[float]:
         """Where the TCP is, after a part in [0, 1] of the way."""
@@ -147,14 +146,14 @@ class CircularPath(ToolPath):
     """
 
     def __init__(
-        self, model: Model, tcp: Sequence[float], start: list[float], via: list[float], end: list[float], fixed: bool
+        self, arm: Arm, tcp: Sequence[float], start: list[float], via: list[float], end: list[float], fixed: bool
     ) -> None:
         """From joint positions by way of a pose to a pose; `fixed` keeps the tool as it is towards the path.
 
         Raises:
             Unreachable: the three points are on no circle, or the arm does not reach the end.
         """
-        self._start: list[float] = kinematics.pose(model, start, tcp).tolist()
+        self._start: list[float] = arm.forward(start, tcp).tolist()
         first, between, last = self._start[:3], via[:3], end[:3]
         self._centre, normal = _circle(first, between, last)
         self._arm = _minus(first, self._centre)
@@ -168,7 +167,7 @@ class CircularPath(ToolPath):
         if fixed:
             end = [*last, *self._carried(1.0)]
         length = max(radius * self._arc, 0.0 if fixed else RADIAN * math.hypot(*self._turn))
-        super().__init__(model, tcp, length, end, start)
+        super().__init__(arm, tcp, length, end, start)
 
     def pose(self, part: float) -> list[float]:
         """Where the TCP is, after a part in [0, 1] of the way."""
@@ -181,7 +180,7 @@ class CircularPath(ToolPath):
         """The rotation vector of the start, turned about the axis of the circle."""
         assert self._fixed is not None
         x, y, z = self._fixed
-        turned: list[float] = kinematics.pose_trans(
+        turned: list[float] = compose(
             (0.0, 0.0, 0.0, part * x, part * y, part * z), (0.0, 0.0, 0.0, *self._start[3:])
         ).tolist()
         return turned[3:]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ...robot import kinematics
 from ..errors import Fault, type_error
 from ..machine import ScriptThread, Waiting
 from ..values import NUMBERS, type_name
@@ -48,8 +47,8 @@ def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
 def _pose(thread: ScriptThread, target: Any, what: str) -> Sequence[float]:
     """A pose, or that of joint positions."""
     if is_list(target):
-        model = thread.world.model
-        return kinematics.pose(model, joints(target, what), list(thread.world.tcp)).tolist()  # type: ignore[no-any-return]
+        arm = thread.world.kinematics
+        return arm.forward(joints(target, what), list(thread.world.tcp)).tolist()  # type: ignore[no-any-return]
     return pose(target, what)
 
 

@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
+from urlink import poses
+from urlink.kinematics import Unreachable
 
-from ...robot import kinematics
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
 from ..values import Pose, type_name
@@ -67,31 +67,20 @@ def point_dist(thread: ScriptThread, p_from: Any, p_to: Any) -> float:
 def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -> Pose:
     a, b = pose(p_from, "interpolate_pose: p_from"), pose(p_to, "interpolate_pose: p_to")
     x = number(alpha, "interpolate_pose: alpha")
-    turn = _transformed(thread, _inverse(thread, [*_NOWHERE, *a[3:]]), [*_NOWHERE, *b[3:]])
-    turned = _transformed(thread, [*_NOWHERE, *a[3:]], [*_NOWHERE, *(x * angle for angle in turn[3:])])
-    return Pose([*(p + x * (q - p) for p, q in zip(a[:3], b[:3], strict=True)), *turned[3:]])
+    thread.machine.spend(3 * _TRANSFORMATION)
+    return Pose(poses.interpolate(a, b, x).tolist())
 
 
 @FAMILY.declare()
 def rotvec2rpy(thread: ScriptThread, rotation_vector: Any) -> tuple[float, ...]:
     """Roll, pitch and yaw about the fixed x, y and z, in that order, of a rotation vector; rad."""
-    (r00, r01, _), (r10, r11, _), (r20, r21, r22) = _rotation(vector(rotation_vector, "rotvec2rpy: vector", 3))
-    pitch = math.atan2(-r20, math.hypot(r00, r10))
-    if math.hypot(r00, r10) < 1e-9:
-        # Roll and yaw turn about the same axis; roll is left out.
-        return (0.0, pitch, math.atan2(-r01, r11))
-    return (math.atan2(r21, r22), pitch, math.atan2(r10, r00))
+    return tuple(poses.rotvec_to_rpy(vector(rotation_vector, "rotvec2rpy: vector", 3)).tolist())
 
 
 @FAMILY.declare()
 def rpy2rotvec(thread: ScriptThread, rpy_vector: Any) -> tuple[float, ...]:
-    roll, pitch, yaw = vector(rpy_vector, "rpy2rotvec: vector", 3)
-    turned = _transformed(
-        thread,
-        _transformed(thread, [*_NOWHERE, 0.0, 0.0, yaw], [*_NOWHERE, 0.0, pitch, 0.0]),
-        [*_NOWHERE, roll, 0.0, 0.0],
-    )
-    return tuple(turned[3:])
+    thread.machine.spend(2 * _TRANSFORMATION)
+    return tuple(poses.rpy_to_rotvec(vector(rpy_vector, "rpy2rotvec: vector", 3)).tolist())
 
 
 @FAMILY.declare()
@@ -99,7 +88,7 @@ def get_forward_kin(thread: ScriptThread, q: Any = "current_joint_positions", tc
     world = thread.world
     thread.machine.spend(_FORWARD)
     where = world.q_actual if isinstance(q, str) else joints(q, "get_forward_kin: q")
-    return Pose(kinematics.pose(world.model, list(where), _tool(thread, tcp)).tolist())
+    return Pose(world.kinematics.forward(list(where), _tool(thread, tcp)).tolist())
 
 
 @FAMILY.declare(since="1.0", until="3.0")
@@ -152,15 +141,17 @@ def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
         q = joints(pose, "is_within_safety_limits: q")
     else:
         q = solution(thread, _pose(pose, "is_within_safety_limits: pose"), _near(thread, None), "active_tcp")
-    limits = thread.world.model.position_limits
-    return q is not None and bool(np.all((limits[:, 0] <= q) & (q <= limits[:, 1])))
+    return q is not None and bool(thread.world.kinematics.within_limits(q))
 
 
 def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
     """The joint positions for a pose that are closest to others, or None if it is out of reach."""
     thread.machine.spend(_INVERSE)
-    rows = kinematics.inverse(thread.world.model, x, _tool(thread, tcp), near)
-    return rows[0].tolist() if len(rows) else None
+    try:
+        found: list[float] = thread.world.kinematics.inverse(x, near, _tool(thread, tcp), is_limited=False).tolist()
+    except Unreachable:
+        return None
+    return found
 
 
 def _near(thread: ScriptThread, qnear: Any) -> list[float]:
@@ -177,14 +168,9 @@ def _tool(thread: ScriptThread, tcp: Any) -> list[float]:
 
 def _transformed(thread: ScriptThread, first: Sequence[float], second: Sequence[float]) -> Pose:
     thread.machine.spend(_TRANSFORMATION)
-    return Pose(kinematics.pose_trans(first, second).tolist())
+    return Pose(poses.compose(first, second).tolist())
 
 
 def _inverse(thread: ScriptThread, of: Sequence[float]) -> Pose:
     thread.machine.spend(_TRANSFORMATION)
-    return Pose(kinematics.pose_inv(of).tolist())
-
-
-def _rotation(of: Sequence[float]) -> list[list[float]]:
-    rows: list[list[float]] = kinematics.pose_to_matrix([*_NOWHERE, *of])[:3, :3].tolist()
-    return rows
+    return Pose(poses.invert(of).tolist())

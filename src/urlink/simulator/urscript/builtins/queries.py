@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ...robot import kinematics
 from ..errors import Fault
 from ..machine import ScriptThread
 from ..values import Pose
@@ -105,7 +104,7 @@ def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -
 
 @FAMILY.declare()
 def get_actual_tool_flange_pose(thread: ScriptThread) -> Pose:
-    return Pose(kinematics.pose(thread.world.model, list(thread.world.q_actual)).tolist())
+    return Pose(thread.world.kinematics.forward(list(thread.world.q_actual)).tolist())
 
 
 @FAMILY.declare()
