@@ -15,39 +15,43 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
 from .geometry import Angles, Lengths
 
-__all__ = ["BRANCHES", "branches", "branches_of_rows", "wrapped"]
+__all__ = ["BRANCHES", "SINGULAR", "SLACK", "branches", "branches_of_rows", "wrapped"]
 
 #: Ways to reach a pose.
 BRANCHES = 8
 
 # How much orientation, rad, may be given up for a better joint 6. At a singular wrist, where joint 6 hardly counts, it
 # buys any joint 6.
-_SLACK = 1e-13
+SLACK = 1e-13
 # How far outside its reach, relative to it, rounding may put a pose that is exactly on the edge.
 _EDGE = 1e-13
-# The same two for loose ways, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the
-# published one, a hundredth of its reach.
-_LOOSE_SLACK = 0.03
+# The same for loose ways, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the published
+# one, a hundredth of its reach.
 _LOOSE_EDGE = 0.05
 _ALMOST_STRAIGHT = 0.999
 # Sine of joint 5 below which rows are left to `branches`: at 1e-4 joint 6 is known to 1e-12 rad, which is not yet felt
 # in the reach of the arm.
-_SINGULAR = 1e-4
+SINGULAR = 1e-4
 
 
 def branches(
-    lengths: Lengths, target: Rigid[float], free_q6: float = 0.0, is_loose: bool = False
+    lengths: Lengths,
+    target: Rigid[float],
+    free_q6: float = 0.0,
+    *,
+    slack: float = SLACK,
+    is_loose: bool = False,
 ) -> list[Angles[float] | None]:
     """The eight ways to put the flange at `target`, rad, not wrapped; None for one that does not reach.
 
     Args:
         target: the flange in the base frame.
         free_q6: joint 6 where it is free; where that would put the wrist out of reach, the closest to it.
+        slack: how much orientation, rad, may be given up for that joint 6.
         is_loose: a way counts as one where it is almost in reach, and the elbow is never quite straight: as a start
             for the search of a calibrated arm, which reaches a little further here and less far there.
 
@@ -58,7 +62,7 @@ def branches(
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = target
     found: list[Angles[float] | None] = []
     x5, y5, z5 = _wrist(lengths, target)
-    slack, margin, straight = (_LOOSE_SLACK, _LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_SLACK, _EDGE, 1.0)
+    margin, straight = (_LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_EDGE, 1.0)
     if x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin):
         return [None] * BRANCHES  # Too close to the axis of the base.
     for q1 in _shoulder(FLOATS, d4, x5, y5, margin if is_loose else 0.0):
@@ -78,7 +82,7 @@ def branches(
             along, across = zx * c1 + zy * s1, zz
             # Joint 6 moves the origin of frame 4 too: turn it, as far as the slack goes, to where the arm reaches.
             bearing = math.atan2(across, along)
-            if sine < _SINGULAR:
+            if sine < SINGULAR:
                 shift = _into_reach(bearing, out5, up5, d5, abs(a2) + abs(a3), abs(abs(a2) - abs(a3)))
                 if abs(shift) * sine < slack:
                     bearing += shift
@@ -97,7 +101,7 @@ def branches(
 
 def branches_of_rows(
     lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = False
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+) -> tuple[FloatArray, FloatArray]:
     """The eight ways for each of n poses.
 
     Args:
@@ -105,8 +109,8 @@ def branches_of_rows(
         is_loose: as for `branches`.
 
     Returns:
-        (8, 6, n) rad, not wrapped, NaN where a way does not reach, in the order of `branches`; and (8, n) whether a way
-        is too close to the singularity of the wrist, so that these figures are not to be used.
+        (8, 6, n) rad, not wrapped, NaN where a way does not reach, in the order of `branches`; and (8, n) the sine of
+        joint 5. Where that is less than `SINGULAR`, the figures are not to be used.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
@@ -114,12 +118,11 @@ def branches_of_rows(
     x5, y5, z5 = _wrist(lengths, targets)
     found = np.empty((BRANCHES, 6, len(x5)))
     near = x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin)
-    singular = np.empty((BRANCHES, len(x5)), dtype=bool)
-    limit = _LOOSE_SLACK / math.pi if is_loose else _SINGULAR
+    sines = np.empty((BRANCHES, len(x5)))
     at = 0
     for q1 in _shoulder(ROWS, d4, x5, y5, margin if is_loose else 0.0):
         s1, c1, out5, up5, nx, ny, nz, sine = _plane(ROWS, d1, targets, q1, x5, y5, z5)
-        singular[at : at + 4] = sine < limit
+        sines[at : at + 4] = sine
         length = np.where(sine > 0.0, sine, 1.0)
         s6, c6 = -ny / length, nx / length
         zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
@@ -138,7 +141,7 @@ def branches_of_rows(
                     way[:, out_of_reach] = np.nan
                 at += 1
             q6, q234 = q6 + np.pi, q234 + np.pi
-    return found, singular
+    return found, sines
 
 
 def _wrist(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Number]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .. import rigid
 from ..rigid import FLOATS, ROWS, FloatArray, Rigid
-from .closed_form import BRANCHES, branches, branches_of_rows
+from .closed_form import BRANCHES, SINGULAR, SLACK, branches, branches_of_rows
 from .geometry import Angles, Geometry
 from .refinement import error_at, refine, refine_anywhere, refine_rows
 
@@ -29,9 +29,11 @@ _CONTINUES = 0.1
 _REGULAR = 0.02
 # Otherwise the search begins at the given joint positions if they miss the pose by less than this, m and rad; what is
 # found further away than the second, rad, is no continuation.
-_ALMOST = 0.02
+_ALMOST = 0.1
 _ASIDE = 0.5
-# Where joint 6 is almost free, the search begins at so many positions of it; not twice where it has begun, rad.
+# Where joint 6 is free but for so much orientation, rad, which the axes are tilted by, the search begins at so many
+# positions of it; not twice at joint positions that are as close as the third, rad.
+_SLACK = 0.03
 _TURNS = 16
 _TRIED = 1e-3
 
@@ -50,7 +52,7 @@ def ways(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> list
     """The eight ways in the order of `branches`, rad, not wrapped."""
     if geometry.is_nominal:
         return branches(geometry.lengths, target, free_q6)
-    seeds = branches(geometry.lengths, target, free_q6 + geometry.offsets[5], is_loose=True)
+    seeds = branches(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=_SLACK, is_loose=True)
     return [None if seed is None else _found(geometry, _less(seed, geometry.offsets), target) for seed in seeds]
 
 
@@ -62,36 +64,38 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
             key=lambda q: distance(q, near),
             default=None,
         )
-    seeds = _seeds(geometry, target, near)
-    if seeds and distance(seeds[0], near) < _CONTINUES:
-        found = refine(geometry, seeds[0], target)
-        if found is not None and distance(found, seeds[0]) < _REGULAR:
-            return found
+    seeds = _seeds(geometry, target, near, near[5])
+    first = refine(geometry, seeds[0], target) if seeds else None
+    if first is not None and distance(seeds[0], near) < _CONTINUES and distance(first, seeds[0]) < _REGULAR:
+        return first
     if max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
-        found = _found(geometry, near, target)
+        found = refine(geometry, near, target)
+        if found is None and (first is None or distance(first, near) > _ASIDE):
+            found = refine_anywhere(geometry, near, target)
         if found is not None and distance(found, near) < _ASIDE:
             return found
+    return first if first is not None else _search(geometry, target, near)
+
+
+def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
+    """Joint positions in a singularity or at the edge of the reach, from wherever a search may lead to any."""
     tried: list[Angles[float]] = []
     for turn in range(_TURNS):
-        for seed in seeds:
-            # Another turn leads elsewhere only where joint 6 is free.
-            if any(distance(seed, other) < _TRIED for other in tried):
-                continue
-            tried.append(seed)
-            found = _found(geometry, seed, target)
-            if found is not None:
-                return found
-        seeds = _seeds(geometry, target, near, (turn + 1) * math.tau / _TURNS)
+        for seed in _seeds(geometry, target, near, near[5] + turn * math.tau / _TURNS, _SLACK):
+            if all(distance(seed, other) > _TRIED for other in tried):
+                tried.append(seed)
+                found = _found(geometry, seed, target)
+                if found is not None:
+                    return found
     return None
 
 
-def _seeds(geometry: Geometry, target: Rigid[float], near: Angles[float], turned: float = 0.0) -> list[Angles[float]]:
-    """Where to begin the search for the joint positions of a calibrated arm, the closest first.
-
-    Where joint 6 is free, it is that of `near`, `turned`.
-    """
-    loose = branches(geometry.lengths, target, near[5] + geometry.offsets[5] + turned, is_loose=True)
-    seeds = (_less(way, geometry.offsets) for way in loose if way is not None)
+def _seeds(
+    geometry: Geometry, target: Rigid[float], near: Angles[float], free_q6: float, slack: float = SLACK
+) -> list[Angles[float]]:
+    """Where to begin the search for the joint positions of a calibrated arm, the closest first."""
+    ways = branches(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=slack, is_loose=True)
+    seeds = (_less(way, geometry.offsets) for way in ways if way is not None)
     return sorted(seeds, key=lambda q: distance(q, near))
 
 
@@ -105,8 +109,11 @@ def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
 
 
 def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
-    """`closest` of n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none."""
-    found, singular = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
+    """`closest` of n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none.
+
+    What takes one row more than the arithmetic that all rows have in common is left to `closest`.
+    """
+    found, sines = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     found -= np.array(geometry.offsets)[:, np.newaxis]
     turns = np.abs(around(found - nears.T))
     moves = turns.max(axis=1)
@@ -115,22 +122,10 @@ def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArr
     q = np.take_along_axis(found, chosen[np.newaxis, np.newaxis], axis=0)[0]
     # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a way is at least.
     # Such a way may reach although another joint 6 puts it out of reach.
-    again = np.asarray((singular & ~(turns[:, 0] > least)).any(axis=0))
+    again = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
     if not geometry.is_nominal:
-        seeds, q = q, refine_rows(geometry, q, targets)
-        with np.errstate(invalid="ignore"):
-            aside = (least > _CONTINUES) | (np.abs(q - seeds).max(axis=0) > _REGULAR)
-        again |= np.isnan(q[0]) & ~np.isnan(seeds[0])
-        rest = np.flatnonzero(aside & ~again)
-        close = nears[rest].T
-        with_rest = rigid.take(targets, rest)
-        q1, q2, q3, q4, q5, q6 = close
-        almost = np.max(np.abs(error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, with_rest)), axis=0) < _ALMOST
-        rest, close = rest[almost], close[:, almost]
-        continued = refine_rows(geometry, close, rigid.take(with_rest, almost))
-        is_near = np.abs(continued - close).max(axis=0) < _ASIDE
-        q[:, rest[is_near]] = continued[:, is_near]
-        again[rest[~is_near]] = True
+        q, failed = _continued(geometry, q, targets, nears, least)
+        again |= failed & (np.isfinite(least) | (sines < _SLACK).any(axis=0))
     rows: FloatArray = q.T
     for i in np.flatnonzero(again).tolist():
         q1, q2, q3, q4, q5, q6 = nears[i].tolist()
@@ -139,14 +134,43 @@ def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArr
     return rows
 
 
+def _continued(
+    geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray], nears: FloatArray, moves: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """As `closest` does it as long as nothing is singular: (6, n) rad; and (n,) where it does not come to an end.
+
+    Args:
+        seeds: (6, n) the way that is closest to `nears`, rad.
+        targets: n transforms.
+        nears: (n, 6) rad.
+        moves: (n,) how far away it is, rad.
+    """
+    q = refine_rows(geometry, seeds, targets)
+    failed = np.isnan(q[0])
+    with np.errstate(invalid="ignore"):
+        rest = np.flatnonzero(failed | (moves > _CONTINUES) | (np.abs(q - seeds).max(axis=0) > _REGULAR))
+    q1, q2, q3, q4, q5, q6 = close = nears[rest].T
+    missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, rigid.take(targets, rest))
+    almost = np.max(np.abs(missed), axis=0) < _ALMOST
+    rest, close = rest[almost], close[:, almost]
+    better = refine_rows(geometry, close, rigid.take(targets, rest))
+    is_near = np.abs(better - close).max(axis=0) < _ASIDE
+    q[:, rest[is_near]] = better[:, is_near]
+    failed[rest[is_near]] = False
+    # `closest` searches on from there, unless what was found first is close enough.
+    lost = rest[np.isnan(better[0])]
+    failed[lost] |= ~(np.abs(around(q[:, lost] - nears[lost].T)).max(axis=0) <= _ASIDE)
+    return q, failed
+
+
 def ways_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
     """`ways` of n transforms.
 
     Returns:
         (n, 8, 6) rad, in (-pi, pi], NaN out of reach; and (n,) whether a pose is close to a singularity.
     """
-    found, singular = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
-    again = np.asarray(singular.any(axis=0))
+    found, sines = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
+    again = np.asarray((sines < (SINGULAR if geometry.is_nominal else _SLACK)).any(axis=0))
     if not geometry.is_nominal:
         found -= np.array(geometry.offsets)[:, np.newaxis]
         number = found.shape[2]

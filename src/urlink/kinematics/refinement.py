@@ -30,6 +30,9 @@ _STEPS = 8
 # Steps that are longer, rad, or leave more of the error are for `refine_anywhere`.
 _TOO_LONG, _TOO_LITTLE = 0.5, 0.1
 
+# Rows that are not worth a step of their own.
+_FEW = 10
+
 # Of `refine_anywhere`: the most steps; the largest step of a joint, rad; how far ahead the second derivative is
 # measured, in steps; the most that a step may be bent, in its length; and how many steps in a row may gain less than a
 # percent.
@@ -93,7 +96,8 @@ def refine_rows(geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray
             done = ~there & (_CURVATURE * way * way + rest <= CONVERGED)
             found[:, at[done]] = q[:, done]
             going = ~there & ~done & (way <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
-            if not going.any():
+            # A few rows cost as much as many: they are left to `refine`.
+            if going.sum() <= _FEW:
                 break
             at, q, targets = at[going], q[:, going], take(targets, going)
     return found

@@ -1,0 +1,160 @@
+"""What do the inverse kinematics cost, beside those of ur-analytic-ik and ikpy?
+
+One pose to the closest joint positions, and a thousand poses at once; the published arm and a calibrated one. The poses
+are those of random joint positions, and the search begins 0.05 rad beside these, as it does for the next set-point of a
+path. Each figure is processor time, the best of many short runs, taken in turns. Beside it stands by how much the
+flange misses the pose, at worst.
+
+ur-analytic-ik is the closed form in C++; ikpy optimises numerically along a chain that it reads from the URDF that
+urlink writes. They are compared where they are installed (`nox -s kinematics` does that), and are no requirement.
+
+    python benchmarks/kinematics.py                # UR5e
+    python benchmarks/kinematics.py --quick
+    python benchmarks/kinematics.py --json         # prints one JSON object
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urlink.kinematics import Arm
+from urlink.poses import compose, invert, to_matrix
+from urlink.urdf import to_urdf
+
+ROWS = 1000
+#: µs: of one inverse, and of one among a thousand.
+GOALS = {"one": 60.0, "row": 3.0}
+#: Axes that are tilted by some mrad and lengths that are off by a millimetre, as those of an arm that somebody reported
+#: (issue 457 of the vendor's ROS driver), put on a UR5e: theta, a, d and alpha of each joint.
+CALIBRATION = {
+    "dh_theta": [-9.6e-06, -1.437070, 2.025431, -0.588255, 4.1e-05, 8.2e-06],
+    "dh_a": [0.000279, -0.05668535, -0.32641694, 1.49e-05, 2.2e-07, 0.0],
+    "dh_d": [0.1622205, 574.241384579456, -507.363402098168, -66.7435339353205, 0.1000235, 0.0998625],
+    "dh_alpha": [1.570338588, -0.000733893428160216, 0.00325607356326439, 1.570400052, -1.571010003, 0.0],
+}
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A DH table as a controller sends it."""
+
+    dh_theta: list[float]
+    dh_a: list[float]
+    dh_d: list[float]
+    dh_alpha: list[float]
+
+
+def seconds(work: Callable[[], object], rounds: int, number: int) -> float:
+    """Of processor time that the work takes, the best of some rounds of a number of times each."""
+    best = float("inf")
+    for _ in range(rounds):
+        began = time.process_time()
+        for _ in range(number):
+            work()
+        best = min(best, (time.process_time() - began) / number)
+    return best
+
+
+def missed(arm: Arm, q: Array, poses: Array) -> float:
+    """m or rad, at worst."""
+    return float(np.abs(compose(invert(arm.forward(q)), poses)).max())
+
+
+def measure(rounds: int) -> dict[str, dict[str, float]]:
+    rng = np.random.default_rng(1)
+    published, calibrated = Arm("UR5e"), Arm.calibrated("UR5e", Table(**CALIBRATION))
+    q = rng.uniform(-np.pi, np.pi, (ROWS, 6))
+    near = q + rng.uniform(-0.05, 0.05, q.shape)
+    figures: dict[str, dict[str, float]] = {}
+    for name, arm in (("urlink", published), ("urlink, calibrated", calibrated)):
+        poses = arm.forward(q)
+        each = list(zip(poses.tolist(), near.tolist(), strict=True))[:100]
+
+        def one(arm: Arm = arm, each: list[tuple[list[float], list[float]]] = each) -> None:
+            for pose, close in each:
+                arm.inverse(pose, close)
+
+        def rows(arm: Arm = arm, poses: Array = poses) -> None:
+            arm.inverse(poses, near)
+
+        figures[name] = {
+            "one": 1e6 * seconds(one, 3 * rounds, 1) / len(each),
+            "row": 1e6 * seconds(rows, 3 * rounds, 1) / ROWS,
+            "missed": missed(arm, arm.inverse(poses, near), poses),
+        }
+    poses = published.forward(q)
+    if find_spec("ur_analytic_ik"):
+        figures["ur-analytic-ik"] = analytic(published, poses[:100], near[:100], rounds)
+    if find_spec("ikpy"):
+        figures["ikpy"] = ikpy(published, poses[:5], near[:5])
+    return figures
+
+
+def analytic(arm: Arm, poses: Array, near: Array, rounds: int) -> dict[str, float]:
+    """ur-analytic-ik is given matrices and has no call for many poses."""
+    module: Any = importlib.import_module("ur_analytic_ik")
+    matrices = [np.ascontiguousarray(matrix) for matrix in to_matrix(poses)]
+    close = near.tolist()
+
+    def all_of_them() -> list[Any]:
+        pairs = zip(matrices, close, strict=True)
+        return [module.ur5e.inverse_kinematics_closest(matrix, *each)[0] for matrix, each in pairs]
+
+    figures = {"one": 1e6 * seconds(all_of_them, 3 * rounds, 1) / len(matrices)}
+    # Its answers are within a turn; it leaves out poses in and close to singularities.
+    return {**figures, "missed": missed(arm, np.array(all_of_them()).reshape(-1, 6), poses)}
+
+
+def ikpy(arm: Arm, poses: Array, near: Array) -> dict[str, float]:
+    """ikpy reads the arm from a file, and counts the links that do not move among the joints."""
+    module: Any = importlib.import_module("ikpy.chain")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(to_urdf(arm), encoding="utf-8")
+        mask = [False] + [True] * 6 + [False]
+        chain = module.Chain.from_urdf_file(str(path), active_links_mask=mask)
+    matrices = to_matrix(poses)
+
+    def all_of_them() -> Array:
+        found = [
+            chain.inverse_kinematics_frame(matrix, initial_position=[0.0, *close, 0.0], orientation_mode="all")
+            for matrix, close in zip(matrices, near, strict=True)
+        ]
+        return np.array(found)[:, 1:7]
+
+    took = 1e6 * seconds(all_of_them, 1, 1) / len(matrices)
+    return {"one": took, "missed": missed(arm, all_of_them(), poses)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="three rounds instead of ten")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    figures = measure(3 if options.quick else 10)
+    if options.json:
+        print(json.dumps(figures))
+        return
+    print(f"Inverse kinematics of a UR5e: µs of one pose, µs of each of {ROWS}, and by how much it misses (m, rad)")
+    print(f"  {'goal: at most':22} {GOALS['one']:10.1f} {GOALS['row']:8.2f}")
+    for name, row in figures.items():
+        many = f"{row['row']:8.2f}" if "row" in row else f"{'-':>8}"
+        print(f"  {name:22} {row['one']:10.1f} {many} {row['missed']:10.1e}")
+
+
+if __name__ == "__main__":
+    main()
