@@ -97,6 +97,15 @@ def interop(session: nox.Session) -> None:
 
 
 @nox.session
+def kinematics(session: nox.Session) -> None:
+    """Compare kinematics and dynamics with ur-analytic-ik and Pinocchio, and their speed with that of ikpy as well."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
+    session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py"]))
+    if not session.posargs:
+        session.run("python", "benchmarks/kinematics.py")
+
+
+@nox.session
 def fuzz(session: nox.Session) -> None:
     """Run the property tests with many more examples."""
     session.install("-e", f".{EXTRAS}", *group("tests"))

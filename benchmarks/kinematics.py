@@ -1,9 +1,10 @@
 """What do the inverse kinematics cost, beside those of ur-analytic-ik and ikpy?
 
 One pose to the closest joint positions, and a thousand poses at once; the published arm and a calibrated one. The poses
-are those of random joint positions, and the search begins 0.05 rad beside these, as it does for the next set-point of a
-path. Each figure is processor time, the best of many short runs, taken in turns. Beside it stands by how much the
-flange misses the pose, at worst.
+are those of random joint positions whose elbow and wrist are bent by at least 6 degrees, and the search begins up to
+0.01 rad beside these, as it does for the next set-point of a path. Closer to a singularity a calibrated arm takes a
+search of its own, which has its own row. Each figure is processor time, the best of many short runs. Beside it stands
+by how much the flange misses the pose, at worst.
 
 ur-analytic-ik is the closed form in C++; ikpy optimises numerically along a chain that it reads from the URDF that
 urlink writes. They are compared where they are installed (`nox -s kinematics` does that), and are no requirement.
@@ -77,10 +78,18 @@ def missed(arm: Arm, q: Array, poses: Array) -> float:
 def measure(rounds: int) -> dict[str, dict[str, float]]:
     rng = np.random.default_rng(1)
     published, calibrated = Arm("UR5e"), Arm.calibrated("UR5e", Table(**CALIBRATION))
-    q = rng.uniform(-np.pi, np.pi, (ROWS, 6))
-    near = q + rng.uniform(-0.05, 0.05, q.shape)
+    random = rng.uniform(-np.pi, np.pi, (20 * ROWS, 6))
+    bent = np.abs(np.sin(random[:, [2, 4]])).min(axis=1) > 0.1
+    straight = random[:ROWS].copy()
+    straight[:, 4] = rng.uniform(-1e-3, 1e-3, ROWS)
     figures: dict[str, dict[str, float]] = {}
-    for name, arm in (("urlink", published), ("urlink, calibrated", calibrated)):
+    cases = (
+        ("urlink", published, random[bent][:ROWS]),
+        ("urlink, calibrated", calibrated, random[bent][:ROWS]),
+        ("the same, singular", calibrated, straight[:100]),
+    )
+    for name, arm, q in cases:
+        near = q + rng.uniform(-0.01, 0.01, q.shape)
         poses = arm.forward(q)
         each = list(zip(poses.tolist(), near.tolist(), strict=True))[:100]
 
@@ -88,15 +97,16 @@ def measure(rounds: int) -> dict[str, dict[str, float]]:
             for pose, close in each:
                 arm.inverse(pose, close)
 
-        def rows(arm: Arm = arm, poses: Array = poses) -> None:
+        def rows(arm: Arm = arm, poses: Array = poses, near: Array = near) -> None:
             arm.inverse(poses, near)
 
         figures[name] = {
             "one": 1e6 * seconds(one, 3 * rounds, 1) / len(each),
-            "row": 1e6 * seconds(rows, 3 * rounds, 1) / ROWS,
+            "row": 1e6 * seconds(rows, 3 * rounds, 1) / len(q),
             "missed": missed(arm, arm.inverse(poses, near), poses),
         }
-    poses = published.forward(q)
+    q = random[bent][:ROWS]
+    near, poses = q + 0.01, published.forward(q)
     if find_spec("ur_analytic_ik"):
         figures["ur-analytic-ik"] = analytic(published, poses[:100], near[:100], rounds)
     if find_spec("ikpy"):

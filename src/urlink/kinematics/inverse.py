@@ -38,9 +38,22 @@ _TURNS = 16
 _TRIED = 1e-3
 
 
+_remainder, _TURN = math.remainder, math.tau
+
+
 def distance(q: Sequence[float], other: Sequence[float]) -> float:
     """The largest joint movement between two joint positions, rad, each joint going the short way round."""
-    return max(abs(math.remainder(a - b, math.tau)) for a, b in zip(q, other, strict=True))
+    a1, a2, a3, a4, a5, a6 = q
+    b1, b2, b3, b4, b5, b6 = other
+    # Six calls cost less than half of what a loop does, and this is asked eight times for each pose.
+    return max(
+        abs(_remainder(a1 - b1, _TURN)),
+        abs(_remainder(a2 - b2, _TURN)),
+        abs(_remainder(a3 - b3, _TURN)),
+        abs(_remainder(a4 - b4, _TURN)),
+        abs(_remainder(a5 - b5, _TURN)),
+        abs(_remainder(a6 - b6, _TURN)),
+    )
 
 
 def around(angles: FloatArray) -> FloatArray:
@@ -64,9 +77,14 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
             key=lambda q: distance(q, near),
             default=None,
         )
-    seeds = _seeds(geometry, target, near, near[5])
-    first = refine(geometry, seeds[0], target) if seeds else None
-    if first is not None and distance(seeds[0], near) < _CONTINUES and distance(first, seeds[0]) < _REGULAR:
+    seed = min(_seeds(geometry, target, near[5]), key=lambda q: distance(q, near), default=None)
+    first = None if seed is None else refine(geometry, seed, target)
+    if (
+        seed is not None
+        and first is not None
+        and distance(seed, near) < _CONTINUES
+        and distance(first, seed) < _REGULAR
+    ):
         return first
     if max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
         found = refine(geometry, near, target)
@@ -81,7 +99,8 @@ def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
     """Joint positions in a singularity or at the edge of the reach, from wherever a search may lead to any."""
     tried: list[Angles[float]] = []
     for turn in range(_TURNS):
-        for seed in _seeds(geometry, target, near, near[5] + turn * math.tau / _TURNS, _SLACK):
+        seeds = _seeds(geometry, target, near[5] + turn * math.tau / _TURNS, _SLACK)
+        for seed in sorted(seeds, key=lambda q: distance(q, near)):
             if all(distance(seed, other) > _TRIED for other in tried):
                 tried.append(seed)
                 found = _found(geometry, seed, target)
@@ -90,13 +109,10 @@ def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
     return None
 
 
-def _seeds(
-    geometry: Geometry, target: Rigid[float], near: Angles[float], free_q6: float, slack: float = SLACK
-) -> list[Angles[float]]:
-    """Where to begin the search for the joint positions of a calibrated arm, the closest first."""
+def _seeds(geometry: Geometry, target: Rigid[float], free_q6: float, slack: float = SLACK) -> list[Angles[float]]:
+    """Where to begin the search for the joint positions of a calibrated arm."""
     ways = branches(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=slack, is_loose=True)
-    seeds = (_less(way, geometry.offsets) for way in ways if way is not None)
-    return sorted(seeds, key=lambda q: distance(q, near))
+    return [_less(way, geometry.offsets) for way in ways if way is not None]
 
 
 def _found(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
@@ -104,8 +120,9 @@ def _found(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Ang
 
 
 def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
-    q1, q2, q3, q4, q5, q6 = (angle - offset for angle, offset in zip(q, offsets, strict=True))
-    return q1, q2, q3, q4, q5, q6
+    q1, q2, q3, q4, q5, q6 = q
+    o1, o2, o3, o4, o5, o6 = offsets
+    return q1 - o1, q2 - o2, q3 - o3, q4 - o4, q5 - o5, q6 - o6
 
 
 def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ _STEPS = 8
 _TOO_LONG, _TOO_LITTLE = 0.5, 0.1
 
 # Rows that are not worth a step of their own.
-_FEW = 10
+_FEW = 2
 
 # Of `refine_anywhere`: the most steps; the largest step of a joint, rad; how far ahead the second derivative is
 # measured, in steps; the most that a step may be bent, in its length; and how many steps in a row may gain less than a

@@ -1,0 +1,115 @@
+"""Kinematics and dynamics beside those of ur-analytic-ik and Pinocchio, which others wrote.
+
+`nox -s kinematics` installs both; elsewhere the tests of what is not there are skipped.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.urlink.arms import calibrated
+from urlink.dynamics import GRAVITY, Dynamics
+from urlink.kinematics import Arm
+from urlink.models import MODELS
+from urlink.poses import from_matrix, to_matrix
+from urlink.urdf import to_urdf
+
+EVERY = pytest.mark.parametrize("name", MODELS)
+BOTH = pytest.mark.parametrize("is_calibrated", [False, True], ids=["published", "calibrated"])
+ROWS = 300
+
+
+def postures(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-math.pi, math.pi, (ROWS, 6))
+
+
+class TestAnalytic:
+    """ur-analytic-ik: the closed form in C++."""
+
+    @pytest.fixture
+    def theirs(self, name: str) -> Any:
+        module: Any = pytest.importorskip("ur_analytic_ik")
+        return getattr(module, name.lower().replace(" ", ""))
+
+    def test_it_has_every_arm(self) -> None:
+        module: Any = pytest.importorskip("ur_analytic_ik")
+        assert {arm for arm in dir(module) if arm.startswith("ur")} == {
+            name.lower().replace(" ", "") for name in MODELS
+        }
+
+    @EVERY
+    def test_forward(self, theirs: Any, name: str) -> None:
+        q = postures(1)
+        expected = np.array([theirs.forward_kinematics(*row) for row in q.tolist()])
+        np.testing.assert_allclose(to_matrix(Arm(name).forward(q)), expected, rtol=0.0, atol=1e-12)
+
+    @EVERY
+    def test_all_solutions(self, theirs: Any, name: str) -> None:
+        arm = Arm(name)
+        compared = 0
+        for matrix in to_matrix(arm.forward(postures(2))):
+            ours = arm.solutions(from_matrix(matrix))
+            others = np.array(theirs.inverse_kinematics(np.ascontiguousarray(matrix)))
+            # It leaves out what does not lead back to the pose closely enough, and orders them otherwise.
+            for q in others.reshape(-1, 6):
+                turned = np.angle(np.exp(1j * (ours - q)))
+                assert np.abs(turned).max(axis=1).min() < 1e-6
+            compared += len(others)
+        assert compared > 4 * ROWS
+
+
+class TestPinocchio:
+    """Pinocchio reads the URDF that urlink writes, so that this is compared as well."""
+
+    @pytest.fixture
+    def arm(self, name: str, is_calibrated: bool) -> Arm:
+        return calibrated(name, 1) if is_calibrated else Arm(name)
+
+    @pytest.fixture
+    def pin(self, arm: Arm) -> tuple[Any, Any, Any]:
+        pinocchio: Any = pytest.importorskip("pinocchio")
+        model = pinocchio.buildModelFromXML(to_urdf(arm))
+        model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+        return pinocchio, model, model.createData()
+
+    @staticmethod
+    def configuration(model: Any, q: np.ndarray) -> np.ndarray:
+        """A joint that turns without end is a cosine and a sine there."""
+        parts = [[math.cos(x), math.sin(x)] if model.joints[i + 1].nq == 2 else [x] for i, x in enumerate(q.tolist())]
+        return np.concatenate(parts)
+
+    @EVERY
+    @BOTH
+    def test_forward_and_jacobian(self, pin: tuple[Any, Any, Any], arm: Arm) -> None:
+        pinocchio, model, data = pin
+        flange = model.getFrameId("tool0")
+        for q in postures(3)[:50]:
+            x = self.configuration(model, q)
+            pinocchio.forwardKinematics(model, data, x)
+            pinocchio.updateFramePlacements(model, data)
+            np.testing.assert_allclose(to_matrix(arm.forward(q)), data.oMf[flange].homogeneous, rtol=0.0, atol=1e-12)
+            theirs = pinocchio.computeFrameJacobian(model, data, x, flange, pinocchio.LOCAL_WORLD_ALIGNED)
+            np.testing.assert_allclose(arm.jacobian(q), theirs, rtol=0.0, atol=1e-12)
+
+    @EVERY
+    @BOTH
+    def test_dynamics(self, pin: tuple[Any, Any, Any], arm: Arm) -> None:
+        pinocchio, model, data = pin
+        ours = Dynamics(arm)
+        rng = np.random.default_rng(4)
+        for q in postures(5)[:50]:
+            x, qd, qdd = self.configuration(model, q), rng.uniform(-3.0, 3.0, 6), rng.uniform(-10.0, 10.0, 6)
+            upper = np.triu(pinocchio.crba(model, data, x))
+            np.testing.assert_allclose(ours.mass_matrix(q), upper + np.triu(upper, 1).T, rtol=0.0, atol=1e-10)
+            gravity = pinocchio.computeGeneralizedGravity(model, data, x)
+            np.testing.assert_allclose(ours.gravity_torque(q), gravity, rtol=0.0, atol=1e-10)
+            coriolis = pinocchio.computeCoriolisMatrix(model, data, x, qd) @ qd
+            np.testing.assert_allclose(ours.coriolis_torque(q, qd), coriolis, rtol=0.0, atol=1e-10)
+            torque = pinocchio.rnea(model, data, x, qd, qdd)
+            np.testing.assert_allclose(ours.torque(q, qd, qdd), torque, rtol=0.0, atol=1e-10)
+            back = pinocchio.aba(model, data, x, qd, torque)
+            np.testing.assert_allclose(ours.acceleration(q, qd, torque), back, rtol=1e-8, atol=1e-7)
