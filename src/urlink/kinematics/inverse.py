@@ -23,14 +23,10 @@ from .refinement import error_at, refine, refine_anywhere, refine_rows
 
 __all__ = ["around", "closest", "closest_rows", "distance", "ways", "ways_of_rows"]
 
-# The closest way of the closed form is taken for the continuation of the given joint positions if it is as close to
-# them as the first, rad, and the search goes no further from it than the second: in a singularity there are others.
-_CONTINUES = 0.1
-_REGULAR = 0.02
-# Otherwise the search begins at the given joint positions if they miss the pose by less than this, m and rad; what is
-# found further away than the second, rad, is no continuation.
-_ALMOST = 0.1
-_ASIDE = 0.5
+# The search begins at the given joint positions if they miss the pose by less than the first, m and rad; what it finds
+# further away than the second, rad, is no continuation of them.
+_ALMOST = 0.05
+_CONTINUES = 0.3
 # Where joint 6 is free but for so much orientation, rad, which the axes are tilted by, the search begins at so many
 # positions of it; not twice at joint positions that are as close as the third, rad.
 _SLACK = 0.03
@@ -77,22 +73,13 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
             key=lambda q: distance(q, near),
             default=None,
         )
-    seed = min(_seeds(geometry, target, near[5]), key=lambda q: distance(q, near), default=None)
-    first = None if seed is None else refine(geometry, seed, target)
-    if (
-        seed is not None
-        and first is not None
-        and distance(seed, near) < _CONTINUES
-        and distance(first, seed) < _REGULAR
-    ):
-        return first
     if max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
-        found = refine(geometry, near, target)
-        if found is None and (first is None or distance(first, near) > _ASIDE):
-            found = refine_anywhere(geometry, near, target)
-        if found is not None and distance(found, near) < _ASIDE:
+        found = _found(geometry, near, target)
+        if found is not None and distance(found, near) < _CONTINUES:
             return found
-    return first if first is not None else _search(geometry, target, near)
+    seed = min(_seeds(geometry, target, near[5]), key=lambda q: distance(q, near), default=None)
+    found = None if seed is None else refine(geometry, seed, target)
+    return found if found is not None else _search(geometry, target, near)
 
 
 def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
@@ -130,20 +117,25 @@ def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArr
 
     What takes one row more than the arithmetic that all rows have in common is left to `closest`.
     """
-    found, sines = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
-    found -= np.array(geometry.offsets)[:, np.newaxis]
-    turns = np.abs(around(found - nears.T))
-    moves = turns.max(axis=1)
-    moves[np.isnan(moves)] = np.inf
-    chosen, least = moves.argmin(axis=0), moves.min(axis=0)
-    q = np.take_along_axis(found, chosen[np.newaxis, np.newaxis], axis=0)[0]
-    # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a way is at least.
-    # Such a way may reach although another joint 6 puts it out of reach.
-    again = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
+    rows = np.full_like(nears, np.nan)
+    again = np.zeros(len(nears), dtype=bool)
+    rest = np.arange(len(nears))
     if not geometry.is_nominal:
-        q, failed = _continued(geometry, q, targets, nears, least)
-        again |= failed & (np.isfinite(least) | (sines < _SLACK).any(axis=0))
-    rows: FloatArray = q.T
+        q1, q2, q3, q4, q5, q6 = nears.T
+        missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, targets)
+        almost = np.max(np.abs(missed), axis=0) < _ALMOST
+        near = np.flatnonzero(almost)
+        found = refine_rows(geometry, np.ascontiguousarray(nears[near].T), rigid.take(targets, near)).T
+        rows[near] = found
+        again[near] = ~(np.abs(found - nears[near]).max(axis=1) < _CONTINUES)
+        rest = np.flatnonzero(~almost)
+    if len(rest):
+        chosen, unsure = _closest_ways(geometry, rigid.take(targets, rest), nears[rest])
+        if not geometry.is_nominal:
+            refined = refine_rows(geometry, chosen, rigid.take(targets, rest))
+            unsure |= np.isnan(refined[0]) & ~np.isnan(chosen[0])
+            chosen = refined
+        rows[rest], again[rest] = chosen.T, unsure
     for i in np.flatnonzero(again).tolist():
         q1, q2, q3, q4, q5, q6 = nears[i].tolist()
         one = closest(geometry, rigid.row(targets, i), (q1, q2, q3, q4, q5, q6))
@@ -151,33 +143,22 @@ def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArr
     return rows
 
 
-def _continued(
-    geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray], nears: FloatArray, moves: FloatArray
+def _closest_ways(
+    geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """As `closest` does it as long as nothing is singular: (6, n) rad; and (n,) where it does not come to an end.
-
-    Args:
-        seeds: (6, n) the way that is closest to `nears`, rad.
-        targets: n transforms.
-        nears: (n, 6) rad.
-        moves: (n,) how far away it is, rad.
-    """
-    q = refine_rows(geometry, seeds, targets)
-    failed = np.isnan(q[0])
-    with np.errstate(invalid="ignore"):
-        rest = np.flatnonzero(failed | (moves > _CONTINUES) | (np.abs(q - seeds).max(axis=0) > _REGULAR))
-    q1, q2, q3, q4, q5, q6 = close = nears[rest].T
-    missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, rigid.take(targets, rest))
-    almost = np.max(np.abs(missed), axis=0) < _ALMOST
-    rest, close = rest[almost], close[:, almost]
-    better = refine_rows(geometry, close, rigid.take(targets, rest))
-    is_near = np.abs(better - close).max(axis=0) < _ASIDE
-    q[:, rest[is_near]] = better[:, is_near]
-    failed[rest[is_near]] = False
-    # `closest` searches on from there, unless what was found first is close enough.
-    lost = rest[np.isnan(better[0])]
-    failed[lost] |= ~(np.abs(around(q[:, lost] - nears[lost].T)).max(axis=0) <= _ASIDE)
-    return q, failed
+    """The closest of the eight ways of the closed form: (6, n) rad; and (n,) whether another one might be."""
+    found, sines = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
+    found -= np.array(geometry.offsets)[:, np.newaxis]
+    turns = np.abs(around(found - nears.T))
+    moves = turns.max(axis=1)
+    moves[np.isnan(moves)] = np.inf
+    chosen, least = moves.argmin(axis=0), moves.min(axis=0)
+    # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a way is at least.
+    # Such a way may reach although another joint 6 puts it out of reach.
+    unsure = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
+    if not geometry.is_nominal:
+        unsure |= np.isinf(least) & (sines < _SLACK).any(axis=0)
+    return np.take_along_axis(found, chosen[np.newaxis, np.newaxis], axis=0)[0], unsure
 
 
 def ways_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:

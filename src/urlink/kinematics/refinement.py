@@ -15,14 +15,16 @@ import math
 import numpy as np
 
 from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid, Six, take
+from ..rigid import row as row_of
 from .geometry import Angles, Geometry, chain, jacobian
 
 __all__ = ["error_at", "refine", "refine_anywhere", "refine_rows"]
 
 #: m and rad. What may be left of the error when joint positions are taken for a solution.
 CONVERGED = 5e-14
-# Bound on the second derivatives of the flange's position and orientation: what a Newton step of 1 rad may leave, m.
-_CURVATURE = 10.0
+# About the second derivatives of the flange's position and orientation: what a Newton step of 1 rad may leave, m. Where
+# it is too small, what is left may be ten times as much as it should be, and still less than 1e-12.
+_CURVATURE = 2.0
 # While the error is larger, its square is more of what a step leaves than the tilt of the axes.
 _COARSE = 1e-4
 # More steps than this are needed only where they do not converge.
@@ -30,8 +32,8 @@ _STEPS = 8
 # Steps that are longer, rad, or leave more of the error are for `refine_anywhere`.
 _TOO_LONG, _TOO_LITTLE = 0.5, 0.1
 
-# Rows that are not worth a step of their own.
-_FEW = 2
+# So few rows are quicker one by one: a step of rows takes some hundred calls into numpy, however few there are.
+_FEW = 8
 
 # Of `refine_anywhere`: the most steps; the largest step of a joint, rad; how far ahead the second derivative is
 # measured, in steps; the most that a step may be bent, in its length; and how many steps in a row may gain less than a
@@ -96,10 +98,14 @@ def refine_rows(geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray
             done = ~there & (_CURVATURE * way * way + rest <= CONVERGED)
             found[:, at[done]] = q[:, done]
             going = ~there & ~done & (way <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
-            # A few rows cost as much as many: they are left to `refine`.
-            if going.sum() <= _FEW:
-                break
             at, q, targets = at[going], q[:, going], take(targets, going)
+            if len(at) <= _FEW:
+                break
+    for i, row in enumerate(at.tolist() if len(at) <= _FEW else []):
+        q1, q2, q3, q4, q5, q6 = q[:, i].tolist()
+        one = refine(geometry, (q1, q2, q3, q4, q5, q6), row_of(targets, i))
+        if one is not None:
+            found[:, row] = one
     return found
 
 
