@@ -1,0 +1,54 @@
+"""A simulated arm that is calibrated: it moves as its DH parameters say, and says what they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadValue
+from tests.urlink.arms import calibration
+from urlink.kinematics import Arm
+from urlink.models import model
+from urlink.poses import compose, invert
+from urlink.simulator import Controller, Still
+
+TABLE = calibration(model("UR5e"), 1)
+
+
+def test_its_poses_are_those_of_its_own_geometry() -> None:
+    controller = Controller("UR5e", calibration=TABLE)
+    ours, published = Arm.calibrated("UR5e", TABLE), Arm("UR5e")
+    controller.step(2000)
+    sample = controller.arm.sample
+    assert sample.pose_actual == pytest.approx(ours.forward(sample.q_actual), abs=1e-12)
+    assert sample.pose_actual != pytest.approx(published.forward(sample.q_actual), abs=1e-4)
+    expected = ours.jacobian(sample.q_target) @ sample.qd_target
+    assert sample.speed_target == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_linear_movement_ends_at_the_pose() -> None:
+    controller = Controller("UR5e", "5.11", motion=Still(), calibration=TABLE)
+    arm = Arm.calibrated("UR5e", TABLE)
+    goal = arm.forward(controller.arm.setpoint.q) + np.array([0.05, -0.05, 0.05, 0.0, 0.0, 0.0])
+    controller.take(f"movel(p{goal.tolist()}, a=1.2, v=0.25)\n")
+    controller.step(1000)
+    reached = arm.forward(controller.arm.setpoint.q)
+    np.testing.assert_allclose(compose(invert(reached), goal), 0.0, atol=1e-9)
+    assert not any(controller.arm.setpoint.qd)
+
+
+def test_a_client_makes_the_same_arm_of_what_it_is_sent() -> None:
+    with Controller("UR5e", "5.11", calibration=TABLE) as controller, urlink.connect(controller.address) as robot:
+        sent = next(state.kinematics_info for state in robot.primary if state.kinematics_info is not None)
+        np.testing.assert_array_equal(sent.dh_d, TABLE.dh_d)
+        assert len(set(sent.checksum.tolist())) == 6
+        mine = Arm.calibrated(robot.model or "", sent)
+        assert mine.is_calibrated
+        state = robot.realtime.wait(timeout=5.0)
+        np.testing.assert_allclose(mine.forward(state.q_actual), state.tool_vector_actual, rtol=0.0, atol=1e-12)
+
+
+def test_parameters_of_another_arm_are_refused() -> None:
+    with pytest.raises(BadValue, match="DH table of a UR10e"):
+        Controller("UR10e", calibration=TABLE)
