@@ -16,7 +16,7 @@ from ..models import model as model_called
 from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
 from .closed_form import BRANCHES, wrapped
 from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal
-from .inverse import around, closest, closest_rows, distance, ways, ways_of_rows
+from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
 from .velocity import velocity
 
 __all__ = ["Arm", "Unreachable"]
@@ -191,7 +191,7 @@ class Arm:
             return np.array(self._in_turn(found, close, is_limited))
         given, close_to = rigid.rows(pose, (6,), "poses"), rigid.rows(near, (6,), "joint positions")
         (poses, nears), shape = rigid.aligned(given, close_to)
-        q = closest_rows(self._geometry, _target(rigid.from_poses(poses), tcp), nears)
+        q = closest_of_rows(self._geometry, _target(rigid.from_poses(poses), tcp), nears)
         q = nears + around(q - nears)
         if is_limited:
             low, high = self.position_limits.T
@@ -200,7 +200,7 @@ class Arm:
         return q.reshape(*shape, 6)
 
     def branches(self, pose: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """All eight ways to reach a pose, each at a place of its own.
+        """All eight ways to reach a pose, the branches of the solution, each at a place of its own.
 
         The number of the row is 4 times the shoulder (on the side of the wrist or away from it), plus 2 times the wrist
         (joint 5 positive or negative), plus the elbow (joint 3 positive or negative). Along a path each row is
@@ -212,17 +212,17 @@ class Arm:
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
 
         Returns:
-            (..., 8, 6) rad, in (-pi, pi], NaN where the arm cannot reach the pose that way. Where two ways meet, in a
+            (..., 8, 6) rad, in (-pi, pi], NaN where a branch does not reach the pose. Where two branches meet, in a
             singularity, both are there. Joint 6 is 0 where it is free.
 
         Raises:
             BadValue: not poses, or no TCP.
         """
         if rigid.is_single(pose):
-            return _table(ways(self._geometry, _target(_pose(pose), tcp)))
+            return _table(branches(self._geometry, _target(_pose(pose), tcp)))
         given = rigid.rows(pose, (6,), "poses")
         targets = _target(rigid.from_poses(given.reshape(-1, 6)), tcp)
-        return ways_of_rows(self._geometry, targets)[0].reshape(*given.shape[:-1], BRANCHES, 6)
+        return branches_of_rows(self._geometry, targets)[0].reshape(*given.shape[:-1], BRANCHES, 6)
 
     def solutions(self, pose: ArrayLike, near: ArrayLike | None = None, tcp: ArrayLike | None = None) -> FloatArray:
         """All joint positions for one pose. Ways that meet in a singularity are given once.
@@ -241,9 +241,9 @@ class Arm:
         """
         close = None if near is None else _one(near)
         found: list[Angles[float]] = []
-        for way in ways(self._geometry, _target(_pose(pose), tcp), 0.0 if close is None else close[5]):
-            if way is not None and not any(distance(way, other) < _SAME for other in found):
-                found.append(way)
+        for q in branches(self._geometry, _target(_pose(pose), tcp), 0.0 if close is None else close[5]):
+            if q is not None and not any(distance(q, other) < _SAME for other in found):
+                found.append(q)
         if close is not None:
             found = [_turned(q, close) for q in sorted(found, key=lambda q: distance(q, close))]
         else:
@@ -271,7 +271,7 @@ class Arm:
         given = rigid.rows(poses, (6,), "poses").reshape(-1, 6)
         before = _one(near)
         targets = _target(rigid.from_poses(given), tcp)
-        found_ways, singular = ways_of_rows(self._geometry, targets)
+        found_ways, singular = branches_of_rows(self._geometry, targets)
         path = []
         for i, (rows, is_singular) in enumerate(zip(found_ways.tolist(), singular.tolist(), strict=True)):
             # In a singularity it matters which joint positions were before.
@@ -425,5 +425,5 @@ def _turned(q: Sequence[float], near: Sequence[float]) -> Angles[float]:
 
 
 def _table(found: Sequence[Angles[float] | None]) -> FloatArray:
-    """(8, 6) in (-pi, pi]; NaN for ways that do not reach."""
-    return np.array([[math.nan] * 6 if way is None else [wrapped(angle) for angle in way] for way in found])
+    """(8, 6) in (-pi, pi]; NaN for branches that do not reach."""
+    return np.array([[math.nan] * 6 if q is None else [wrapped(angle) for angle in q] for q in found])

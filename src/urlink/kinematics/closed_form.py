@@ -1,12 +1,12 @@
 """All joint positions that put the flange of a published UR arm at a pose, in closed form.
 
-An arm reaches a pose in up to eight ways: shoulder left or right, wrist flipped or not, elbow up or down. This is the
-classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel axes; joint 1 follows from where the
-wrist is, joints 5 and 6 from the orientation, joints 2 and 3 from the triangle of the two arm links.
+An arm reaches a pose in up to eight ways, the branches: shoulder left or right, wrist flipped or not, elbow up or
+down. This is the classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel axes. Joint 1 follows
+from where the wrist is, joints 5 and 6 from the orientation, joints 2 and 3 from the triangle of the two arm links.
 
 In three places a joint is not determined (the singularities): where the wrist is on a cylinder of radius d4 about the
 base's axis (joint 1), where joints 4 and 6 turn about the same direction (joint 6), and where the arm is stretched or
-folded (two ways meet). `branches` looks after them one pose at a time. `branches_of_rows` computes many poses at once
+folded (two branches meet). `solve` looks after them one pose at a time. `solve_rows` computes many poses at once
 and says which of them are too close to the second one for its formulas.
 """
 
@@ -19,9 +19,9 @@ import numpy as np
 from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
 from .geometry import Angles, Lengths
 
-__all__ = ["BRANCHES", "SINGULAR", "SLACK", "branches", "branches_of_rows", "wrapped"]
+__all__ = ["BRANCHES", "SINGULAR", "SLACK", "solve", "solve_rows", "wrapped"]
 
-#: Ways to reach a pose.
+#: How many there are.
 BRANCHES = 8
 
 # How much orientation, rad, may be given up for a better joint 6. At a singular wrist, where joint 6 hardly counts, it
@@ -29,16 +29,16 @@ BRANCHES = 8
 SLACK = 1e-13
 # How far outside its reach, relative to it, rounding may put a pose that is exactly on the edge.
 _EDGE = 1e-13
-# The same for loose ways, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the published
-# one, a hundredth of its reach.
+# The same for loose branches, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the
+# published one, a hundredth of its reach.
 _LOOSE_EDGE = 0.05
 _ALMOST_STRAIGHT = 0.999
-# Sine of joint 5 below which rows are left to `branches`: at 1e-4 joint 6 is known to 1e-12 rad, which is not yet felt
+# Sine of joint 5 below which rows are left to `solve`: at 1e-4 joint 6 is known to 1e-12 rad, which is not yet felt
 # in the reach of the arm.
 SINGULAR = 1e-4
 
 
-def branches(
+def solve(
     lengths: Lengths,
     target: Rigid[float],
     free_q6: float = 0.0,
@@ -46,13 +46,13 @@ def branches(
     slack: float = SLACK,
     is_loose: bool = False,
 ) -> list[Angles[float] | None]:
-    """The eight ways to put the flange at `target`, rad, not wrapped; None for one that does not reach.
+    """The eight branches that put the flange at `target`, rad, not wrapped; None for one that does not reach.
 
     Args:
         target: the flange in the base frame.
         free_q6: joint 6 where it is free; where that would put the wrist out of reach, the closest to it.
         slack: how much orientation, rad, may be given up for that joint 6.
-        is_loose: a way counts as one where it is almost in reach, and the elbow is never quite straight: as a start
+        is_loose: a branch counts as one where it is almost in reach, and the elbow is never quite straight: as a start
             for the search of a calibrated arm, which reaches a little further here and less far there.
 
     Returns:
@@ -99,17 +99,15 @@ def branches(
     return found
 
 
-def branches_of_rows(
-    lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = False
-) -> tuple[FloatArray, FloatArray]:
-    """The eight ways for each of n poses.
+def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = False) -> tuple[FloatArray, FloatArray]:
+    """The eight branches for each of n poses.
 
     Args:
         targets: the flange in the base frame, n times.
-        is_loose: as for `branches`.
+        is_loose: as for `solve`.
 
     Returns:
-        (8, 6, n) rad, not wrapped, NaN where a way does not reach, in the order of `branches`; and (8, n) the sine of
+        (8, 6, n) rad, not wrapped, NaN where a branch does not reach, in the order of `solve`; and (8, n) the sine of
         joint 5. Where that is less than `SINGULAR`, the figures are not to be used.
     """
     d1, a2, a3, d4, d5, _ = lengths
@@ -134,11 +132,11 @@ def branches_of_rows(
             out_of_reach = (np.abs(c3) > 1.0 + margin) | near
             c3 = np.maximum(np.minimum(c3, straight), -straight)
             for q2, q3 in _elbow(ROWS, a2, a3, out, up, c3):
-                way = found[at]
-                way[0], way[1], way[2], way[3] = q1, q2, q3, q234 - q2 - q3
-                way[4], way[5] = flip * q5, q6
+                branch = found[at]
+                branch[0], branch[1], branch[2], branch[3] = q1, q2, q3, q234 - q2 - q3
+                branch[4], branch[5] = flip * q5, q6
                 if out_of_reach.any():
-                    way[:, out_of_reach] = np.nan
+                    branch[:, out_of_reach] = np.nan
                 at += 1
             q6, q234 = q6 + np.pi, q234 + np.pi
     return found, sines
@@ -178,7 +176,7 @@ def _plane(
 def _elbow(
     f: Functions[Number], a2: float, a3: float, out: Number, up: Number, c3: Number
 ) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
-    """Joints 2 and 3, both ways: two links that reach from the shoulder to the origin of frame 4."""
+    """Joints 2 and 3, both branches: two links that reach from the shoulder to the origin of frame 4."""
     s3 = f.sqrt((1.0 - c3) * (1.0 + c3))
     q3 = f.atan2(s3, c3)
     bearing = f.atan2(up, out)

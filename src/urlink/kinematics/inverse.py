@@ -1,10 +1,10 @@
-"""All ways to reach a pose and the closest of them, of published and of calibrated arms, one pose or many.
+"""All branches of the solution and the closest of them, of published and of calibrated arms, one pose or many.
 
-A published arm is solved in closed form. For a calibrated one each way of the closed form is the beginning of a search.
-Where that ends depends on the tilts of the axes only far from singularities. Close to one, within the few mrad that a
-calibration tilts the axes, ways appear, disappear and swap places: an arm that is stretched reaches 0.1 mm less far
-than published, or joints 4 and 6 cannot be brought in line at all. So where the given joint positions almost do, the
-search begins there, and it goes on from several places before a pose counts as out of reach.
+A published arm is solved in closed form. For a calibrated one, each branch of the closed form is where a search begins.
+Close to a singularity, within the few mrad that a calibration tilts the axes, branches appear, disappear and swap
+places: a stretched arm reaches 0.1 mm further or less far than published, or joints 4 and 6 cannot be brought in line
+at all. So the search begins at the given joint positions if these almost bring the flange to the pose, and in many
+places before a pose counts as out of reach.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from .. import rigid
 from ..rigid import FLOATS, ROWS, FloatArray, Rigid
-from .closed_form import BRANCHES, SINGULAR, SLACK, branches, branches_of_rows
+from .closed_form import BRANCHES, SINGULAR, SLACK, solve, solve_rows
 from .geometry import Angles, Geometry
 from .refinement import error_at, refine, refine_anywhere, refine_rows
 
-__all__ = ["around", "closest", "closest_rows", "distance", "ways", "ways_of_rows"]
+__all__ = ["around", "branches", "branches_of_rows", "closest", "closest_of_rows", "distance"]
 
 # The search begins at the given joint positions if they miss the pose by less than the first, m and rad; what it finds
 # further away than the second, rad, is no continuation of them.
@@ -57,19 +57,19 @@ def around(angles: FloatArray) -> FloatArray:
     return angles - math.tau * np.rint(angles / math.tau)
 
 
-def ways(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> list[Angles[float] | None]:
-    """The eight ways in the order of `branches`, rad, not wrapped."""
+def branches(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> list[Angles[float] | None]:
+    """The eight branches in the order of `Arm.branches`, rad, not wrapped."""
     if geometry.is_nominal:
-        return branches(geometry.lengths, target, free_q6)
-    seeds = branches(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=_SLACK, is_loose=True)
+        return solve(geometry.lengths, target, free_q6)
+    seeds = solve(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=_SLACK, is_loose=True)
     return [None if seed is None else _found(geometry, _less(seed, geometry.offsets), target) for seed in seeds]
 
 
 def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
-    """The way that is closest to `near`, rad, not wrapped; None if there is none."""
+    """The branch that is closest to `near`, rad, not wrapped; None if there is none."""
     if geometry.is_nominal:
         return min(
-            (way for way in branches(geometry.lengths, target, near[5]) if way is not None),
+            (q for q in solve(geometry.lengths, target, near[5]) if q is not None),
             key=lambda q: distance(q, near),
             default=None,
         )
@@ -98,8 +98,8 @@ def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
 
 def _seeds(geometry: Geometry, target: Rigid[float], free_q6: float, slack: float = SLACK) -> list[Angles[float]]:
     """Where to begin the search for the joint positions of a calibrated arm."""
-    ways = branches(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=slack, is_loose=True)
-    return [_less(way, geometry.offsets) for way in ways if way is not None]
+    loose = solve(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=slack, is_loose=True)
+    return [_less(q, geometry.offsets) for q in loose if q is not None]
 
 
 def _found(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
@@ -112,7 +112,7 @@ def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
     return q1 - o1, q2 - o2, q3 - o3, q4 - o4, q5 - o5, q6 - o6
 
 
-def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
+def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
     """`closest` of n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none.
 
     What takes one row more than the arithmetic that all rows have in common is left to `closest`.
@@ -130,7 +130,7 @@ def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArr
         again[near] = ~(np.abs(found - nears[near]).max(axis=1) < _CONTINUES)
         rest = np.flatnonzero(~almost)
     if len(rest):
-        chosen, unsure = _closest_ways(geometry, rigid.take(targets, rest), nears[rest])
+        chosen, unsure = _closest_branches(geometry, rigid.take(targets, rest), nears[rest])
         if not geometry.is_nominal:
             refined = refine_rows(geometry, chosen, rigid.take(targets, rest))
             unsure |= np.isnan(refined[0]) & ~np.isnan(chosen[0])
@@ -143,31 +143,31 @@ def closest_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArr
     return rows
 
 
-def _closest_ways(
+def _closest_branches(
     geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The closest of the eight ways of the closed form: (6, n) rad; and (n,) whether another one might be."""
-    found, sines = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
+    """The closest of the eight branches of the closed form: (6, n) rad; and (n,) whether another one might be."""
+    found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     found -= np.array(geometry.offsets)[:, np.newaxis]
     turns = np.abs(around(found - nears.T))
     moves = turns.max(axis=1)
     moves[np.isnan(moves)] = np.inf
     chosen, least = moves.argmin(axis=0), moves.min(axis=0)
-    # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a way is at least.
-    # Such a way may reach although another joint 6 puts it out of reach.
+    # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a branch is at least.
+    # Such a branch may reach although another joint 6 puts it out of reach.
     unsure = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
     if not geometry.is_nominal:
         unsure |= np.isinf(least) & (sines < _SLACK).any(axis=0)
     return np.take_along_axis(found, chosen[np.newaxis, np.newaxis], axis=0)[0], unsure
 
 
-def ways_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """`ways` of n transforms.
+def branches_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """`branches` of n transforms.
 
     Returns:
         (n, 8, 6) rad, in (-pi, pi], NaN out of reach; and (n,) whether a pose is close to a singularity.
     """
-    found, sines = branches_of_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
+    found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     again = np.asarray((sines < (SINGULAR if geometry.is_nominal else _SLACK)).any(axis=0))
     if not geometry.is_nominal:
         found -= np.array(geometry.offsets)[:, np.newaxis]
@@ -180,7 +180,7 @@ def ways_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatA
         found = refined.reshape(6, BRANCHES, number).transpose(1, 0, 2)
     rows = np.ascontiguousarray(found.transpose(2, 0, 1))
     for i in np.flatnonzero(again).tolist():
-        each = ways(geometry, rigid.row(targets, i))
-        rows[i] = [[math.nan] * 6 if way is None else way for way in each]
+        each = branches(geometry, rigid.row(targets, i))
+        rows[i] = [[math.nan] * 6 if q is None else q for q in each]
     rows -= math.tau * np.ceil(rows / math.tau - 0.5)  # in (-pi, pi]
     return rows, again

@@ -3,8 +3,8 @@
 The closed form is exact for published arms only. For a calibrated arm it is off by some 0.1 mm to 1 mm. From there,
 each step measures by how much the flange misses the pose and moves the joints by what would make up for it on an arm
 whose axes 2, 3 and 4 are parallel and whose other twists are right angles. Such a Jacobian is inverted by hand; it
-misses that of the true arm by as much as its axes are tilted, some mrad, so the error shrinks a hundredfold or more
-with each step (Newton's method with an approximate Jacobian). Close to a singularity it does not: there
+misses that of the true arm by as much as its axes are tilted, some mrad. So it is applied twice: what the first step
+leaves, by the true Jacobian, is what the second one is for. Close to a singularity this does not converge: there
 `refine_anywhere` takes over, which is slower.
 """
 
@@ -62,10 +62,10 @@ def refine(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Ang
         except ZeroDivisionError:
             return None
         q = _moved(q, step)
-        way, rest = max(map(abs, step)), max(map(abs, left))
-        if _CURVATURE * way * way + rest <= CONVERGED:
+        length, rest = max(map(abs, step)), max(map(abs, left))
+        if _CURVATURE * length * length + rest <= CONVERGED:
             return q
-        if way > _TOO_LONG or rest > _TOO_LITTLE * size:
+        if length > _TOO_LONG or rest > _TOO_LITTLE * size:
             return None
     return None
 
@@ -94,10 +94,10 @@ def refine_rows(geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray
                 continue
             step, left = _newton(frames, error)
             q = q + step
-            way, rest = (np.max(np.abs(six), axis=0) for six in (step, left))
-            done = ~there & (_CURVATURE * way * way + rest <= CONVERGED)
+            length, rest = (np.max(np.abs(six), axis=0) for six in (step, left))
+            done = ~there & (_CURVATURE * length * length + rest <= CONVERGED)
             found[:, at[done]] = q[:, done]
-            going = ~there & ~done & (way <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
+            going = ~there & ~done & (length <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
             at, q, targets = at[going], q[:, going], take(targets, going)
             if len(at) <= _FEW:
                 break
@@ -115,7 +115,7 @@ def _angles(q: FloatArray) -> Angles[FloatArray]:
 
 
 def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
-    """From the flange to the target, in the base frame: the way in m and the sine of the angle along its axis."""
+    """From the flange to the target, in the base frame: the distance, m, and the sine of the angle, along its axis."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = target
     # Half the sum of the cross products of the axes of the one with those of the other.
@@ -129,6 +129,14 @@ def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
     )
 
 
+def _cosine(flange: Rigid[Number], target: Rigid[Number]) -> Number:
+    """Of the angle between two orientations; the sine is as small for half a turn as for none."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22, _, _, _ = flange
+    b00, b01, b02, b10, b11, b12, b20, b21, b22, _, _, _ = target
+    trace = a00 * b00 + a01 * b01 + a02 * b02 + a10 * b10 + a11 * b11 + a12 * b12 + a20 * b20 + a21 * b21 + a22 * b22
+    return 0.5 * (trace - 1.0)
+
+
 def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
     q1, q2, q3, q4, q5, q6 = q
     d1, d2, d3, d4, d5, d6 = step
@@ -136,7 +144,7 @@ def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
 
 
 def _newton(frames: list[Rigid[Number]], error: Six[Number]) -> tuple[Six[Number], Six[Number]]:
-    """How to move the joints for the flange to move by `error`; and what is left of it, but for the bend of the way.
+    """How to move the joints for the flange to move by `error`; and what of it is left to the first order.
 
     Raises:
         ZeroDivisionError: in a singularity (floats only).
@@ -189,7 +197,7 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     wx, wy, wz = wx - d6 * bx, wy - d6 * by, wz - d6 * bz
     d5 = ax * wx + ay * wy + az * wz
     d234 = nx * wx + ny * wy + nz * wz
-    # Turned about the origin of frame 3 by that sum; the rest of the way is for the triangle of the arm links.
+    # Turned about the origin of frame 3 by that sum; the rest is for the triangle of the arm links.
     lx, ly, lz = x5 - x3, y5 - y3, z5 - z3
     vx, vy, vz = vx - d234 * (ny * lz - nz * ly), vy - d234 * (nz * lx - nx * lz), vz - d234 * (nx * ly - ny * lx)
     fx, fy, fz = x3 - x1, y3 - y1, z3 - z1
@@ -203,8 +211,8 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
 def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
     """Joint positions that put the flange at `target`, also in a singularity; None where `seed` leads to none.
 
-    Levenberg-Marquardt: least squares in which long ways cost, the more, the less the last step helped. Close to a
-    singular wrist the way leads along a narrow bent valley, in which joints 4 and 6 turn against each other and the
+    Levenberg-Marquardt: least squares in which long steps cost, the more, the less the last one helped. Close to a
+    singular wrist the search goes along a narrow bent valley, in which joints 4 and 6 turn against each other and the
     others follow; so each step is bent by the second derivative along it (Transtrum and Sethna, "Improvements to the
     Levenberg-Marquardt algorithm for nonlinear least-squares minimization", 2012).
     """
@@ -238,9 +246,10 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
     return None
 
 
-def error_at(geometry: Geometry, q: Angles[Number], f: Functions[Number], target: Rigid[Number]) -> Six[Number]:
-    """By how much the flange misses a pose, m and rad."""
-    return _error(chain(geometry, f, q)[5], target)
+def error_at(geometry: Geometry, q: Angles[Number], f: Functions[Number], target: Rigid[Number]) -> tuple[Number, ...]:
+    """By how much the flange misses a pose: the error, m and the sine of the angle, and 1 - the cosine of the angle."""
+    flange: Rigid[Number] = chain(geometry, f, q)[5]
+    return *_error(flange, target), 1.0 - _cosine(flange, target)
 
 
 def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tuple[FloatArray, FloatArray]:
@@ -249,8 +258,7 @@ def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tupl
     frames = chain(geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
     flange = frames[5]
     error = np.array(_error(flange, target))
-    # The sine is as small for half a turn as for none.
-    cosine = 0.5 * (sum(a * b for a, b in zip(flange[:9], target[:9], strict=True)) - 1.0)
+    cosine = _cosine(flange, target)
     sine = float(np.linalg.norm(error[3:]))
     if sine > 0.0:
         error[3:] *= math.atan2(sine, cosine) / sine

@@ -161,6 +161,17 @@ def test_rows_are_what_one_pose_is() -> None:
     np.testing.assert_allclose(arm.inverse_path(there[:1], near[0]), one_by_one[:1], atol=1e-7)
 
 
+@pytest.mark.parametrize("joint", range(6))
+def test_half_a_turn_beside_a_solution_is_none(joint: int) -> None:
+    # The sine of half a turn is as small as that of none.
+    arm = calibrated("UR5e", 1)
+    there = arm.forward(READY)
+    near = np.array(READY)
+    near[joint] += math.pi
+    for found in (arm.inverse(there, near), arm.inverse([there], near)[0]):
+        assert missed(arm, found, there) < 1e-12
+
+
 def test_out_of_reach() -> None:
     arm = calibrated("UR5e", 6)
     for there in ([5.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.0, math.pi, 0.0]):
