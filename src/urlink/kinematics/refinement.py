@@ -248,8 +248,9 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
 
 def error_at(geometry: Geometry, q: Angles[Number], f: Functions[Number], target: Rigid[Number]) -> tuple[Number, ...]:
     """By how much the flange misses a pose: the error, m and the sine of the angle, and 1 - the cosine of the angle."""
-    flange: Rigid[Number] = chain(geometry, f, q)[5]
-    return *_error(flange, target), 1.0 - _cosine(flange, target)
+    frames = chain(geometry, f, q)
+    vx, vy, vz, wx, wy, wz = _error(frames[5], target)
+    return vx, vy, vz, wx, wy, wz, 1.0 - _cosine(frames[5], target)
 
 
 def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tuple[FloatArray, FloatArray]:
