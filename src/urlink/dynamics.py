@@ -79,16 +79,20 @@ class Dynamics:
         self._gravity = x, y, z
         if not 0.0 <= payload < np.inf:
             raise BadValue(f"a payload is zero or more kilograms, not {payload!r}")
-        cx, cy, cz = rigid.floats(payload_cog, 3, "a centre of mass")
+        cog = np.array(rigid.floats(payload_cog, 3, "a centre of mass"))
         xx, yy, zz, xy, xz, yz = rigid.floats(payload_inertia, 6, "an inertia")
         model = self._arm.model
-        links = zip(model.link_masses.tolist(), model.link_cogs.tolist(), model.link_inertias.tolist(), strict=True)
-        self._bodies: list[tuple[int, _Body]] = [
-            (i, (mass, (x, y, z), (t[0][0], t[0][1], t[0][2], t[1][1], t[1][2], t[2][2])))
-            for i, (mass, (x, y, z), t) in enumerate(links)
+        masses, cogs, inertias = model.link_masses.copy(), model.link_cogs.copy(), model.link_inertias.copy()
+        # The payload is one with the last link.
+        both = masses[5] + payload
+        middle = (masses[5] * cogs[5] + payload * cog) / both
+        inertias[5] += np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
+        inertias[5] += _away(masses[5], cogs[5] - middle) + _away(payload, cog - middle)
+        masses[5], cogs[5] = both, middle
+        self._bodies: list[_Body] = [
+            (mass, (x, y, z), (t[0][0], t[0][1], t[0][2], t[1][1], t[1][2], t[2][2]))
+            for mass, (x, y, z), t in zip(masses.tolist(), cogs.tolist(), inertias.tolist(), strict=True)
         ]
-        if payload > 0.0 or any((xx, yy, zz, xy, xz, yz)):
-            self._bodies.append((5, (payload, (cx, cy, cz), (xx, xy, xz, yy, yz, zz))))
 
     @property
     def arm(self) -> Arm:
@@ -210,16 +214,14 @@ class Dynamics:
         none = 0.0 * frames[0][9]
         # Of what is carried: mass, and mass times position.
         mass, mx, my, mz = 0.0, none, none, none
-        bodies = self._bodies[::-1]
         torques = []
         for joint in range(5, -1, -1):
-            while bodies and bodies[0][0] == joint:
-                _, (weight, (cx, cy, cz), _) = bodies.pop(0)
-                r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frames[joint]
-                mass += weight
-                mx = mx + weight * (r00 * cx + r01 * cy + r02 * cz + px)
-                my = my + weight * (r10 * cx + r11 * cy + r12 * cz + py)
-                mz = mz + weight * (r20 * cx + r21 * cy + r22 * cz + pz)
+            weight, (cx, cy, cz), _ = self._bodies[joint]
+            r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frames[joint]
+            mass += weight
+            mx = mx + weight * (r00 * cx + r01 * cy + r02 * cz + px)
+            my = my + weight * (r10 * cx + r11 * cy + r12 * cz + py)
+            mz = mz + weight * (r20 * cx + r21 * cy + r22 * cz + pz)
             if joint == 0:
                 torques.append(my * gx - mx * gy)
                 break
@@ -266,18 +268,16 @@ class Dynamics:
         return table
 
     def _inertias(self, frames: list[Rigid[Number]]) -> list[_Inertia[Number]]:
-        """Of each link, the last one with the payload, about the origin of the base."""
-        found: list[_Inertia[Number]] = []
-        for i, (mass, cog, tensor) in self._bodies:
-            inertia = _inertia(frames[i], mass, cog, tensor)
-            if i < len(found):
-                found[i] = _added(found[i], inertia)
-            else:
-                found.append(inertia)
-        return found
+        """Of each link about the origin of the base."""
+        return [_inertia(frame, *body) for frame, body in zip(frames, self._bodies, strict=True)]
 
 
 _ZERO = np.zeros(6)
+
+
+def _away(mass: float, off: FloatArray) -> FloatArray:
+    """What the inertia of a mass gains at a distance from its centre (parallel axes)."""
+    return np.asarray(mass * (off @ off * np.eye(3) - np.outer(off, off)))
 
 
 def _components(q: FloatArray) -> Angles[FloatArray]:

@@ -12,7 +12,7 @@ their precision at every angle, 0 and pi included.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -119,10 +119,8 @@ def is_single(values: ArrayLike) -> bool:
     """One row of numbers, rather than rows of them; what is neither is left to `floats` and `rows` to refuse."""
     if isinstance(values, np.ndarray):
         return values.ndim <= 1
-    try:
-        return np.ndim(values) <= 1
-    except ValueError:  # rows of different lengths
-        return False
+    # numpy would make an array of it first, for longer than the arithmetic takes.
+    return not isinstance(values, Sequence) or not len(values) or not isinstance(values[0], Sequence | np.ndarray)
 
 
 def aligned(*arrays: FloatArray) -> tuple[list[FloatArray], tuple[int, ...]]:

@@ -21,7 +21,9 @@ import numpy as np
 
 from urlink.dynamics import GRAVITY, Dynamics
 from urlink.kinematics import Arm as Kinematics
+from urlink.kinematics.velocity import velocity
 from urlink.models import Model
+from urlink.rigid import FLOATS
 
 from .sources import Setpoint
 
@@ -177,8 +179,8 @@ class Sensors:
         s.pose_actual = kinematics.forward(s.q_actual, tcp).tolist()
         s.speed_target = s.speed_actual = _ZERO
         if is_moving:
-            s.speed_target = kinematics.velocity(q, qd, tcp).tolist()
-            s.speed_actual = kinematics.velocity(s.q_actual, s.qd_actual, tcp).tolist()
+            s.speed_target = self._velocity(q, qd, s.pose_target)
+            s.speed_actual = self._velocity(s.q_actual, s.qd_actual, s.pose_actual)
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
         s.elbow_position, s.elbow_velocity = _elbow(self._model, s.q_actual, s.qd_actual)
         s.accelerometer = [
@@ -190,6 +192,14 @@ class Sensors:
             s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
         s.T_motor = self._temperatures(int(time))
         return s
+
+    def _velocity(self, q: Sequence[float], qd: Sequence[float], pose: Sequence[float]) -> list[float]:
+        """Of the TCP, whose pose is known already; `Arm.velocity` would work it out once more."""
+        q1, q2, q3, q4, q5, q6 = q
+        v1, v2, v3, v4, v5, v6 = qd
+        x, y, z = pose[:3]
+        geometry = self._kinematics.geometry
+        return list(velocity(geometry, FLOATS, (q1, q2, q3, q4, q5, q6), (v1, v2, v3, v4, v5, v6), (x, y, z)))
 
     def _measure_load(self, s: Sample, payload: float, payload_cog: Sequence[float], cycle: int) -> None:
         """Moments, currents, voltages and the force at the TCP."""
