@@ -11,7 +11,7 @@ __all__ = ["lazy_names"]
 
 
 def lazy_names(
-    package: str, homes: Mapping[str, str]
+    package: str, homes: Mapping[str, str], modules: str = ""
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """What makes the public names of a package, so that a program pays for the modules which it uses and no others.
 
@@ -27,18 +27,23 @@ def lazy_names(
     Args:
         package: its `__name__`.
         homes: module -> its public names, separated by blanks. A module that begins with a dot is the package's own.
+        modules: names of modules of the package, separated by blanks, that are found as `package.module` without being
+            imported by name. They are not in `__all__`.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
     """
     home = {name: module for module, names in homes.items() for name in names.split()}
     public = sorted(home)
+    of_package = modules.split()
 
     def get(name: str) -> Any:
+        if name in of_package:
+            return import_module(f".{name}", package)  # which makes it an attribute of the package
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(home[name], package), name)
         setattr(sys.modules[package], name, value)  # from now on it is found without asking here
         return value
 
-    return get, lambda: list(public), public
+    return get, lambda: sorted([*public, *of_package]), public

@@ -47,6 +47,13 @@ if TYPE_CHECKING:
     from linkcore.streaming.stream import Stream as Stream
     from linkcore.streaming.subscription import Subscription as Subscription
     from linkcore.wire.packet import State as State
+    from . import (
+        dynamics as dynamics,
+        kinematics as kinematics,
+        models as models,
+        poses as poses,
+        urdf as urdf,
+    )
     from .commanding.io import IO as IO, Analog as Analog
     from .commanding.safety import Safety as Safety
     from .commanding.scripts import Program as Program, Scripts as Scripts
@@ -178,4 +185,5 @@ else:
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
         },
+        modules="dynamics kinematics models poses urdf",
     )

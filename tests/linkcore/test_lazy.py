@@ -47,6 +47,12 @@ def test_another_name_is_no_attribute(package: ModuleType) -> None:
     assert not hasattr(package, "json")
 
 
+def test_a_module_is_imported_when_it_is_first_asked_for() -> None:
+    program = "import sys, urlink; before = 'urlink.poses' in sys.modules; urlink.poses.compose; print(before)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
     assert package.__file__ is not None
@@ -69,7 +75,7 @@ def test_no_public_name_is_that_of_a_module(package: ModuleType) -> None:
     """Who imports the module would replace the name."""
     assert package.__file__ is not None
     modules = {path.stem for path in Path(package.__file__).parent.iterdir()}
-    assert modules & set(dir(package)) == set()
+    assert modules & set(package.__all__) == set()
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -119,8 +119,13 @@ NAMES = [
 ]
 
 
+#: Modules that users import names from.
+MODULES = ["dynamics", "kinematics", "models", "poses", "urdf"]
+
+
 def test_public_names() -> None:
-    assert dir(urlink) == NAMES
+    assert urlink.__all__ == NAMES
+    assert dir(urlink) == sorted([*NAMES, *MODULES])
     assert sorted(NAMES) == NAMES
     assert len(set(NAMES)) == len(NAMES)
 
