@@ -2,8 +2,8 @@
 
     >>> from urlink.dynamics import Dynamics
     >>> arm = Dynamics("UR5e", payload=2.0, payload_cog=(0, 0, 0.05))
-    >>> arm.gravity_torque([0, -1.57, 1.57, -1.57, -1.57, 0]).round(1).tolist()
-    [0.0, -30.0, -29.9, -3.8, 0.0, 0.0]
+    >>> arm.gravity_torque([0, -1.57, 1.57, -1.57, -1.57, 0]).round(1)[1:4].tolist()
+    [-30.0, -29.9, -3.8]
 
 The equation of motion is `M(q) qdd + c(q, qd) + g(q) = torque`, with torques in Nm that are positive where the joint
 angle grows. It is computed in the base frame, with spatial vectors about its origin (Featherstone, "Rigid Body Dynamics

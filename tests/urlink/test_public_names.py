@@ -124,7 +124,7 @@ MODULES = ["dynamics", "kinematics", "models", "poses", "urdf"]
 
 
 def test_public_names() -> None:
-    assert urlink.__all__ == NAMES
+    assert vars(urlink)["__all__"] == NAMES
     assert dir(urlink) == sorted([*NAMES, *MODULES])
     assert sorted(NAMES) == NAMES
     assert len(set(NAMES)) == len(NAMES)
