@@ -99,7 +99,7 @@ def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -
     world = thread.world
     at = list(world.q_actual) if q is None else joints(q, "get_jacobian: q")
     tool = list(world.tcp) if isinstance(tcp, str) else _pose(tcp, "get_jacobian: tcp")
-    return tuple(map(_floats, kinematics.jacobian(world.model, at, tool).tolist()))
+    return tuple(map(_floats, world.kinematics.jacobian(at, tool).tolist()))
 
 
 @FAMILY.declare()
