@@ -57,8 +57,9 @@ def test_parameters_of_another_arm_are_refused() -> None:
 def test_a_program_gets_its_jacobian() -> None:
     controller = Controller("UR5e", "5.25", motion=Still(), calibration=TABLE)
     entries = "\n".join(f"write_output_float_register({n}, j[{n // 6}, {n % 6}])" for n in range(36))
-    controller.take(f"def prog():\nj = get_jacobian()\n{entries}\nend\n")
+    q = [0.1, -1.2, 1.4, -0.3, 0.7, 0.2]
+    controller.take(f"def prog():\nj = get_jacobian({q})\n{entries}\nend\n")
     controller.step(100)
-    expected = Arm.calibrated("UR5e", TABLE).jacobian(controller.arm.sample.q_actual)
+    expected = Arm.calibrated("UR5e", TABLE).jacobian(q)
     found = np.reshape(controller.registers.outputs.floats[:36], (6, 6))
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9)
