@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
-from linkcore.errors import BadVersion, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from linkcore.errors import BadValue, BadVersion, ConnectionLost, LinkTimeout, LocalError, PacketError, WrongPeer
 from linkcore.net.transport import TcpTransport
 
 from .firmware import Firmware, infer, release_of
 from .interfaces.primary.protocol import PrimaryProtocol
-from .interfaces.primary.robot_state import ConfigurationData, RobotState
+from .interfaces.primary.robot_state import ConfigurationData, KinematicsInfo, RobotState
 from .models import MODELS, Model, model_of
+
+if TYPE_CHECKING:
+    from .kinematics import Arm, DenavitHartenberg
 
 __all__ = ["Identity", "KnownIdentity", "identify"]
 
@@ -28,16 +33,42 @@ class Identity:
         firmware: its version; where it did not say, the oldest that sends such states.
         said_so: whether the firmware is the controller's own word.
         model: name of the arm, such as "UR5e"; None where no configuration came.
+        dh_table: its Denavit-Hartenberg parameters as calibrated; None where they did not come.
     """
 
     firmware: Firmware
     said_so: bool
     model: str | None
+    dh_table: DenavitHartenberg | None = field(default=None, compare=False, repr=False)
 
     @property
     def arm(self) -> Model | None:
         """Geometry and limits of the arm; None where the controller does not say which it is, or nobody knows it."""
         return None if self.model is None else MODELS.get(self.model)
+
+    @cached_property
+    def kinematics(self) -> Arm:
+        """Forward and inverse kinematics, see `Robot.kinematics`.
+
+        Raises:
+            LocalError: it is not known which arm this is.
+            WrongPeer: the parameters that came are not those of such an arm.
+        """
+        # Imported here: it takes some 30 ms, which a program that only listens need not spend.
+        from .kinematics import Arm
+
+        arm = self.arm
+        if arm is None:
+            what = (
+                "does not say which arm it has" if self.model is None else f"has an arm that is not known, {self.model}"
+            )
+            raise LocalError(f"the controller {what}; urlink.kinematics.Arm takes the name of one")
+        if self.dh_table is None:
+            return Arm(arm)
+        try:
+            return Arm.calibrated(arm, self.dh_table)
+        except BadValue as error:
+            raise WrongPeer(f"the controller of a {arm.name} sends unusable DH parameters: {error}") from None
 
 
 class KnownIdentity:
@@ -89,6 +120,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
     lost: ConnectionLost | None = None
     state: RobotState | None = None
     configuration: ConfigurationData | None = None
+    kinematics: KinematicsInfo | None = None
     try:
         while time.monotonic() < until:
             try:
@@ -106,7 +138,9 @@ def identify(host: str, port: int, timeout: float) -> Identity:
                     continue  # one bad packet is no reason not to know the others
                 if isinstance(packet, RobotState):
                     state = state or packet
+                    # They are in one state, the first, if they are sent at all.
                     configuration = configuration or packet.configuration_data
+                    kinematics = kinematics or packet.kinematics_info
             if protocol.firmware is not None and (configuration is not None or _says_no_more(protocol.firmware, state)):
                 break
             if protocol.firmware is not None or state is not None:
@@ -129,7 +163,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
         raise LinkTimeout(
             f"{transport.name} did not say who it is within {timeout:g} s; it began with {received[:32]!r}"
         )
-    return Identity(firmware, protocol.firmware is not None, _model_name(configuration, firmware))
+    return Identity(firmware, protocol.firmware is not None, _model_name(configuration, firmware), kinematics)
 
 
 def _says_no_more(firmware: Firmware, state: RobotState | None) -> bool:

@@ -41,7 +41,7 @@ from linkcore.errors import BadValue, LocalError
 
 from .inertias import INERTIAS
 
-__all__ = ["MODELS", "Model", "UnknownModel", "model", "model_of"]
+__all__ = ["MODELS", "Model", "UnknownModel", "indistinguishable", "model", "model_of"]
 
 FloatArray = NDArray[np.float64]
 
@@ -477,3 +477,13 @@ def model_of(robot_type: int, e_series: bool) -> Model | None:
     ('UR5', 'UR5e', None)
     """
     return _BY_ROBOT_TYPE.get((robot_type, "e" if e_series else "CB"))
+
+
+def indistinguishable(arm: Model) -> tuple[Model, ...]:
+    """The arms that report the same robot type as `arm`, itself among them: a UR7e is taken for a UR5e.
+
+    >>> [each.name for each in indistinguishable(model("UR5e"))]
+    ['UR5e', 'UR7e']
+    """
+    key = (arm.robot_type, arm.generation)
+    return tuple(each for each in MODELS.values() if (each.robot_type, each.generation) == key)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from .interfaces.dashboard.client import Dashboard
+    from .kinematics import Arm
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
@@ -194,6 +195,22 @@ class Robot:
         return self._who.identity
 
     @property
+    def kinematics(self) -> Arm:
+        """Forward and inverse kinematics of this very arm, in the base frame of the controller.
+
+        The controller sends its own DH parameters as a connection begins (1.8 and later); with them, the arm computes
+        as the controller does (`Arm.is_calibrated`). Where they did not come, or in a recording without them, it is the
+        published arm of that model. The TCP that is set on the controller is not part of it: pass it as ``tcp=``.
+
+        After a reconnect the controller is asked again on first access, as for `firmware`.
+
+        Raises:
+            LocalError: the controller does not say which arm it has, or nobody knows it.
+            WrongPeer: it sends DH parameters that are not those of its arm.
+        """
+        return self._who.identity.kinematics
+
+    @property
     def controller(self) -> Controller:
         """The simulator behind ``sim://``: its faults, its inputs, its arm.
 
@@ -216,8 +233,7 @@ class Robot:
         recorder = Recorder(path)
         try:
             for name, stream in streams:
-                info = {"name": name, "address": self.address, "firmware": str(self.firmware), "model": self.model}
-                recorder.add(stream, info)
+                recorder.add(stream, {"name": name, "address": self.address, **_described(self.identity)})
         except BaseException:
             # A robot that is away leaves no file behind.
             recorder.close()
@@ -263,7 +279,8 @@ class Robot:
         """Tell what the arm carries; motion goes on.
 
         Args:
-            mass: kg; no more than a quarter above what the arm carries by its data sheet.
+            mass: kg; no more than a quarter above what the arm carries by its data sheet, which for a UR5e is that of
+                the UR7e: it reports the same type.
             cog: centre of gravity in the flange's frame, (3,), m, each within 1 m; not on CB2.
             inertia: about it: xx, yy, zz, xy, xz, yz, kg m²; from 5.10 on.
             confirm: seconds within which the robot has to show it, from 5.10 on; before that nothing shows it. None
@@ -342,6 +359,15 @@ class Robot:
             made = self._source.stream(name, f"{self.address} {name}", self._who.doubt)
             known = self._streams.setdefault(name, made)
         return known
+
+
+def _described(identity: Identity) -> dict[str, Any]:
+    """Who the controller is, as a recording says it: the first state, which has this too, is seldom recorded."""
+    said: dict[str, Any] = {"firmware": str(identity.firmware), "model": identity.model}
+    if identity.dh_table is not None:
+        names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
+        said["dh_table"] = {name: list(map(float, getattr(identity.dh_table, name))) for name in names}
+    return said
 
 
 def _host(host: str | None, name: str) -> str | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadRecording, BadValue, ConnectFailed
 from linkcore.net.transport import TcpTransport, Transport
@@ -26,6 +26,9 @@ from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeProtocol
+
+if TYPE_CHECKING:
+    from .kinematics import DenavitHartenberg
 
 __all__ = ["Source", "networked", "recorded"]
 
@@ -112,6 +115,23 @@ def networked(
     return Source(ask, transport, backoff, timeout, silence, is_lossless=False)
 
 
+def _dh_table(info: Mapping[str, Any]) -> DenavitHartenberg | None:
+    """The DH parameters that `Robot.record` wrote down; None in recordings without them.
+
+    Raises:
+        BadRecording: they are no such parameters.
+    """
+    written = info.get("dh_table")
+    if written is None:
+        return None
+    from .kinematics import DhTable
+
+    try:
+        return DhTable(**written)
+    except TypeError as error:
+        raise BadRecording(f"channel {info.get('name')!r} has no DH parameters under dh_table: {error}") from None
+
+
 def recorded(place: RecordingAddress) -> Source:
     """A recording, which is played as it is read.
 
@@ -125,7 +145,7 @@ def recorded(place: RecordingAddress) -> Source:
         for info in recording.channels.values():
             if "firmware" in info:
                 firmware = Firmware.parse(info["firmware"])
-                return Identity(firmware, said_so=True, model=info.get("model"))
+                return Identity(firmware, said_so=True, model=info.get("model"), dh_table=_dh_table(info))
         raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
 
     def transport(interface: str) -> Transport:

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator
 import pytest
 
 import urlink
-from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, WrongPeer
 from urlink import RobotState, VersionMessage
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify
 from urlink.interfaces.primary.protocol import PrimaryProtocol
+from urlink.models import MODELS
 from urlink.simulator import Controller
 from urlink.simulator.ports.form import package
 
@@ -273,3 +274,21 @@ def test_leaves_nothing_behind() -> None:
         before = threading.active_count()
         timed_identify(controller.ports["primary"], 5)
         assert threading.active_count() == before
+
+
+# -- its kinematics -----------------------------------------------------------------------------------
+
+
+def test_kinematics_of_an_arm_that_is_not_known() -> None:
+    for model, why in ((None, "does not say which arm"), ("UR77", "not known, UR77")):
+        with pytest.raises(LocalError, match=why):
+            _ = Identity(Firmware(1, 6), True, model).kinematics
+
+
+def test_kinematics_of_dh_parameters_that_are_those_of_another_arm() -> None:
+    with pytest.raises(WrongPeer, match=r"UR10e sends unusable DH parameters: .* link 2"):
+        _ = Identity(Firmware(5, 11), True, "UR10e", MODELS["UR5e"]).kinematics
+
+
+def test_kinematics_without_dh_parameters_are_as_published() -> None:
+    assert repr(Identity(Firmware(5, 11), True, "UR10e").kinematics) == "<Arm UR10e, as published>"

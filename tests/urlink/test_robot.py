@@ -83,9 +83,11 @@ def test_every_firmware_is_read_live(row: urlink.firmware.Release) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_every_model_says_who_it_is(name: str) -> None:
     with Controller(name) as controller, connect(controller) as robot:
-        assert robot.model == name
-        kinematics = robot.primary.of(KinematicsInfo).wait(5)
-        np.testing.assert_array_equal(kinematics.dh_a, controller.model.dh_a)
+        # A UR7e and a UR12e cannot be told from the arms that they succeed.
+        assert robot.model == {"UR7e": "UR5e", "UR12e": "UR10e"}.get(name, name)
+        table = robot.identity.dh_table
+        assert table is not None
+        np.testing.assert_array_equal(table.dh_a, controller.model.dh_a)
 
 
 def test_in_one_line() -> None:

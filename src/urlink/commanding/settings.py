@@ -23,6 +23,7 @@ from ..firmware import Firmware
 from ..identity import KnownIdentity
 from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
 from ..interfaces.realtime.packets import RealtimeState
+from ..models import indistinguishable
 from ..urscript import commands
 from ..urscript.text import checked
 from .channel import CommandChannel
@@ -100,8 +101,12 @@ class Settings:
         identity = self._who.identity
         statement = commands.payload(identity.firmware, mass, cog, inertia)
         arm = identity.arm
-        if arm is not None and mass > arm.payload * _PAYLOAD_MARGIN:
-            raise BadValue(f"payload mass is {mass:g} kg; a {arm.name} carries {arm.payload:g} kg")
+        if arm is not None:
+            arms = indistinguishable(arm)
+            most = max(each.payload for each in arms)
+            if mass > most * _PAYLOAD_MARGIN:
+                names = " or ".join(each.name for each in arms)
+                raise BadValue(f"payload mass is {mass:g} kg; a {names} carries {most:g} kg at most")
         wanted = [mass, *(() if cog is None else cog)]
 
         def shown(state: RealtimeState) -> list[float] | None:

@@ -8,6 +8,6 @@
 from __future__ import annotations
 
 from .arm import Arm, Unreachable
-from .geometry import DenavitHartenberg
+from .geometry import DenavitHartenberg, DhTable
 
-__all__ = ["Arm", "DenavitHartenberg", "Unreachable"]
+__all__ = ["Arm", "DenavitHartenberg", "DhTable", "Unreachable"]

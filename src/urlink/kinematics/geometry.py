@@ -19,9 +19,10 @@ and orientations of the links are not touched by this, and the arithmetic keeps 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +33,18 @@ from ..models import Model
 from ..rigid import Functions, Number, Rigid
 from ..vectors import six
 
-__all__ = ["Angles", "DenavitHartenberg", "Geometry", "Lengths", "calibrated", "chain", "flange", "jacobian", "nominal"]
+__all__ = [
+    "Angles",
+    "DenavitHartenberg",
+    "DhTable",
+    "Geometry",
+    "Lengths",
+    "calibrated",
+    "chain",
+    "flange",
+    "jacobian",
+    "nominal",
+]
 
 #: d1, a2, a3, d4, d5, d6 in m: all the geometry that a published UR arm has.
 Lengths = tuple[float, float, float, float, float, float]
@@ -66,6 +78,22 @@ class DenavitHartenberg(Protocol):
     @property
     def dh_alpha(self) -> ArrayLike:
         """Link twists, rad."""
+
+
+class DhTable(NamedTuple):
+    """A DH table to make a `DenavitHartenberg` of numbers from elsewhere: a file, say.
+
+    Attributes:
+        dh_theta: joint offsets, rad.
+        dh_a: link lengths, m.
+        dh_d: link offsets, m.
+        dh_alpha: link twists, rad.
+    """
+
+    dh_theta: Sequence[float]
+    dh_a: Sequence[float]
+    dh_d: Sequence[float]
+    dh_alpha: Sequence[float]
 
 
 @dataclass(frozen=True)

@@ -250,15 +250,24 @@ def test_no_number_of_seconds(robot: StandIn, confirm: Any) -> None:
     assert robot.sent == []
 
 
-@pytest.mark.parametrize(("mass", "is_carried"), [(6.25, True), (6.26, False), (50.0, False)])
-def test_no_payload_that_the_arm_cannot_carry(mass: float, is_carried: bool) -> None:
-    """A UR5e carries 5 kg, and a quarter is left for later software."""
-    with StandIn(model="UR5e") as robot:
+@pytest.mark.parametrize(
+    ("model", "mass", "is_carried"),
+    [
+        ("UR3e", 3.75, True),
+        ("UR3e", 3.76, False),
+        ("UR5e", 9.375, True),
+        ("UR5e", 9.38, False),
+        ("UR5e", 50.0, False),
+    ],
+)
+def test_no_payload_that_the_arm_cannot_carry(model: str, mass: float, is_carried: bool) -> None:
+    """A UR3e carries 3 kg, a UR7e, which says that it is a UR5e, 7.5 kg; a quarter is left for later software."""
+    with StandIn(model=model) as robot:
         robot.clear()
         if is_carried:
             robot.settings.payload(mass, None, None, None)
         else:
-            with pytest.raises(BadValue, match="a UR5e carries 5 kg"):
+            with pytest.raises(BadValue, match=r"a (UR3e carries 3|UR5e or UR7e carries 7\.5) kg at most"):
                 robot.settings.payload(mass, None, None, None)
         assert len(robot.sent) == is_carried
 

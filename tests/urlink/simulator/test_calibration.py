@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ import urlink
 from linkcore.errors import BadValue
 from tests.urlink.arms import calibration
 from urlink.kinematics import Arm
-from urlink.models import model
+from urlink.models import MODELS, model
 from urlink.poses import compose, invert
 from urlink.simulator import Controller, Still
 
@@ -38,15 +40,27 @@ def test_a_linear_movement_ends_at_the_pose() -> None:
     assert not any(controller.arm.setpoint.qd)
 
 
-def test_a_client_makes_the_same_arm_of_what_it_is_sent() -> None:
-    with Controller("UR5e", "5.11", calibration=TABLE) as controller, urlink.connect(controller.address) as robot:
-        sent = next(state.kinematics_info for state in robot.primary if state.kinematics_info is not None)
-        np.testing.assert_array_equal(sent.dh_d, TABLE.dh_d)
-        assert len(set(sent.checksum.tolist())) == 6
-        mine = Arm.calibrated(robot.model or "", sent)
-        assert mine.is_calibrated
+@pytest.mark.parametrize(("model", "firmware"), [("UR5", "1.8"), ("UR5", "3.15"), ("UR5e", "5.11")])
+def test_a_client_computes_with_the_same_arm(model: str, firmware: str) -> None:
+    table = calibration(MODELS[model], 1)
+    with Controller(model, firmware, calibration=table) as controller, urlink.connect(controller.address) as robot:
+        mine = robot.kinematics
+        assert robot.kinematics is mine
+        assert repr(mine) == f"<Arm {model}, calibrated>"
         state = robot.realtime.wait(timeout=5.0)
         np.testing.assert_allclose(mine.forward(state.q_actual), state.tool_vector_actual, rtol=0.0, atol=1e-12)
+
+
+def test_a_recording_holds_the_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "run.urlog"
+    with Controller("UR5e", calibration=TABLE) as controller, urlink.connect(controller.address) as robot:
+        # The stream is there already, so the first state of its connection is not recorded.
+        robot.primary.wait(timeout=5.0)
+        with robot.record(path, ["primary"]):
+            pass
+        expected = robot.kinematics.forward([0.1] * 6)
+    with urlink.connect(path) as replayed:
+        np.testing.assert_array_equal(replayed.kinematics.forward([0.1] * 6), expected)
 
 
 def test_parameters_of_another_arm_are_refused() -> None:
