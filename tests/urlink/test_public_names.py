@@ -140,9 +140,9 @@ def test_each_is_there_and_says_what_it_is() -> None:
 HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
-    "robot": """address close controller dashboard firmware identity io model motion popup primary realtime record
-        safety script secondary set_payload set_speed_slider set_tcp""",
-    "robot.identity": "arm firmware model said_so",
+    "robot": """address close controller dashboard firmware identity io kinematics model motion popup primary realtime
+        record safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot.identity": "arm dh_table firmware kinematics model said_so",
     "robot.motion": "current follow move_joints move_linear servo speed_joints speed_linear stop",
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.servo()": f"{HANDLE} progress rate send stats",
