@@ -241,18 +241,6 @@ class Layout:
 
         return as_doubles
 
-    def unpack_all(self, packets: Sequence[bytes]) -> Any:
-        """The values of many packets of the same length, one row each: for a reader that fell behind.
-
-        Only for layouts `of_cells`. The rows share one array, which lives as long as one of them.
-        """
-        start, size = self.header.width, len(packets[0])
-        count = (self.size - start) // 8
-        record = np.dtype({"names": ["cells"], "formats": [(">f8", count)], "offsets": [start], "itemsize": size})
-        table = np.frombuffer(b"".join(packets), record)["cells"].astype(_NATIVE_DOUBLE)
-        table.setflags(write=False)
-        return table
-
     def stretches(self, data: bytes) -> Iterator[tuple[Place, int, int, Sequence[Any]]]:
         """Each place with the start and end of its bytes in `data` and the values in them, also where text varies.
 

@@ -26,7 +26,7 @@ from .choice import Layouts
 from .dissection import Row, dissect
 from .fields import Field, Header
 from .layout import Layout, indices, is_of_cells
-from .shapes import Mask64, OpenInt, Raw, Shape
+from .shapes import OpenInt, Raw, Shape
 from .version import Since, Version, parse_version
 
 if TYPE_CHECKING:
@@ -91,7 +91,8 @@ class State:
     zero. Equal states have equal bytes.
     """
 
-    # `_vectors` are the values as one array, made when the first vector is asked for; see `_getter`.
+    # `_values` are the numbers and texts; of a layout `of_cells` None, since each is read from the bytes by itself.
+    # `_vectors` are all values as one array, made when the first vector is asked for; see `_array_getter`.
     __slots__ = ("_data", "_layout", "_lost", "_stamp", "_values", "_vectors")
 
     #: name -> declaration of the field, in declared order
@@ -113,7 +114,7 @@ class State:
         self._data = layout.encode(fields)
         self._layout = layout
         self._stamp = None
-        self._values = layout.unpack(self._data)
+        self._values = None if layout.of_cells else layout.unpack(self._data)
         self._vectors = None
 
     @classmethod
@@ -226,7 +227,32 @@ class StateLayout(Layout):
         super().__init__(packet.__name__, *args, names=tuple(packet.FIELDS), **kwargs)
         self.packet = packet
         self.reads = [self.places[name].shape.read if name in self.places else None for name in packet.FIELDS]
-        self.decode = self._decoder()
+        self.offsets = [self.places[name].offset if name in self.places else None for name in packet.FIELDS]
+        self.decode = self._cell_decoder() if self.of_cells else self._decoder()
+
+    def vectors(self, state: State) -> Any:
+        """All values of `state` as one read-only float64 array, of which each vector is a view; kept by the state."""
+        # To make one vector takes as long as to make all.
+        state._vectors = made = self.unpack(state._data) if self.of_cells else self.as_doubles(state._values)
+        return made
+
+    def _cell_decoder(self) -> Callable[..., Any]:
+        packet, size, new = self.packet, self.size, object.__new__
+
+        def decode(data: bytes, stamp: Stamp | None = None) -> Any:
+            # Nothing is swapped before it is asked for: at 500 Hz, with the caches cold, numpy takes 20 to 30 us for
+            # one packet, in the thread that reads, and whoever wants a few numbers of a state needs no array.
+            if len(data) < size:
+                raise self.too_short(data)
+            state = new(packet)
+            state._data = data
+            state._layout = self
+            state._stamp = stamp
+            state._values = None
+            state._vectors = None
+            return state
+
+        return decode
 
     def _decoder(self) -> Callable[..., Any]:
         packet, unpack, new = self.packet, self.unpack, object.__new__
@@ -255,20 +281,6 @@ class StateLayout(Layout):
             return state
 
         return decode if unpack_from is None else decode_with_struct
-
-    def decode_all(self, packets: Sequence[bytes], stamp: Stamp | None = None) -> list[Any]:
-        """The states of many packets of the same size, unpacked at once; only for layouts `of_cells`."""
-        packet, new = self.packet, object.__new__
-        states = []
-        for data, values in zip(packets, self.unpack_all(packets), strict=True):
-            state = new(packet)
-            state._data = data
-            state._layout = self
-            state._stamp = stamp
-            state._values = values
-            state._vectors = None
-            states.append(state)
-        return states
 
 
 class StateLayouts(Layouts[StateLayout]):
@@ -346,38 +358,35 @@ def _getter(
         number: its number among the fields of the class.
         at: where its values are in every layout; None where that differs, or where it is not always sent. A field that
             the layout of the state does not send has no place there, and is None.
-        of_cells: the values are one array of doubles, otherwise a tuple.
+        of_cells: nothing is unpacked before it is asked for.
         has_text: some of the values are bytes.
     """
     if field.shape.count is not None:
         return _array_getter(field.shape, number, at, of_cells=of_cells, has_text=has_text)
     get: Callable[[Any], Any]
-    if field.before is not None:
+    read = field.shape.read
+    if of_cells:
+        assert field.shape.number is not None, "there is no text in cells"
+        unpack_from = struct.Struct(f">{field.shape.number.code}").unpack_from
+
+        def get(self: Any) -> Any:
+            layout = self._layout
+            offset = layout.offsets[number]
+            if offset is None:
+                return None
+            (value,) = unpack_from(self._data, offset)
+            read = layout.reads[number]  # the number may stand for something else in another layout
+            return value if read is None else read(value)
+    elif field.before is not None:
 
         def get(self: Any) -> Any:
             layout = self._layout
             at = layout.at[number]
             if at is None:
                 return None
-            value = self._values.item(at) if of_cells else self._values[at]
+            value = self._values[at]
             read = layout.reads[number]  # the number may stand for something else in another layout
             return value if read is None else read(value)
-
-        return get
-    read = field.shape.read
-    if field.shape is Mask64 and of_cells:
-        assert read is not None
-
-        def get(self: Any) -> Any:
-            at = self._layout.at[number]
-            return None if at is None else read(self._values.view(np.uint64).item(at))
-    elif of_cells:
-
-        def get(self: Any) -> Any:
-            at = self._layout.at[number]
-            if at is None:
-                return None
-            return self._values.item(at) if read is None else read(self._values.item(at))
     elif at is None:
 
         def get(self: Any) -> Any:
@@ -408,31 +417,25 @@ def _array_getter(
     if read is not None:
 
         def get(self: Any) -> Any:
-            at = self._layout.at[number]
+            layout = self._layout
+            at = layout.at[number]
             if at is None:
                 return None
-            values = self._values[at]
-            return tuple(map(read, values.tolist() if of_cells else values))
-    elif of_cells and at is not None:
+            return tuple(map(read, layout.vectors(self)[at].tolist() if of_cells else self._values[at]))
+    elif is_float and not has_text and at is not None:
 
         def get(self: Any) -> Any:
-            return self._values[at]
-    elif of_cells:
-
-        def get(self: Any) -> Any:
-            at = self._layout.at[number]
-            return None if at is None else self._values[at]
+            vectors = self._vectors
+            return (self._layout.vectors(self) if vectors is None else vectors)[at]
     elif is_float and not has_text:
 
         def get(self: Any) -> Any:
-            at = self._layout.at[number]
+            layout = self._layout
+            at = layout.at[number]
             if at is None:
                 return None
             vectors = self._vectors
-            if vectors is None:
-                # One array of all values, of which each vector is a view: to make one takes as long as to make all.
-                self._vectors = vectors = self._layout.as_doubles(self._values)
-            return vectors[at]
+            return (layout.vectors(self) if vectors is None else vectors)[at]
     else:
         # Floats of four bytes too are handed out as float64; that is exact.
         dtype = np.dtype("f8" if is_float else shape.number.kind)

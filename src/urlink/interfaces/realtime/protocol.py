@@ -51,12 +51,7 @@ class RealtimeProtocol:
     def decode_all(
         self, frames: Sequence[bytes], stamp: Stamp | None = None
     ) -> tuple[list[RealtimeState], list[PacketError]]:
-        """The states of many packets, and an error for each that is shorter than every layout.
-
-        Where all are of the connection's length, it is faster than one by one.
-        """
-        if len(frames) > 1 and self._size:
-            return RealtimeState.LAYOUTS.fitting(self._size)[0].decode_all(frames, stamp), []
+        """The states of many packets, and an error for each that is shorter than every layout."""
         states: list[RealtimeState] = []
         failures: list[PacketError] = []
         for frame in frames:
