@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 
 from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
 from linkcore.net.transport import Transport
@@ -66,16 +65,6 @@ class CountProtocol:
         if count.number == BAD:
             raise PacketError("bad on purpose", packet="Count")
         return count
-
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> tuple[list[Count], list[PacketError]]:
-        counts: list[Count] = []
-        failures: list[PacketError] = []
-        for frame in frames:
-            try:
-                counts.append(self.decode(frame, stamp))
-            except PacketError as error:
-                failures.append(error)
-        return counts, failures
 
 
 def counts(*numbers: int) -> bytes:

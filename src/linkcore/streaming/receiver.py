@@ -53,17 +53,13 @@ class Receiver:
         if not frames:
             return ()
         counters.received += len(frames)
-        packets: Sequence[Any]
-        if len(frames) == 1:  # the common case, without the lists
+        decode = self._protocol.decode  # anew each time: a protocol may have learnt from these frames how to
+        packets = []
+        for frame in frames:
             try:
-                packets = (self._protocol.decode(frames[0], stamp),)
+                packets.append(decode(frame, stamp))
             except PacketError as error:
                 self._fail(error)
-                return ()
-        else:
-            packets, failures = self._protocol.decode_all(frames, stamp)
-            for failure in failures:
-                self._fail(failure)
         counters.decoded += len(packets)
         now = counters.arrived = stamp[0]
         if now >= counters.window_ends:

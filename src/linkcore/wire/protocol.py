@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Protocol
 
-from ..errors import PacketError
 from ..stamp import Stamp
 from .framing import Framer
 
@@ -30,12 +28,4 @@ class PacketProtocol(Protocol):
 
         Raises:
             PacketError: no layout holds it. It is not counted in `unknown` or `tails`.
-        """
-
-    def decode_all(
-        self, frames: Sequence[bytes], stamp: Stamp | None = None
-    ) -> tuple[Sequence[Any], Sequence[PacketError]]:
-        """The typed packets in many frames, and an error for each frame that holds none.
-
-        Each frame is decoded and counted once. A bad one takes no other with it.
         """

@@ -83,9 +83,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _await_first(glances: Iterator[Glance], interruption: Interruption, until: float | None) -> None:
     """Wait a little for the first state, which mostly comes at once: it makes a better first look than none."""
-    patience = time.monotonic() + 0.5
-    patience = patience if until is None else min(patience, until)
-    while time.monotonic() < patience:
+    deadline = time.monotonic() + 0.5
+    deadline = deadline if until is None else min(deadline, until)
+    while time.monotonic() < deadline:
         glance = next(glances)
         if glance.reading is not None or glance.status is Status.ENDED or interruption.wait(0.01):
             break

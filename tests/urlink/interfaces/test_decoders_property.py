@@ -28,10 +28,8 @@ from urlink.decoding import Interface
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.interfaces.primary import robot_message, robot_state
 from urlink.interfaces.primary.decoder import PackageDecoder
-from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 from urlink.interfaces.realtime import packets as realtime
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
 pytestmark = pytest.mark.property
 
@@ -429,32 +427,6 @@ def test_a_package_alone(data: bytes) -> None:
                 views_hold(part)
         if isinstance(state, RobotMessage):
             assert state.IS_EVENT
-
-
-@pytest.mark.parametrize(
-    ("kind", "frames"),
-    [(RealtimeProtocol, nearly_realtime()), (PrimaryProtocol, nearly_packages())],
-    ids=["realtime", "primary"],
-)
-@given(data=st.data())
-def test_decoding_many_at_once_is_decoding_each(
-    kind: type[RealtimeProtocol | PrimaryProtocol], frames: st.SearchStrategy[bytes], data: st.DataObject
-) -> None:
-    many = data.draw(st.lists(frames, max_size=5))
-    one_by_one, at_once = kind(), kind()
-    states: list[State] = []
-    errors = []
-    for frame in many:
-        try:
-            states.append(one_by_one.decode(frame))
-        except PacketError as error:
-            errors.append(str(error))
-    together, failures = at_once.decode_all(many)
-    assert together == states
-    assert list(map(str, failures)) == errors
-    assert [(str(state), state.tail) for state in together] == [(str(state), state.tail) for state in states]
-    # What shares its bytes with a bad packet is counted once.
-    assert (at_once.unknown, at_once.tails) == (one_by_one.unknown, one_by_one.tails)
 
 
 def test_codes_are_open_in_every_class() -> None:

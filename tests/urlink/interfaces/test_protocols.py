@@ -327,9 +327,9 @@ def test_a_connection_with_another_size_is_believed_when_two_packets_agree() -> 
     session = RealtimeProtocol()
     frames = session.framer.feed(b"".join(old + new))
     # Each goes by its own length, although the boundary knows a newer one by now.
-    for states in (session.decode_all(frames)[0], [session.decode(frame) for frame in frames]):
-        assert [state.payload_mass for state in states] == [None, None, 0.0, 0.0, 0.0]
-        assert all(state.tail == b"" for state in states)
+    states = [session.decode(frame) for frame in frames]
+    assert [state.payload_mass for state in states] == [None, None, 0.0, 0.0, 0.0]
+    assert all(state.tail == b"" for state in states)
 
 
 # -- the package frame boundary, lost and found
@@ -431,7 +431,7 @@ def test_unknown_packages_and_sub_packages_are_passed_on() -> None:
     for chunks in (parts, bytewise(b"".join(parts))):
         assert fed(PrimaryProtocol, *chunks)[0] == parts
     session = PrimaryProtocol()
-    states, _ = session.decode_all(session.framer.feed(b"".join(parts)))
+    states = [session.decode(frame) for frame in session.framer.feed(b"".join(parts))]
     unknown = states[1]
     assert isinstance(unknown, OtherPackage)
     assert (unknown.type, unknown.payload) == (77, UNKNOWN[5:])

@@ -7,9 +7,7 @@ tells the layouts of what follows; until then the sizes do (docs/protocols/prima
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 
-from linkcore.errors import PacketError
 from linkcore.stamp import Stamp
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
@@ -57,14 +55,3 @@ class PrimaryProtocol:
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             self._decoder.version = self.firmware
         return state
-
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> tuple[list[State], list[PacketError]]:
-        """The typed states of many packages, in order, and an error for each that its layout cannot hold."""
-        states: list[State] = []
-        failures: list[PacketError] = []
-        for frame in frames:
-            try:
-                states.append(self.decode(frame, stamp))
-            except PacketError as error:
-                failures.append(error)
-        return states, failures

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-from linkcore.errors import PacketError
 from linkcore.stamp import Stamp
 from linkcore.wire.framing import Framer
 
@@ -47,16 +46,3 @@ class RealtimeProtocol:
         state: RealtimeState = RealtimeState.LAYOUTS.decode(frame, None, stamp)
         self.tails += bool(state.tail)
         return state
-
-    def decode_all(
-        self, frames: Sequence[bytes], stamp: Stamp | None = None
-    ) -> tuple[list[RealtimeState], list[PacketError]]:
-        """The states of many packets, and an error for each that is shorter than every layout."""
-        states: list[RealtimeState] = []
-        failures: list[PacketError] = []
-        for frame in frames:
-            try:
-                states.append(self.decode(frame, stamp))
-            except PacketError as error:
-                failures.append(error)
-        return states, failures
