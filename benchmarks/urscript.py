@@ -29,7 +29,7 @@ from urlink.motion.setpoints import STOP_WORD, setpoint
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.limits import MAX_TOKENS
-from urlink.urscript import programs, source, waypoints
+from urlink.urscript import programs, waypoints, wrapping
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
@@ -56,7 +56,7 @@ def joint_path(t: float) -> list[float]:
 
 
 def run(controller: Controller, body: Sequence[str]) -> None:
-    controller.take(source.program("measured", body).text)
+    controller.take(wrapping.program("measured", body).text)
 
 
 def is_running(controller: Controller) -> bool:

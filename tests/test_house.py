@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -86,7 +86,11 @@ def imports(module: str) -> frozenset[str]:
 def _imports(module: str) -> Iterator[str]:
     path = MODULES[module]
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    yield from _imported(ast.parse(path.read_text(encoding="utf-8")), package)
+
+
+def _imported(tree: ast.Module, package: str) -> Iterator[str]:
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -145,6 +149,89 @@ def test_imports_point_downward() -> None:
 
 def test_only_the_command_line_imports_the_command_line() -> None:
     assert offenders(lambda module, name: part(module) != "cli" and name in MODULES and part(name) == "cli") == []
+
+
+@cache
+def runtime_imports(module: str) -> frozenset[str]:
+    """The modules that are imported when `module` is, or when something in it is called: not for its types only."""
+    path = MODULES[module]
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            node.body = []
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    return frozenset(_imported(tree, package)) & MODULES.keys()
+
+
+def circle(graph: Mapping[str, set[str]]) -> list[str]:
+    """The names along a circle; nothing if there is none."""
+    done: set[str] = set()
+
+    def search(path: list[str]) -> list[str]:
+        for name in sorted(graph[path[-1]] - done):
+            found = path[path.index(name) :] if name in path else search([*path, name])
+            if found:
+                return found
+        done.add(path[-1])
+        return []
+
+    return next((found for name in graph if (found := search([name]))), [])
+
+
+@pytest.mark.parametrize(
+    ("graph", "expected"),
+    [
+        ({"a": {"b", "c"}, "b": {"c"}, "c": set()}, []),
+        ({"a": {"b"}, "b": {"c"}, "c": {"b"}}, ["b", "c"]),
+        ({"a": {"b"}, "b": set(), "c": {"d"}, "d": {"e"}, "e": {"c"}}, ["c", "d", "e"]),
+    ],
+)
+def test_a_circle_is_found(graph: dict[str, set[str]], expected: list[str]) -> None:
+    assert circle(graph) == expected
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    assert circle({module: set(runtime_imports(module) - {module}) for module in MODULES}) == []
+
+
+@pytest.mark.parametrize("package", [name for name, path in MODULES.items() if path.name == "__init__.py"])
+def test_the_parts_of_a_package_are_in_layers(package: str) -> None:
+    """Its folders and modules, of which none needs one above it: not for types either, but between two modules."""
+    part_of = {module: module.removeprefix(f"{package}.").partition(".")[0] for module in MODULES}
+    inside = [module for module in MODULES if module.startswith(f"{package}.")]
+    graph: dict[str, set[str]] = {part_of[module]: set() for module in inside}
+    for module in inside:
+        is_folder = part_of[module] != module.removeprefix(f"{package}.")
+        for name in imports(module) & set(inside):
+            if is_folder or part_of[name] != name.removeprefix(f"{package}.") or name in runtime_imports(module):
+                graph[part_of[module]].add(part_of[name])
+    for name in graph:
+        graph[name].discard(name)
+    assert circle(graph) == []
+
+
+#: Names that several modules of one package have, which then play the same role, each in its folder.
+ROLES = {
+    "client": "what users hold of one interface",
+    "commands": "the table of what can be said to a controller in one language",
+    "errors": "the exceptions of its folder",
+    "framing": "the frame boundaries of one interface",
+    "packets": "the declared packets of one interface",
+    "programs": "the programs that are running, and the text of those that are sent",
+    "protocol": "the protocol of one interface",
+    "server": "what is served to TCP clients",
+    "waypoints": "a motion that is given point by point, and the text of its program",
+}
+
+
+def test_a_module_name_means_one_thing_in_a_package() -> None:
+    found: dict[tuple[str, str], list[str]] = {}
+    for module, path in MODULES.items():
+        package, _, name = module.rpartition(".")
+        # A command of the command line is called as the user calls it, and the functions of URScript by their topic.
+        if path.name != "__init__.py" and part(module) != "cli" and not package.endswith(".builtins"):
+            found.setdefault((module.partition(".")[0], name), []).append(module)
+    assert [modules for (_, name), modules in found.items() if len(modules) > 1 and name not in ROLES] == []
 
 
 def test_sockets_are_where_it_is_declared() -> None:

@@ -26,7 +26,7 @@ from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeException
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.source import Source
-from urlink.urscript.source import finish_marker, start_marker
+from urlink.urscript.wrapping import finish_marker, start_marker
 
 AT_ONCE = Backoff(first=0, most=0)
 

@@ -37,7 +37,7 @@ def test_move_joints() -> None:
     assert met - LOOKED_UP == {
         "urlink.motion.motions",  # arguments
         "urlink.urscript.programs",  # the text
-        "urlink.urscript.source",  # what is put around it
+        "urlink.urscript.wrapping",  # what is put around it
         "linkcore.handle",  # the one state machine of its life
         "urlink.commanding.programs",  # the registry
         "urlink.commanding.channel",  # the one way out

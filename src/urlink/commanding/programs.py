@@ -2,8 +2,8 @@
 
 The controller tells of a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
 here has a name of its own, so these messages also say which preempted which. That a program came to its own end is told
-by the program itself, see `urlink.urscript.source`. Whether CB2 sends the key messages is not known, so there a program
-begins with its own first word, and is over once the flag in the robot mode data falls.
+by the program itself, see `urlink.urscript.wrapping`. Whether CB2 sends the key messages is not known, so there a
+program begins with its own first word, and is over once the flag in the robot mode data falls.
 
 Runtime exceptions carry no name. One that comes while a program is awaited is taken for that program's; else it is
 the running program's, unless its text is a compiler's.
@@ -31,9 +31,8 @@ from ..errors import CompileError, NotRunning, ProgramStopped, ScriptError, Scri
 from ..identity import KnownIdentity
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
-from ..urscript import programs
-from ..urscript import source as sources
-from ..urscript.source import Permission, Wrapped
+from ..urscript import programs, wrapping
+from ..urscript.wrapping import Permission, Wrapped
 from .channel import CommandChannel
 from .monitor import SafetyMonitor
 from .section import Section
@@ -159,11 +158,11 @@ class Programs:
         Raises:
             BadValue: it cannot be one.
         """
-        return sources.wrap(source, f"{self._token}_{next(self._numbers)}", self._permission)
+        return wrapping.wrap(source, f"{self._token}_{next(self._numbers)}", self._permission)
 
     def own(self, body: Sequence[str], *, asks: bool = True) -> Wrapped:
         """The lines of a program of the library's own; without `asks` it begins at once."""
-        return sources.program(self._name("urlink"), body, self._permission if asks else None)
+        return wrapping.program(self._name("urlink"), body, self._permission if asks else None)
 
     def _name(self, prefix: str) -> str:
         return f"{prefix}_{self._token}_{next(self._numbers)}"
@@ -232,7 +231,7 @@ class Programs:
             return
         name = self._name("urlink_stop")
         body = programs.stop(_DECELERATION)
-        self._channel.motion(sources.program(name, body).text, is_stop=True)
+        self._channel.motion(wrapping.program(name, body).text, is_stop=True)
 
     @property
     def current(self) -> Lifecycle | None:
@@ -314,18 +313,18 @@ class Programs:
 
     def _on_text(self, text: str) -> None:
         for run in self._pending():
-            if text == sources.start_marker(run.name):
+            if text == wrapping.start_marker(run.name):
                 self._begin(run)
                 if run.wrapped.asks:
                     self._permit(run)
                 return
-            if text == sources.finish_marker(run.name):
+            if text == wrapping.finish_marker(run.name):
                 self._begin(run)
                 self._judge(run, True)
                 if run.wrapped.is_secondary:
                     self._end(run)
                 return
-            if text == sources.expiry_marker(run.name):
+            if text == wrapping.expiry_marker(run.name):
                 why = f"was not let go on within {self._start_timeout:g} s, and has ended without moving the arm"
                 run.life.fail(LinkTimeout(f"{run.life.name} {why}"))
                 return
@@ -343,7 +342,7 @@ class Programs:
 
         try:
             # Without waiting: this thread has more to hear.
-            self._channel.motion(sources.grant(self._start_flag), claim=claim, wait=False)
+            self._channel.motion(wrapping.grant(self._start_flag), claim=claim, wait=False)
         except LinkError as error:
             run.life.fail(error)
 

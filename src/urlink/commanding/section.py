@@ -7,7 +7,7 @@ other threads have to get in too, or what it waits for could never be told: `wai
 Nothing in this package waits while it is in the section, so that only a signal handler can be the one that lets it go.
 What the main thread had decided before may be out of date when it goes on. It then sends at most one text or one
 set-point too many, and both are harmless: a text asks for permission before it moves the arm
-(`urlink.urscript.source`), and whoever reads set-points has been stopped by the handler.
+(`urlink.urscript.wrapping`), and whoever reads set-points has been stopped by the handler.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from urlink.models import model
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
-from urlink.urscript.source import Permission, program
+from urlink.urscript.wrapping import Permission, program
 
 
 class Line:

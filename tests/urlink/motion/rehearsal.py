@@ -16,7 +16,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.context import MotionContext
 from urlink.motion.motions import Motions
 from urlink.motion.reverse import ReversePort
-from urlink.urscript.source import finish_marker, start_marker
+from urlink.urscript.wrapping import finish_marker, start_marker
 
 PATIENCE = 10.0
 STOP, FOLLOW, WAIT = 0, 1, 2

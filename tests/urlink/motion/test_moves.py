@@ -13,7 +13,7 @@ from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
-from urlink.urscript.source import expiry_marker, start_marker
+from urlink.urscript.wrapping import expiry_marker, start_marker
 
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
     (lambda r: r.motion.move_joints([0] * 6), "move_joints", "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05)"),

@@ -11,8 +11,8 @@ from urlink.firmware import Firmware
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.urscript import programs, waypoints
-from urlink.urscript.source import Permission, expiry_marker
 from urlink.urscript.text import number
+from urlink.urscript.wrapping import Permission, expiry_marker
 
 TOKEN = 0x01020304
 #: rad/s, of each joint of a UR5.

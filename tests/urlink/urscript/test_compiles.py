@@ -7,7 +7,7 @@ import pytest
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import ScriptError, compile_script
 from urlink.urscript import commands
-from urlink.urscript.source import Permission, wrap
+from urlink.urscript.wrapping import Permission, wrap
 
 FIRMWARES = ("1.8", "3.1", "3.4", "5.0", "5.11")
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from urlink.urscript.source import LARGEST, Permission, program, wrap
+from urlink.urscript.wrapping import LARGEST, Permission, program, wrap
 
 
 def body(source: str) -> list[str]:
