@@ -246,12 +246,12 @@ def test_the_newest_is_never_the_one_that_is_dropped() -> None:
 
 @pytest.mark.slow
 def test_closing_at_any_moment_leaves_nothing_uncounted() -> None:
-    for round_ in range(200):
+    for round_ in range(60):
         queue = PacketQueue(drop_oldest(5) if round_ % 2 else Policy(5, evicts=False))
         thread, taken = consume(queue)
         offering = threading.Thread(target=offer_often, args=(queue,))
         offering.start()
-        while queue.offered < round_ % 90:
+        while queue.offered < 7 * round_ % 90:
             offering.join(0)
         queue.close()
         for each in (offering, thread):
