@@ -290,6 +290,7 @@ class Stopwatch:
 def _functions(files: set[str]) -> Iterator[tuple[tuple[str, Function], list[FunctionType]]]:
     """File and function -> what was made of it: one function, or as many as its class has clones."""
     found: dict[tuple[str, Function], list[FunctionType]] = {}
+    gc.unfreeze()  # what is frozen, as tests/conftest.py does after the collection of tests, is not among the objects
     for each in gc.get_objects():
         if isinstance(each, FunctionType) and each.__code__.co_filename in files:
             code = each.__code__
