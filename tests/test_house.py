@@ -212,6 +212,7 @@ def test_the_parts_of_a_package_are_in_layers(package: str) -> None:
 
 #: Names that several modules of one package have, which then play the same role, each in its folder.
 ROLES = {
+    "arm": "one arm: how its joints and its tool are related, and how it moves in the simulator",
     "client": "what users hold of one interface",
     "commands": "the table of what can be said to a controller in one language",
     "errors": "the exceptions of its folder",

@@ -33,7 +33,7 @@ def test_duration(run: Run, address: str, tmp_path: Path) -> None:
     recording = Recording(path)
     assert recording.is_complete
     assert [info["name"] for info in recording.channels.values()] == ["realtime", "primary"]
-    assert len(payload(path, "realtime")) > 1220 * 200
+    assert len(payload(path, "realtime")) > 1220 * 100  # 250 packets in that time, fewer on a busy machine
 
 
 @pytest.mark.parametrize("interface", ["realtime", "primary", "secondary"])
