@@ -1,0 +1,247 @@
+"""Robots over MQTT: the table, a robot and its master, and a real broker (mosquitto), where there is one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("paho.mqtt.client")
+
+from linkcore.errors import BadValue
+from rhdlink import Float64, Host, Mission, PluginFailed, Read, VelocityOmega, connect
+from rhdlink.plugins.mqtt import (
+    MASTER_TIMEOUT,
+    ROBOBOT,
+    ROBOBOT_TABLE,
+    MqttRobot,
+    MqttTurtle,
+    Topic,
+    parse_topics,
+    read_topics,
+)
+from rhdlink.world import World
+from tests.waiting import until
+
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto (apt install mosquitto)")
+
+
+# -- the table -------------------------------------------------------------------------------------------------
+
+
+def test_the_table_is_a_file_that_can_be_edited(tmp_path: Path) -> None:
+    path = tmp_path / "topics.txt"
+    path.write_text(ROBOBOT_TABLE.replace("robobot/drive", "mine/drive") + "read mine/battery battery time volts\n")
+    topics = read_topics(path)
+    assert topics.pose == Topic("read", "mine/drive/T0/pose", "pose", ("time", "x", "y", "heading"))
+    assert [topic.variable for topic in topics.read] == ["pose", "battery"]
+    assert (topics.command.values, topics.alive.name) == (("linear", "angular"), "robobot/cmd/ti/alive")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "expected one topic with x, y and heading"),
+        ("watch a b c", "line 1: expected read, command or alive"),
+        ("# nothing\nread a b", "line 2: expected read, command or alive"),
+        ("read a/+/b v time", "no wildcards"),
+        (ROBOBOT_TABLE + "alive another - time", "one alive"),
+        (ROBOBOT_TABLE.replace("linear", "forward"), "no values called linear and angular"),
+        (ROBOBOT_TABLE.replace("ti/rc ", "ti/alive "), "is there twice"),
+    ],
+)
+def test_what_is_no_table_says_so(text: str, said: str) -> None:
+    with pytest.raises(BadValue, match=said):
+        parse_topics(text)
+
+
+@pytest.mark.parametrize(
+    ("payload", "values"),
+    [
+        (b"12.5 1 2 0.5", (12.5, 1.0, 2.0, 0.5)),
+        (b" 12.5\t1 2 0.5 0.01 more\n", (12.5, 1.0, 2.0, 0.5)),
+        (b"12.5 1 2", None),
+        (b"12.5 1 2 x", None),
+        (b"12.5 1 2 nan", None),
+        ("12.5 1 2 \u0663".encode(), None),
+        (b"", None),
+    ],
+)
+def test_a_payload_is_numbers_or_nothing(payload: bytes, values: tuple[float, ...] | None) -> None:
+    assert ROBOBOT.pose.parse(payload) == values
+
+
+@pytest.mark.property
+@given(st.binary(max_size=80))
+def test_any_payload_is_survived(payload: bytes) -> None:
+    values = ROBOBOT.pose.parse(payload)
+    assert values is None or len(values) == 4
+
+
+@pytest.mark.property
+@given(linear=st.floats(-9, 9), angular=st.floats(-9, 9))
+def test_what_is_written_is_read_again(linear: float, angular: float) -> None:
+    payload = ROBOBOT.command.write({"linear": linear, "angular": angular}).encode()
+    assert ROBOBOT.command.parse(payload) == pytest.approx((linear, angular), abs=1e-4)
+
+
+# -- with a broker ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[int]:
+    """The port of a mosquitto."""
+    assert MOSQUITTO is not None
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    config = tmp_path / "mosquitto.conf"
+    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    process = subprocess.Popen([MOSQUITTO, "-c", str(config)], stderr=subprocess.DEVNULL, env=os.environ.copy())
+
+    def answers() -> bool:
+        assert process.poll() is None, "mosquitto has ended"
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+        except OSError:
+            return False
+        return True
+
+    try:
+        until(answers)
+        yield port
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Robobot(VelocityOmega):
+    pose = Read(Float64, 4)
+
+
+@needs_broker
+def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
+    world = World(1000.0)
+    with (
+        Host([MqttTurtle(port=broker, world=world)], port=0),
+        Host([MqttRobot(port=broker)], port=0) as host,
+        connect(host.address, Robobot, access="w") as robot,
+    ):
+        until(lambda: robot.sync() is None and robot.pose[0] > 0.0)
+        Mission("fwd 0.2\nturn 45\n", robot).run(30.0)
+        robot.sync()
+        # Each pose is some ticks old, so it goes a little further than in one process.
+        x, _, heading = world.odometry
+        assert x == pytest.approx(0.2, abs=0.05)
+        assert heading == pytest.approx(0.785, abs=0.15)
+        assert robot.pose[1] == pytest.approx(x, abs=0.01)
+
+
+@needs_broker
+def test_a_robot_whose_master_has_gone_stands(broker: int) -> None:
+    """The master's host is killed without a word: nothing is sent any more."""
+    now = [0.0]
+    world = World(1000.0)
+    turtle = MqttTurtle(port=broker, world=world, clock=lambda: now[0])
+    bridge = MqttRobot(port=broker)
+    with Host([turtle], port=0), Host([bridge], port=0) as host:
+        with connect(host.address, VelocityOmega, access="w") as robot:
+            robot.cmdtransvel = 0.3
+            until(lambda: robot.sync() is None and world.odometry.x > 0.05)
+            assert turtle.has_master
+            assert bridge._broker is not None
+            bridge._broker.send = lambda topic, values: None  # type: ignore[method-assign]
+            now[0] += MASTER_TIMEOUT + 0.1
+            until(lambda: not turtle.has_master)
+        at = world.odometry.x
+        until(lambda: turtle.host.tick > 100 or world.odometry.x > at + 0.5)
+        assert world.odometry.x < at + 0.05
+
+
+@needs_broker
+def test_a_program_that_leaves_has_the_robot_stand_at_once(broker: int) -> None:
+    world = World(1000.0)
+    turtle = MqttTurtle(port=broker, world=world)
+    with Host([turtle], port=0), Host([MqttRobot(port=broker)], port=0) as host:
+        with connect(host.address, VelocityOmega, access="w") as robot:
+            robot.cmdtransvel = 0.3
+            until(lambda: robot.sync() is None and world.odometry.x > 0.05)
+        until(lambda: turtle._command.get("linear") == 0.0)
+        assert turtle.has_master  # it is not the 2 s that have stopped it
+
+
+@needs_broker
+def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
+    now = [0.0]
+    world = World(1000.0)
+    bridge = MqttRobot(port=broker, clock=lambda: now[0])
+    with Host([MqttTurtle(port=broker, world=world)], port=0) as robot_host, Host([bridge], port=0) as host:
+        with connect(host.address, VelocityOmega, access="w") as robot:
+            robot.cmdtransvel = 0.3
+
+            def drives() -> bool:
+                now[0] += 0.05
+                robot.sync()
+                return world.odometry.x > 0.05
+
+            until(drives)
+            told: list[float] = []
+            assert bridge._broker is not None
+            bridge._broker.take = lambda topic: None  # type: ignore[method-assign]
+            send = bridge._broker.send
+            bridge._broker.send = lambda topic, values: (told.append(values.get("linear", -1.0)), send(topic, values))[
+                1
+            ]  # type: ignore[method-assign]
+            now[0] += 1.1
+            until(lambda: told[-1:] == [0.0])  # after the next that it is alive
+        assert robot_host.tick > 0
+
+
+@needs_broker
+def test_a_second_master_has_to_wait(broker: int) -> None:
+    now = [0.0]
+    turtle = MqttTurtle(clock=lambda: now[0])
+    for alive, moment, master in (
+        ((1.0,), 0.0, (1.0,)),
+        ((2.0,), 1.0, (1.0,)),
+        ((2.0,), 2.5, (2.0,)),
+        (None, 4.4, (2.0,)),
+        (None, 4.6, None),
+    ):
+        now[0] = moment
+        turtle._follow_master(alive)
+        assert turtle._master == master
+
+
+@needs_broker
+def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker: int, tmp_path: Path) -> None:
+    bridge = MqttRobot(port=broker)
+    with Host([bridge], port=0) as host, connect(host.address, VelocityOmega, access="w") as robot:
+        until(lambda: robot.sync() is None and bridge.mqtt is not None and bridge.mqtt.sent > 0)
+        assert bridge._broker is not None
+        client = bridge._broker._client
+        assert client is not None
+        client.disconnect()
+        until(lambda: not client.is_connected())
+        assert bridge.mqtt is not None
+        sent, dropped = bridge.mqtt.sent, bridge.mqtt.dropped
+        until(lambda: robot.sync() is None and bridge.mqtt is not None and bridge.mqtt.dropped > dropped)
+        assert bridge.mqtt.sent == sent
+
+
+def test_no_broker_is_an_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    with pytest.raises(PluginFailed, match=f"no MQTT broker at 127.0.0.1:{port}"):
+        Host([MqttRobot("127.0.0.1", port)], port=0).start()
+    with pytest.raises(BadValue):
+        MqttRobot(port=0)
+    with pytest.raises(BadValue):
+        MqttRobot(timeout=0.0)
