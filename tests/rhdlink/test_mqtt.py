@@ -6,7 +6,7 @@ import os
 import shutil
 import socket
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 pytest.importorskip("paho.mqtt.client")
 
 from linkcore.errors import BadValue
-from rhdlink import Float64, Host, Mission, PluginFailed, Read, VelocityOmega, connect
+from rhdlink import Float64, Host, Mission, PluginFailed, Read, Variables, VelocityOmega, connect
 from rhdlink.plugins.mqtt import (
     MASTER_TIMEOUT,
     ROBOBOT,
@@ -122,6 +122,16 @@ def broker(tmp_path: Path) -> Iterator[int]:
         process.wait()
 
 
+def until_synced(robot: Variables, condition: Callable[[], object]) -> None:
+    """Sync until it is true."""
+
+    def is_true() -> bool:
+        robot.sync()
+        return bool(condition())
+
+    until(is_true)
+
+
 class Robobot(VelocityOmega):
     pose = Read(Float64, 4)
 
@@ -134,7 +144,7 @@ def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
         Host([MqttRobot(port=broker)], port=0) as host,
         connect(host.address, Robobot, access="w") as robot,
     ):
-        until(lambda: robot.sync() is None and robot.pose[0] > 0.0)
+        until_synced(robot, lambda: robot.pose[0] > 0.0)
         Mission("fwd 0.2\nturn 45\n", robot).run(30.0)
         robot.sync()
         # Each pose is some ticks old, so it goes a little further than in one process.
@@ -154,7 +164,7 @@ def test_a_robot_whose_master_has_gone_stands(broker: int) -> None:
     with Host([turtle], port=0), Host([bridge], port=0) as host:
         with connect(host.address, VelocityOmega, access="w") as robot:
             robot.cmdtransvel = 0.3
-            until(lambda: robot.sync() is None and world.odometry.x > 0.05)
+            until_synced(robot, lambda: world.odometry.x > 0.05)
             assert turtle.has_master
             assert bridge._broker is not None
             bridge._broker.send = lambda topic, values: None  # type: ignore[method-assign]
@@ -172,7 +182,7 @@ def test_a_program_that_leaves_has_the_robot_stand_at_once(broker: int) -> None:
     with Host([turtle], port=0), Host([MqttRobot(port=broker)], port=0) as host:
         with connect(host.address, VelocityOmega, access="w") as robot:
             robot.cmdtransvel = 0.3
-            until(lambda: robot.sync() is None and world.odometry.x > 0.05)
+            until_synced(robot, lambda: world.odometry.x > 0.05)
         until(lambda: turtle._command.get("linear") == 0.0)
         assert turtle.has_master  # it is not the 2 s that have stopped it
 
@@ -193,12 +203,13 @@ def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
 
             until(drives)
             told: list[float] = []
+
+            def send(topic: Topic, values: Mapping[str, float]) -> None:
+                told.append(values.get("linear", -1.0))
+
             assert bridge._broker is not None
             bridge._broker.take = lambda topic: None  # type: ignore[method-assign]
-            send = bridge._broker.send
-            bridge._broker.send = lambda topic, values: (told.append(values.get("linear", -1.0)), send(topic, values))[
-                1
-            ]  # type: ignore[method-assign]
+            bridge._broker.send = send  # type: ignore[method-assign]
             now[0] += 1.1
             until(lambda: told[-1:] == [0.0])  # after the next that it is alive
         assert robot_host.tick > 0
@@ -224,7 +235,7 @@ def test_a_second_master_has_to_wait(broker: int) -> None:
 def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker: int, tmp_path: Path) -> None:
     bridge = MqttRobot(port=broker)
     with Host([bridge], port=0) as host, connect(host.address, VelocityOmega, access="w") as robot:
-        until(lambda: robot.sync() is None and bridge.mqtt is not None and bridge.mqtt.sent > 0)
+        until_synced(robot, lambda: bridge.mqtt is not None and bridge.mqtt.sent > 0)
         assert bridge._broker is not None
         client = bridge._broker._client
         assert client is not None
@@ -232,7 +243,7 @@ def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker:
         until(lambda: not client.is_connected())
         assert bridge.mqtt is not None
         sent, dropped = bridge.mqtt.sent, bridge.mqtt.dropped
-        until(lambda: robot.sync() is None and bridge.mqtt is not None and bridge.mqtt.dropped > dropped)
+        until_synced(robot, lambda: bridge.mqtt is not None and bridge.mqtt.dropped > dropped)
         assert bridge.mqtt.sent == sent
 
 

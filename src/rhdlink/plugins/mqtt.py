@@ -117,9 +117,7 @@ def parse_topics(text: str, source: str = "table") -> Topics:
             continue
         place = f"{source}, line {number}"
         if len(words) < 4 or words[0] not in _DIRECTIONS:
-            raise BadValue(
-                f"{place}: expected {' or '.join(_DIRECTIONS)}, a topic, a variable or -, and names of values"
-            )
+            raise BadValue(f"{place}: expected read, command or alive, a topic, a variable or -, and names of values")
         direction, name, variable, *values = words
         if "+" in name or "#" in name or len(values) > _MOST_VALUES:
             raise BadValue(f"{place}: a topic has no wildcards, and at most {_MOST_VALUES} values")
