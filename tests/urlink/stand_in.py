@@ -11,7 +11,7 @@ from linkcore.streaming.stream import Stream
 from tests.linkcore.script import ScriptedTransport
 from tests.waiting import until
 from urlink.commanding.channel import CommandChannel
-from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
+from urlink.commanding.interlock import Interlock, Policy
 from urlink.commanding.io import IO
 from urlink.commanding.monitor import SafetyMonitor
 from urlink.commanding.programs import Programs
@@ -41,7 +41,7 @@ class StandIn:
         backoff: Backoff = AT_ONCE,
         *,
         model: str | None = None,
-        stale_after: float = STALE_AFTER,
+        stale_after: float = 60.0,  # on a busy machine a test may be held up for longer than a robot is silent
         start_timeout: float = 5.0,
         start_flag: int | None = 31,
         is_remote: bool | None = None,
