@@ -173,32 +173,33 @@ def test_what_was_sent_before_a_silence_is_discarded() -> None:
         assert robot.slow.opened == 2
 
 
-def test_an_old_word_is_not_believed_while_this_program_is_held_up(robot: StandIn) -> None:
+def test_an_old_word_is_not_believed_while_this_program_is_held_up() -> None:
     """A callback that is called inline keeps the reader, which cannot tell whether the robot is silent."""
-    robot.clear()
-    heard: list[LinkError] = []
-    robot.safety.on_stop(heard.append)
-    inside, go_on = threading.Event(), threading.Event()
+    with StandIn(stale_after=1.0) as robot:
+        robot.clear()
+        heard: list[LinkError] = []
+        robot.safety.on_stop(heard.append)
+        inside, go_on = threading.Event(), threading.Event()
 
-    def keep(state: object) -> None:
-        inside.set()
-        go_on.wait(10)
+        def keep(state: object) -> None:
+            inside.set()
+            go_on.wait(10)
 
-    with robot.realtime.subscribe(keep, inline=True):
+        with robot.realtime.subscribe(keep, inline=True):
+            robot.state()
+            assert inside.wait(10)
+
+            def is_refused() -> bool:
+                robot.state(fast=False)
+                return not robot.safety.is_enabled
+
+            until(is_refused)
+            assert "this program is held up" in str(robot.safety.refusal)
+            assert heard == []  # so what runs goes on
+            go_on.set()
         robot.state()
-        assert inside.wait(10)
-
-        def is_refused() -> bool:
-            robot.state(fast=False)
-            return not robot.safety.is_enabled
-
-        until(is_refused)
-        assert "this program is held up" in str(robot.safety.refusal)
-        assert heard == []  # so what runs goes on
-        go_on.set()
-    robot.state()
-    robot.safety.wait_enabled(5)
-    assert heard == []
+        robot.safety.wait_enabled(5)
+        assert heard == []
 
 
 def test_nothing_heard_at_all(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
