@@ -111,6 +111,7 @@ class Connection:
         self._is_open = True
         self._is_reading = True
         self._is_finishing = False
+        self._is_deaf = False
         self._mask = 0
         self._deadline = _NEVER
         self._deadline_reason = ""
@@ -138,11 +139,11 @@ class Connection:
 
         A client that does not read is reset as soon as more than the port's `output_limit` would wait for it.
         """
-        if not self.is_open:
+        if not self.is_open or self._is_deaf:
             return
         if not self._pending:
             sent = self._send(data)
-            if sent == len(data) or not self._is_open:
+            if sent == len(data) or self._is_deaf:
                 return
             data = data[sent:]
         self._pending += data
@@ -157,8 +158,12 @@ class Connection:
             sent = self._socket.send(data)
         except BlockingIOError:
             return 0
-        except OSError as error:
-            self._loop._drop(self, error.strerror or str(error), by_peer=True)
+        except OSError:
+            # The peer takes no more. What it sent before is still there: a command, perhaps, by a client that closes
+            # without having read. The connection ends when that has been taken.
+            self._is_deaf = True
+            self._pending.clear()
+            self._watch()
             return 0
         self.last_activity = self._loop.time()
         return sent

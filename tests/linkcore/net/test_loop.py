@@ -253,6 +253,24 @@ def test_a_peer_that_closes_or_resets(bench: Bench) -> None:
     assert not bench.port.connections
 
 
+def test_what_a_client_sent_before_it_reset_the_connection_is_taken(bench: Bench) -> None:
+    """A client that sends a command and closes, with data for it unread: the next write fails before the read."""
+    link, handler = bench.client()
+    handler.connection.write(b"never read")
+    link.sendall(b"command")
+    link.close()
+
+    def fails() -> bool:
+        handler.connection.write(b"more")
+        return handler.connection._is_deaf
+
+    until(fails)
+    assert not handler.losses
+    bench.serve(lambda: handler.losses)
+    assert handler.data == b"command"
+    assert [by_peer for _, by_peer in handler.losses] == [True]
+
+
 @pytest.mark.parametrize("reset", [False, True])
 def test_closing_on_this_side(bench: Bench, reset: bool) -> None:
     link, handler = bench.client()
