@@ -16,11 +16,12 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "primary_readonly": 30011,
         "secondary_readonly": 30012,
         "realtime_readonly": 30013,
+        "rtde": 30004,
         "dashboard": 29999,
     }
 )
 
 
 def interface(port: str) -> str:
-    """What a port speaks: primary, secondary, realtime or dashboard; a read-only twin what its twin does."""
+    """What a port speaks: primary, secondary, realtime, rtde or dashboard; a read-only twin what its twin does."""
     return port.removesuffix("_readonly")

@@ -160,12 +160,14 @@ SURFACES = {
         set_operational_mode set_user_role shutdown start stop unlock_protective_stop user_role version""",
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv has_velocities
         is_quintic points q qd qdd sample time to_csv""",
-    "robot.controller": """address arm call close counters cycle dashboard faults firmware flags follow greeting host
-        is_running_program is_serving is_up model modes pendant ports program_name realtime_packet received registers
-        remote_control schedule serial signals speed_fraction start state_package step stopped_since take take_messages
-        time""",
+    "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags follow
+        greeting host is_running_program is_serving is_up model modes pendant ports program_name
+        realtime_packet received registers remote_control rtde schedule serial signals speed_fraction start
+        state_package step stopped_since take take_messages time""",
     "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
-        reboot split stall unknown_package unknown_sub_package""",
+        reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
+        rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply
+        rtde_text_instead_of_reply split stall unknown_package unknown_sub_package""",
 }
 
 

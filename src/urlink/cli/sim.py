@@ -16,7 +16,7 @@ __all__ = ["add_parser"]
 _DESCRIPTION = """\
 Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
-It serves the primary, secondary and real-time interface, their read-only twins and the dashboard, each to a
+It serves the primary, secondary and real-time interface, their read-only twins, RTDE and the dashboard, each to a
 hundred clients, in the wire format of the firmware. The arm follows a gentle motion until a program is sent
 to it, which it then runs. With --ports standard the ports are those of a real controller, so that any other
 program finds them.

@@ -18,6 +18,7 @@ from urlink.kinematics import DenavitHartenberg
 from urlink.models import Model
 from urlink.ports import PORTS, interface
 
+from .claims import FIELDBUSES
 from .control_loop import ControlLoop
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
@@ -25,6 +26,7 @@ from .ports.dashboard import DashboardPort
 from .ports.port import Client, Port, ScriptReceiver
 from .ports.primary import PrimaryPort, RobotStates, SecondaryPort
 from .ports.realtime import RealtimePort
+from .ports.rtde import RtdePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner
@@ -73,7 +75,8 @@ class Controller:
         seed: of the noise on the sensors and of random garbage.
         serial: serial number of the arm.
         motion: where the arm's set-points come from until a program commands it; None for the gentle demonstration.
-        output_limit: bytes that may wait for one client before it is dropped, beside what the network holds.
+        output_limit: bytes that may wait for one client, beside what the network holds. Beyond it, packets of the
+            primary, secondary and real-time interface are left out, and a client of the dashboard is disconnected.
         files: path -> URScript of the programs that are saved at the pendant.
         reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
             clients always are.
@@ -131,7 +134,8 @@ class Controller:
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})
         self._link = LinkFaults(lambda: state.cycle)
-        self.faults = Faults(state, self._runner, self._link, seed=seed, call=self.call)
+        self._rtde = RtdePort(state, lambda text: self.received.append(("rtde", text)))
+        self.faults = Faults(state, self._runner, self._link, self._rtde, seed=seed, call=self.call)
         self._schedule = FaultSchedule(self.faults)
         self._control = ControlLoop(state, self._runner, self._schedule, source)
         self._states = RobotStates(state)
@@ -141,6 +145,7 @@ class Controller:
             "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
             "secondary": SecondaryPort(state, self._states, lambda client: self._script_receiver("secondary", client)),
             "realtime": self._realtime,
+            "rtde": self._rtde,
             "dashboard": self._dashboard,
         }
 
@@ -225,6 +230,27 @@ class Controller:
     def dashboard(self) -> DashboardPort:
         """Answers the lines of dashboard clients."""
         return self._dashboard
+
+    @property
+    def rtde(self) -> RtdePort:
+        """The RTDE interface: its connections, for a controller that is stepped; and who holds an input."""
+        return self._rtde
+
+    @property
+    def fieldbus(self) -> str | None:
+        """The fieldbus that is enabled in the installation and reserves RTDE inputs: "EtherNet/IP", "PROFINET" or None.
+        Can be set; what clients hold already they keep.
+
+        Raises:
+            BadValue: on setting it to something else.
+        """
+        return self._state.fieldbus
+
+    @fieldbus.setter
+    def fieldbus(self, name: str | None) -> None:
+        if name is not None and name not in FIELDBUSES:
+            raise BadValue(f"a fieldbus is {' or '.join(FIELDBUSES)}, not {name!r}")
+        self._state.fieldbus = name
 
     @property
     def counters(self) -> Counters:

@@ -60,8 +60,15 @@ class _Client(Handler):
     def send(self, packet: bytes) -> None:
         self._server.send(self, packet)
 
+    @property
+    def pending(self) -> int:
+        return self.connection.pending
+
     def finish(self) -> None:
         self.connection.finish(LAST_REPLY)
+
+    def drop(self) -> None:
+        self.connection.close(reset=True)
 
     def data_received(self, data: bytes) -> None:
         # What a client asks for takes effect in the next cycle of the present, not of the time of the last look.
@@ -69,6 +76,7 @@ class _Client(Handler):
         self._receiver.feed(data)
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
+        self._receiver.end()
         self._server.forget(self)
 
 
@@ -130,8 +138,9 @@ class Server:
         try:
             for name, number in numbers.items():
                 self._listening[name] = self._bind(name, host, number, output_limit)
-            for port in self._listening.values():
-                port.listen()
+            for name, port in self._listening.items():
+                if ports[interface(name)].is_offered():
+                    port.listen()
         except BaseException:
             self._sockets.close()
             raise
@@ -279,7 +288,11 @@ class Server:
             if clients and not self._link.is_stalled(name):
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
-                    self._put(client, data)
+                    if client.pending + len(data) > client.connection.port.output_limit:
+                        # Public clients send programs here for hours and never read, also to real controllers.
+                        self._counters.unread += 1
+                    else:
+                        self._put(client, data)
 
     def send(self, client: _Client, packet: bytes) -> None:
         """Send one client something, unless its port is stalled."""
@@ -350,7 +363,7 @@ class Server:
         if not is_up:
             self._loader.clear()
         for name, port in self._listening.items():
-            if is_up:
+            if is_up and self._ports[interface(name)].is_offered():
                 port.listen()
                 # Connected but silent: the kernel has made the connection, and there it waits.
                 if self._link.is_stalled(name):

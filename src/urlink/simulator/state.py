@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware, release_of
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
+from .claims import InputClaims
 from .registers import Registers, Watchdogs
 from .robot.arm import Arm
 from .robot.modes import Modes, Stop
@@ -36,21 +38,25 @@ class Counters:
         connections: accepted.
         sent: packets and packages handed to the network, once per connection.
         dropped: connections ended because the client did not read.
+        unread: packets that were left out because the client had not read those before.
         refused_bytes: input thrown away: text to read-only ports, lines and programs too long, or too many that wait.
         refused_programs: texts that were ignored because of the state that the controller was in.
         late: cycles in which packets went out more than one cycle after they were due.
         skipped: cycles in which no packets went out because they were far too late.
         lost_messages: texts and popups of programs, beyond what one cycle sends.
+        ignored_packages: packages of RTDE clients that do not fit, such as data of an unknown recipe.
     """
 
     connections: int = 0
     sent: int = 0
     dropped: int = 0
+    unread: int = 0
     refused_bytes: int = 0
     refused_programs: int = 0
     late: int = 0
     skipped: int = 0
     lost_messages: int = 0
+    ignored_packages: int = 0
 
 
 class Outbox:
@@ -112,6 +118,9 @@ class ControllerState:
         signals: inputs and outputs.
         registers: general-purpose registers, which a reboot clears (a guess).
         watchdogs: of the program that runs, over RTDE inputs.
+        rtde_inputs: name -> the last value that a client has sent.
+        claims: which client holds which RTDE input.
+        fieldbus: that is enabled in the installation, a key of `FIELDBUSES`, or None.
         source: where the arm's set-points come from.
         is_paused: the source waits: its program was paused, by hand or by a protective stop.
         speed_fraction: of the speed slider, 0 to 1.
@@ -135,6 +144,7 @@ class ControllerState:
         self.cycles_down = 0
         self.signals = Signals()
         self.remote_control = True
+        self.fieldbus: str | None = None
         self.log: list[str] = []
         self.counters = Counters()
         self.outbox = Outbox(self.counters)
@@ -153,6 +163,8 @@ class ControllerState:
         self.flags = [False] * FLAGS
         self.registers = Registers()
         self.watchdogs = Watchdogs()
+        self.rtde_inputs: dict[str, Any] = {}
+        self.claims = InputClaims()
         self.stopped_since: float | None = None
         self.popup: str | None = None
         self.loaded: str | None = None

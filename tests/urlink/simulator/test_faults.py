@@ -82,7 +82,7 @@ def test_faults_are_read_from_text(text: str, fault: ScheduledFault) -> None:
         ("split=0@1", "'0' does not do as sizes"),
         ("merge=0@1", "'0' does not do as packets"),
         ("reboot=new@1", "'new' does not do as the firmware"),
-        ("cut=rtde@1", "'rtde' does not do as the port"),
+        ("cut=modbus@1", "'modbus' does not do as the port"),
         ("unknown_package=256@1", "'256' does not do as the type"),
     ],
 )
@@ -122,9 +122,9 @@ def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
 
 def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     controller = Controller("UR5e", "5.11")
-    controller.schedule(ScheduledFault("cut", ("rtde",), 0.01), "protective_stop@0.02")
+    controller.schedule(ScheduledFault("cut", ("modbus",), 0.01), "protective_stop@0.02")
     controller.step(10)
-    assert "no port is called 'rtde'" in caplog.text
+    assert "no port is called 'modbus'" in caplog.text
     assert controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
     with pytest.raises(BadValue, match="no fault is called 'call'"):
         controller.schedule(ScheduledFault("call", (), 0.01))
@@ -163,7 +163,7 @@ def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled(
         lambda faults: faults.garbage(0),
         lambda faults: faults.append(-1),
         lambda faults: faults.stall(-1.0),
-        lambda faults: faults.stall(1.0, "rtde"),
+        lambda faults: faults.stall(1.0, "modbus"),
         lambda faults: faults.reboot(downtime=float("nan")),
         lambda faults: faults.unknown_package(256),
         lambda faults: faults.unknown_package(42, port="realtime"),

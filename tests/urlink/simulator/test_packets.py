@@ -255,4 +255,4 @@ def test_wrong_arguments_are_local_errors() -> None:
     with pytest.raises(LocalError, match=r"firmware 2\.0"):
         Controller("UR5", "2.0")
     with pytest.raises(BadValue, match="ports are"):
-        Controller(ports={"rtde": 0})
+        Controller(ports={"modbus": 0})

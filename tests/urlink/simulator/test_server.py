@@ -110,18 +110,21 @@ def test_all_clients_of_a_port_get_the_same_bytes(connect: Connect) -> None:
         assert controller.counters.connections == 20
 
 
-def test_a_client_that_does_not_read_is_dropped_and_delays_nobody(connect: Connect, eventually: Eventually) -> None:
+def test_a_client_that_does_not_read_loses_packets_and_delays_nobody(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11", output_limit=20_000) as controller:
         reader, sleeper = connect(controller, "realtime"), connect(controller, "realtime")
         sleeper.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         stamps: list[float] = []
 
-        def dropped() -> bool:
+        def left_out() -> bool:
             stamps.extend(times(reader, 25))
-            return controller.counters.dropped == 1
+            return controller.counters.unread > 50
 
-        eventually(dropped)
-        assert sleeper.is_ended()
+        eventually(left_out)
+        # It may have been there for its programs only, as a public client is: they are still taken.
+        sleeper.send(b"set speed 0.5\n")
+        eventually(lambda: controller.speed_fraction == 0.5)
+        assert controller.counters.dropped == 0
         gaps = [after - before for before, after in itertools.pairwise(stamps)]
         assert max(gaps) == pytest.approx(0.002, abs=1e-9)
         assert len(reader.packet()) == 1220
@@ -183,7 +186,9 @@ def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
     before = threading.active_count()
     controller = Controller("UR5e", "5.11").start()
     links = [connect(controller, port) for port in PORTS]
-    for link in links:
+    for port, link in zip(PORTS, links, strict=True):
+        if port == "rtde":
+            link.send(b"\0\3v")
         link.segment()
     assert threading.active_count() == before + 1
     host, ports = controller.host, controller.ports

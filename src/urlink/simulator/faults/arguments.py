@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from linkcore.errors import BadValue
 from urlink.ports import PORTS, interface
 
-__all__ = ["checked_seconds", "checked_sizes", "package_ports", "port_names", "type_byte"]
+__all__ = ["checked_seconds", "checked_sizes", "package_ports", "port_names", "request_byte", "type_byte"]
 
 
 def port_names(port: str | None) -> tuple[str, ...]:
@@ -45,6 +45,17 @@ def type_byte(kind: int) -> int:
     if kind not in range(256):
         raise BadValue(f"a type is a byte, not {kind!r}")
     return kind
+
+
+def request_byte(letter: str) -> int:
+    """The type of a request of an RTDE client, by its letter.
+
+    Raises:
+        BadValue: none of those that are answered.
+    """
+    if len(letter) != 1 or letter not in "VvOISP":
+        raise BadValue(f"a request is V, v, O, I, S or P, not {letter!r}")
+    return ord(letter)
 
 
 def checked_seconds(seconds: float) -> float:

@@ -9,13 +9,17 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 from urlink.firmware import Firmware
+from urlink.interfaces.rtde.packets import MessageLevel
 
 from ..ports.form import package
+from ..ports.rtde import Disturbance, RtdePort, RtdeSession
 from ..programs.runner import ProgramRunner
 from ..state import ControllerState, firmware_for
-from .arguments import checked_seconds, checked_sizes, package_ports, port_names, type_byte
+from .arguments import checked_seconds, checked_sizes, package_ports, port_names, request_byte, type_byte
 from .link import LinkFaults
 
 __all__ = ["Faults"]
@@ -31,6 +35,7 @@ class Faults:
         state: of the controller.
         runner: of its programs.
         link: the faults of its connections.
+        rtde: the RTDE interface.
         seed: of random garbage.
         call: does something in the thread that owns the controller, and waits until it is done.
     """
@@ -40,6 +45,7 @@ class Faults:
         state: ControllerState,
         runner: ProgramRunner,
         link: LinkFaults,
+        rtde: RtdePort,
         *,
         seed: int,
         call: Callable[[Callable[[], object]], None],
@@ -47,6 +53,7 @@ class Faults:
         self._state = state
         self._runner = runner
         self._link = link
+        self._rtde = rtde
         self._random = random.Random(seed)
         self._do = call
 
@@ -90,11 +97,11 @@ class Faults:
         chosen = None if firmware is None else firmware_for(self._state.model, firmware)
         wait = checked_seconds(downtime)
 
-        def reboot() -> None:
-            self._runner.close()
-            self._state.go_down(chosen, wait)
+        self._do(lambda: self._reboot(chosen, wait))
 
-        self._do(reboot)
+    def _reboot(self, firmware: Firmware | None, downtime: float) -> None:
+        self._runner.close()
+        self._state.go_down(firmware, downtime)
 
     def cut(self, port: str | None = None) -> None:
         """Reset the connections; new ones are accepted at once."""
@@ -190,5 +197,105 @@ class Faults:
         self._do(lambda: self._link.add_sub_package(names, byte, payload))
 
     def heal(self) -> None:
-        """End all that has been done to the link: stalls, segments, garbage, tails, unknown sub-packages."""
-        self._do(self._link.heal)
+        """End all that has been done to the link: stalls, segments, garbage, tails, unknown sub-packages, and what has
+        been done to RTDE."""
+
+        def heal() -> None:
+            self._link.heal()
+            self._rtde.disturbance = Disturbance()
+
+        self._do(heal)
+
+    # -- RTDE ----------------------------------------------------------------------------------------
+
+    def rtde_text(self, text: str, source: str = "simulator", level: int = MessageLevel.INFO) -> None:
+        """Send a text message to all RTDE clients, once.
+
+        Args:
+            text: of at most 255 bytes, or it is cut.
+            source: who says it.
+            level: 0 exception, 1 error, 2 warning, 3 info.
+        """
+        self._do(lambda: self._rtde.send_text(text, source, MessageLevel(level)))
+
+    def rtde_hello(self, text: str = "SafetySetup has not been confirmed yet") -> None:
+        """Let each RTDE connection begin with a text, as on a PolyScope X whose safety was not confirmed; until `heal`.
+
+        ur_rtde's control interface does not get through that.
+        """
+        self._disturb(hello=text)
+
+    def rtde_refuse_protocol_2(self) -> None:
+        """Accept protocol 1 alone; until `heal`."""
+        self._disturb(protocols=(1,))
+
+    def rtde_text_before_reply(self, request: str = "S", text: str = "a text before the reply") -> None:
+        """Send a text before each reply to one kind of request; until `heal`.
+
+        Args:
+            request: its letter: V, v, O, I, S or P.
+            text: of at most 255 bytes, or it is cut.
+
+        Raises:
+            BadValue: there is no such request.
+        """
+        kind = request_byte(request)
+        self._do(lambda: self._rtde.disturbance.text_before.update({kind: text}))
+
+    def rtde_text_instead_of_reply(self, request: str = "S", text: str = "a text in place of the reply") -> None:
+        """Answer the next request of one kind by a text, once; the reply does not come.
+
+        Raises:
+            BadValue: there is no such request.
+        """
+        self._instead(request, lambda session: session.send_text(text))
+
+    def rtde_data_before_start(self) -> None:
+        """Send a data package before each reply to a start, as PolyScope X does now and then; until `heal`."""
+        self._disturb(data_before_start=True)
+
+    def rtde_refuse_start(self) -> None:
+        """Refuse to start; until `heal`."""
+        self._disturb(refuses_start=True)
+
+    def rtde_no_data(self) -> None:
+        """Accept a start, and send no data packages; until `heal`."""
+        self._disturb(sends_no_data=True)
+
+    def rtde_late_data(self, seconds: float) -> None:
+        """Let data packages come so much later than they were made; until `heal`.
+
+        Raises:
+            BadValue: the time is negative or not finite.
+        """
+        self._disturb(late=self._cycles(checked_seconds(seconds)))
+
+    def rtde_stale_inputs(self, seconds: float) -> None:
+        """Let the inputs of connections that end stay held for so long, as real controllers do; until `heal`.
+
+        Raises:
+            BadValue: the time is negative or not finite.
+        """
+        self._disturb(stale=self._cycles(checked_seconds(seconds)))
+
+    def rtde_reboot_at_request(self, request: str = "O", downtime: float = 1.0) -> None:
+        """Reboot in place of answering the next request of one kind: in the middle of a handshake.
+
+        Raises:
+            BadValue: there is no such request, or the time is negative or not finite.
+        """
+        wait = checked_seconds(downtime)
+        self._instead(request, lambda session: self._reboot(None, wait))
+
+    def _cycles(self, seconds: float) -> int:
+        return math.ceil(seconds * self._state.firmware.rate)
+
+    def _disturb(self, **changes: Any) -> None:
+        def disturb() -> None:
+            self._rtde.disturbance = replace(self._rtde.disturbance, **changes)
+
+        self._do(disturb)
+
+    def _instead(self, request: str, happens: Callable[[RtdeSession], object]) -> None:
+        kind = request_byte(request)
+        self._do(lambda: self._rtde.disturbance.instead.update({kind: happens}))

@@ -13,7 +13,7 @@ from urlink.firmware import Firmware
 from urlink.models import Model
 
 from ..state import firmware_for
-from .arguments import checked_seconds, checked_sizes, port_names, type_byte
+from .arguments import checked_seconds, checked_sizes, port_names, request_byte, type_byte
 from .faults import Faults
 
 __all__ = ["FAULTS", "FaultSchedule", "ScheduledFault", "checked", "parse_fault"]
@@ -52,6 +52,11 @@ def _sizes(text: str) -> tuple[int, ...]:
     return checked_sizes([int(part) for part in text.split("+")])
 
 
+def _request(text: str) -> str:
+    request_byte(text)
+    return text
+
+
 #: name -> how its argument is read and what it is, or None where it has none, and whether it can be left out
 FAULTS: dict[str, tuple[Callable[[str], Any], str, bool] | None] = {
     "protective_stop": None,
@@ -68,6 +73,16 @@ FAULTS: dict[str, tuple[Callable[[str], Any], str, bool] | None] = {
     "append": (_size, "number of bytes", False),
     "unknown_package": (lambda text: type_byte(int(text)), "the type", True),
     "unknown_sub_package": (lambda text: type_byte(int(text)), "the type", True),
+    "rtde_hello": None,
+    "rtde_refuse_protocol_2": None,
+    "rtde_text_before_reply": (_request, "the letter of the request", True),
+    "rtde_text_instead_of_reply": (_request, "the letter of the request", True),
+    "rtde_data_before_start": None,
+    "rtde_refuse_start": None,
+    "rtde_no_data": None,
+    "rtde_late_data": (_number, "seconds", False),
+    "rtde_stale_inputs": (_number, "seconds", False),
+    "rtde_reboot_at_request": (_request, "the letter of the request", True),
     "heal": None,
 }
 

@@ -79,6 +79,9 @@ class DashboardPort:
             name: getattr(self, f"_{name.replace(' ', '_').lower()}") for name in COMMANDS
         }
 
+    def is_offered(self) -> bool:
+        return True
+
     def greeting(self) -> list[bytes]:
         return [f"{GREETING}\n".encode()]
 

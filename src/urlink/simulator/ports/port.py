@@ -25,11 +25,18 @@ class Client(Protocol):
     def is_open(self) -> bool:
         """What is sent still reaches it."""
 
+    @property
+    def pending(self) -> int:
+        """Bytes that were sent and that the network has not taken yet, since it does not read."""
+
     def send(self, packet: bytes) -> None:
         """Send a packet or a reply."""
 
     def finish(self) -> None:
         """Close it, when it has taken what was sent."""
+
+    def drop(self) -> None:
+        """Close it now, by a reset."""
 
 
 class Receiver(Protocol):
@@ -38,9 +45,15 @@ class Receiver(Protocol):
     def feed(self, data: bytes) -> None:
         """Bytes, as they have come."""
 
+    def end(self) -> None:
+        """The connection is over."""
+
 
 class Port(Protocol):
     """One interface of the controller."""
+
+    def is_offered(self) -> bool:
+        """The firmware that runs at present has this interface; without it connections are refused."""
 
     def greeting(self) -> list[bytes]:
         """What a connection begins with, packet by packet."""
@@ -49,7 +62,10 @@ class Port(Protocol):
         """The first cycle after this one in which all clients are sent something; None if that is not known."""
 
     def packets(self, cycle: int) -> list[bytes]:
-        """What all clients are sent in this cycle. Asked for once in each cycle, while a client is connected."""
+        """What all clients are sent in this cycle. Asked for once in each cycle, while a client is connected.
+
+        A port whose clients are sent different things sends these to each client, and gives nothing back.
+        """
 
     def skip(self) -> None:
         """No client is connected in this cycle: what only these would have been sent is forgotten."""
@@ -66,6 +82,9 @@ class ReadOnlyReceiver:
 
     def feed(self, data: bytes) -> None:
         self._counters.refused_bytes += len(data)
+
+    def end(self) -> None:
+        return None
 
 
 class LineReceiver:
@@ -96,6 +115,9 @@ class LineReceiver:
             if not self._client.is_open:
                 return
         self._extend(rest)
+
+    def end(self) -> None:
+        return None
 
     def _extend(self, part: bytes) -> None:
         if self._is_too_long or len(self._line) + len(part) > LONGEST_LINE:

@@ -103,6 +103,9 @@ class SecondaryPort:
         self._state = state
         self._states = states
 
+    def is_offered(self) -> bool:
+        return True
+
     def greeting(self) -> list[bytes]:
         return [*greeting(self._state, self._NAME), self._states.package(first=True)]
 

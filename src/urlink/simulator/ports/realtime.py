@@ -28,6 +28,9 @@ class RealtimePort:
         self._form: Form | None = None
         self._firmware: Firmware | None = None
 
+    def is_offered(self) -> bool:
+        return True
+
     def greeting(self) -> list[bytes]:
         return []
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from linkcore.errors import BadValue
 from urlink.firmware import Firmware
+from urlink.interfaces.rtde.variables import INPUTS
 from urlink.kinematics import Arm
 
 from ..messages import popup_message, text_message
@@ -142,6 +144,9 @@ class ProgramWorld:
         """Without effect: the simulated arm stands upright."""
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
+        known = INPUTS.get(variable)
+        if known is None or not known.is_in(self._state.firmware):
+            raise BadValue(f"rtde_set_watchdog: there is no RTDE input '{variable}'")
         cycles = self._state.firmware.rate / frequency if frequency > 0.0 else math.inf
         self._state.watchdogs.set(variable, cycles, action, self._state.cycle)
 

@@ -157,6 +157,26 @@ class Arm:
         return self._sensors.positions(self._setpoint, self._cycle, self.is_powered)
 
     @property
+    def current_as_torque(self) -> list[float]:
+        """The actual currents of the joints, as the torques that they make, Nm."""
+        return [i * k for i, k in zip(self.sample.I_actual, self._sensors.torque_constants, strict=True)]
+
+    @property
+    def tool_acceleration(self) -> list[float]:
+        """Of the TCP at the targets of this cycle, in the base frame, m/s² and rad/s²."""
+        q, qd, qdd = self._setpoint
+        if not any(qd) and not any(qdd):
+            return list(_ZERO)
+        # The derivative of Jacobian times speed, by a central difference.
+        before, after = (
+            self.kinematics.jacobian([p + t * v for p, v in zip(q, qd, strict=True)], self._tcp)
+            @ [v + t * a for v, a in zip(qd, qdd, strict=True)]
+            for t in (-1e-5, 1e-5)
+        )
+        acceleration: list[float] = ((after - before) / 2e-5).tolist()
+        return acceleration
+
+    @property
     def dexterity(self) -> float:
         """The square of the determinant of the flange's Jacobian: 0 in a singular posture.
 

@@ -127,10 +127,11 @@ class Sensors:
         self._dynamics = Dynamics(kinematics)
         self._noise_table = _noise(seed)
         self._inertia = _inertia(model)
-        self._constants = _TORQUE_CONSTANTS.get(model.name, _TORQUE_CONSTANTS_LARGE)
+        #: Nm/A, of each joint
+        self.torque_constants = _TORQUE_CONSTANTS.get(model.name, _TORQUE_CONSTANTS_LARGE)
         self._mass = float(model.link_masses.sum())
         load = self._dynamics.gravity_torque(q).tolist()
-        self._rise = [4.0 + 3.0 * math.sqrt(abs(m / k)) for m, k in zip(load, self._constants, strict=True)]
+        self._rise = [4.0 + 3.0 * math.sqrt(abs(m / k)) for m, k in zip(load, self.torque_constants, strict=True)]
         self._warmed_to = -1
         self._warm: list[float] = []
 
@@ -209,7 +210,7 @@ class Sensors:
             self._dynamics = Dynamics(self._kinematics, payload=payload, payload_cog=payload_cog)
         held = self._dynamics.gravity_torque(s.q_target).tolist()
         s.M_target = [g + m * a for g, m, a in zip(held, self._inertia, s.qdd_target, strict=True)]
-        s.I_target = [m / k for m, k in zip(s.M_target, self._constants, strict=True)]
+        s.I_target = [m / k for m, k in zip(s.M_target, self.torque_constants, strict=True)]
         s.I_control = [i + _FRICTION * math.tanh(v / _STICTION) for i, v in zip(s.I_target, s.qd_target, strict=True)]
         s.I_actual = [i + n for i, n in zip(s.I_control, self._noise(cycle, 3, _NOISE_I), strict=True)]
         s.V_actual = [

@@ -95,6 +95,11 @@ class Signals:
             raise BadValue(f"analogue outputs 0 and 1 take a finite value, not {number!r} {value!r}")
         self.analog_outputs[number] = float(value)
 
+    def set_analog_fraction(self, number: int, fraction: float) -> None:
+        """Drive analogue output 0 or 1 with a fraction, 0 to 1, of its range: 4 to 20 mA or 0 to 10 V."""
+        is_voltage = self.analog_output_domains[number]
+        self.set_analog_output(number, fraction * 10.0 if is_voltage else 0.004 + fraction * 0.016)
+
 
 def _switched(mask: int, number: int, on: bool) -> int:
     if number not in range(18):

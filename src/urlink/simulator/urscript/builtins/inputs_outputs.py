@@ -116,8 +116,7 @@ def _set_analog(thread: ScriptThread, n: Any, f: Any, what: str) -> None:
     at, level = integer(n, f"{what}: n", 0, 1), number(f, f"{what}: f")
     if not 0 <= level <= 1:
         raise Fault(f"{what}: f is from 0 to 1, not {level:g}")
-    signals = thread.world.signals
-    signals.set_analog_output(at, level * 10.0 if signals.analog_output_domains[at] else 0.004 + level * 0.016)
+    thread.world.signals.set_analog_fraction(at, level)
 
 
 def _get_analog(thread: ScriptThread, n: Any, what: str) -> float:
