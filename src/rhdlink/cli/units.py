@@ -11,14 +11,27 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.errors import BadValue
 from linkcore.text import printable
 
 from ..robots import Ackerman, Gps, Smr, VelocityOmega
 from ..variables.declarations import Declaration
 from ..variables.snapshot import Update, Variable
+from ..variables.value_types import Bool, Float32, Float64, Int32, Int64, Millionths, Order, UInt32, ValueType
 from ..wire.data import Words
 
-__all__ = ["as_columns", "as_json", "in_units", "update_as_json", "words_of", "words_text"]
+__all__ = ["TYPES", "as_columns", "as_json", "in_units", "typed", "update_as_json", "words_of", "words_text"]
+
+#: Types that can be named on the command line.
+TYPES: dict[str, ValueType[Any, Any, Any]] = {
+    "int32": Int32,
+    "uint32": UInt32,
+    "int64": Int64,
+    "float32": Float32,
+    "float64": Float64,
+    "bool": Bool,
+    "millionths": Millionths,
+}
 
 #: Words of a variable that are shown on one line.
 _MOST_WORDS = 16
@@ -51,6 +64,21 @@ def in_units(direction: str, name: str, words: Words) -> str:
 def words_of(value: int | Words) -> Words:
     """The words of a variable that was declared by nobody, as `rhdlink.Variable` has it: an int or an array."""
     return np.atleast_1d(np.asarray(value, np.int32))
+
+
+def typed(name: str, words: Words, type_name: str, order: Order) -> list[int | float | bool]:
+    """The values in the words of a variable.
+
+    Raises:
+        BadValue: a value of that type takes more words, or the variable has some left.
+    """
+    value_type = TYPES[type_name]
+    size = value_type.length(1)
+    count, left = divmod(len(words), size)
+    if left or not count:
+        raise BadValue(f"{name} has {len(words)} words; a {type_name} takes {size}")
+    found: list[int | float | bool] = np.atleast_1d(value_type.unpack_many(words, count, order)).tolist()
+    return found
 
 
 def words_text(words: Sequence[int] | Words, most: int | None = _MOST_WORDS) -> str:

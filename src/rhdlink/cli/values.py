@@ -14,7 +14,7 @@ from linkcore.text import printable, strict_json
 from ..client import Variables, connect
 from ..errors import NotThere
 from .options import add_address, tell
-from .units import as_columns, as_json, in_units, words_of, words_text
+from .units import TYPES, as_columns, as_json, in_units, typed, words_of, words_text
 
 __all__ = ["add_parser", "check_names"]
 
@@ -35,12 +35,15 @@ _GET = """\
 Print the values of variables, one line each, in the order in which they are named.
 
 The words come first, as they are on the wire; after the `=` stands what they mean, where the name has a
-meaning by convention. Of a read and a write variable with the same name it is the read variable."""
+meaning by convention. Of a read and a write variable with the same name it is the read variable.
+
+With --as the words are taken for values of a type, and only these are printed."""
 
 _GET_EXAMPLES = (
     "rhdlink get localhost tick",
     "rhdlink get smr12 encl encr linesensor",
     "rhdlink get localhost transpos rotpos --json",
+    "rhdlink get localhost bearing --as float64",
 )
 
 _SET = """\
@@ -68,6 +71,8 @@ def add_parser(subparsers: Subparsers) -> None:
     parser = add_command(subparsers, "get", "print the values of variables", _GET, _GET_EXAMPLES)
     add_address(parser)
     parser.add_argument("names", metavar="NAME", nargs="+", help="a variable of the robot")
+    parser.add_argument("--as", dest="type", choices=tuple(TYPES), help="take the words for values of this type")
+    parser.add_argument("--order", choices=("little", "big"), default="little", help="of values of two words (little)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line, for each variable")
     parser.set_defaults(run=_get, trailing="names")
 
@@ -116,10 +121,14 @@ def _get(args: argparse.Namespace) -> int:
         check_names(args.names, by_name, robot.address)
         for name in args.names:
             variable = by_name[name]
-            if args.json:
-                print(strict_json(as_json(variable)))
-                continue
             words = words_of(variable.value)
+            values = None if args.type is None else typed(name, words, args.type, args.order)
+            if args.json:
+                print(strict_json(as_json(variable) | ({} if values is None else {"values": values})))
+                continue
+            if values is not None:
+                print(f"{printable(name)} {' '.join(map(repr, values))}")
+                continue
             meaning = in_units(variable.direction, name, words)
             print(f"{printable(name)} {words_text(words, None)}" + (f" = {meaning}" if meaning else ""))
     return 0

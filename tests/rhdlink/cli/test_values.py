@@ -7,7 +7,7 @@ import signal
 import pytest
 
 import rhdlink
-from rhdlink import Host
+from rhdlink import Bool, Float64, Host, Plugin, Read
 from tests.harm import HOSTILE, assert_harmless, strict
 from tests.rhdlink.scripted import Peer, ScriptedServer
 from tests.waiting import until
@@ -62,6 +62,25 @@ def test_get_as_json_with_names_after_the_option(run: Run, address: str) -> None
     counter, never = map(strict, out.splitlines())
     assert counter["words"][0] < 0
     assert never["words"] == [0, 0, 0]
+
+
+def test_get_with_a_type(run: Run) -> None:
+    class Typed(Plugin):
+        bearing = Read(Float64, 2)
+        flags = Read(Bool, 3)
+
+        def periodic(self, tick: int) -> None:
+            self.bearing, self.flags = [0.25, -1e-7], [True, False, True]
+
+    with Host([Typed()], period=0.002, port=0) as host:
+        assert run("get", host.address, "bearing", "--as", "float64") == (0, "bearing 0.25 -1e-07\n", "")
+        assert run("get", host.address, "flags", "--as", "bool")[1] == "flags True False True\n"
+        assert strict(run("get", host.address, "bearing", "--as", "float64", "--json")[1])["values"] == [0.25, -1e-7]
+        # The other half first.
+        assert run("get", host.address, "bearing", "--as", "float64", "--order", "big")[1] != "bearing 0.25 -1e-07\n"
+        status, out, err = run("get", host.address, "flags", "--as", "float64")
+        assert (status, out) == (1, "")
+        assert "flags has 3 words; a float64 takes 2" in err
 
 
 def test_get_says_what_is_missing(run: Run, address: str) -> None:
