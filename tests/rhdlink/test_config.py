@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import LocalError
+from rhdlink import Host, Limits
 from rhdlink.host.config import (
     DEEPEST,
     LARGEST,
@@ -20,6 +21,8 @@ from rhdlink.host.config import (
     parse_config,
     read_config,
 )
+from tests.rhdlink.raw_client import RawClient
+from tests.waiting import until
 
 WHOLE = """<?xml version="1.0"?>
 <rhd>
@@ -141,6 +144,32 @@ def test_the_message_names_file_and_line(tmp_path: Path) -> None:
         read_config(tmp_path)
     with pytest.raises(BadConfiguration, match="cannot read 0: expected the path"):
         read_config(0)  # type: ignore[arg-type]
+
+
+def test_what_clients_are_told_and_may_ask_for() -> None:
+    text = """<rhd><server><clients number='3' timeout='0.5' inactivity='60'/><resend value='original'/>
+      <limits length='16' batch='4096'/></server></rhd>"""
+    found = parse_config(text)
+    assert (found.clients, found.client_timeout, found.inactivity_timeout) == (3, 0.5, 60.0)
+    assert (found.resend, found.limits) == ("original", Limits(length=16, batch=4096))
+    default = parse_config("<rhd/>")
+    assert (default.resend, default.limits, default.client_timeout) == ("changed", Limits(), 5.0)
+    for wrong in ("<resend value='x'/>", "<limits words='0'/>", "<clients timeout='0'/>"):
+        with pytest.raises(BadConfiguration, match=r"rhdconfig\.xml:1: <"):
+            parse_config(f"<rhd><server>{wrong}</server></rhd>")
+
+
+def test_a_host_has_what_the_file_says_of_clients() -> None:
+    """A batch with more than the file allows costs the client its connection."""
+    text = """<rhd><server><port value='0'/><limits batch='64'/></server>
+      <plugins><smr enable='true' lib='rhdlink.plugins.turtle:SmrTurtle'/></plugins></rhd>"""
+    with Host.from_config(parse_config(text)) as host, RawClient(host.port, b"aw") as client:
+        client.greeting()
+        client.sync({"speedl": 1})
+        assert host.stats.bad_clients == 0
+        with contextlib.suppress(OSError, EOFError):
+            client.sync(dict.fromkeys(("speedl", "speedr", "resetmotorl", "resetmotorr"), 1))
+        until(lambda: host.stats.bad_clients == 1)
 
 
 def test_the_width_of_time_stamps() -> None:

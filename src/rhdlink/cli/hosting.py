@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, seconds
@@ -16,6 +16,7 @@ from ..address import PORT
 from ..drawing import save
 from ..host.config import read_config
 from ..host.host import Host
+from ..host.service import Resend
 from ..plugins.turtle import SmrTurtle, Turtle
 from ..wire.schema import WIDTHS
 from .options import add_world, port, tell, world
@@ -61,7 +62,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("config", metavar="CONFIG.xml", help="an rhdconfig.xml")
     parser.add_argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free one (the file's)")
     parser.add_argument("--listen", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)")
-    _add_width(parser, "the file's, or 2")
+    _add_service(parser, "the file's, or ")
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=_serve)
 
@@ -72,21 +73,44 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (0.01)")
     parser.add_argument("--lockstep", action="store_true", help="one tick with each request of the master")
-    _add_width(parser, "2")
+    _add_service(parser, "")
     add_world(parser)
     parser.add_argument("--picture", metavar="FILE", help="draw the way into FILE at the end: .svg or .png")
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=_turtle)
 
 
-def _add_width(parser: argparse.ArgumentParser, default: str) -> None:
+def _add_service(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument(
         "--width",
         type=int,
         choices=WIDTHS,
         help="32-bit words of a time stamp, as the clients have it: 4 for 64-bit builds of the ordinary sources of "
-        f"the original, which read garbage otherwise ({default})",
+        f"the original, which read garbage otherwise ({default}2)",
     )
+    parser.add_argument(
+        "--resend",
+        choices=get_args(Resend),
+        help=f"what a reply tells: what was set since the last one, or all that ever was ({default}changed)",
+    )
+    parser.add_argument(
+        "--client-timeout",
+        type=seconds,
+        metavar="S",
+        help=f"seconds for a request half sent, or a reply unread ({default}5)",
+    )
+    parser.add_argument(
+        "--inactivity-timeout",
+        type=seconds,
+        metavar="S",
+        help=f"seconds without a request after which a reader may lose its slot ({default}10)",
+    )
+
+
+def _service(args: argparse.Namespace) -> dict[str, Any]:
+    """What was said on the command line, which has the last word."""
+    names = ("width", "resend", "client_timeout", "inactivity_timeout")
+    return {name: value for name in names if (value := getattr(args, name)) is not None}
 
 
 def _serve(args: argparse.Namespace) -> int:
@@ -101,8 +125,8 @@ def _serve(args: argparse.Namespace) -> int:
     # Last, so that no file there takes the place of a module that others mean.
     sys.path.append(folder)
     try:
-        options: dict[str, Any] = {"port": args.port, "address": args.listen, "width": args.width}
-        host = Host.from_config(config, **{name: value for name, value in options.items() if value is not None})
+        place = {name: value for name, value in (("port", args.port), ("address", args.listen)) if value is not None}
+        host = Host.from_config(config, **place, **_service(args))
         names = ", ".join(plugin.name for plugin in host.plugins) or "no plugin"
         ended = _serve_until_told(host, f"{args.config}: {names}", args.duration)
     finally:
@@ -126,7 +150,7 @@ def _turtle(args: argparse.Namespace) -> int:
         period=args.period,
         port=args.port,
         pacing="lockstep" if args.lockstep else "period",
-        width=args.width or 2,
+        **_service(args),
     )
     ended = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
     pose = robot.world.pose

@@ -20,15 +20,17 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast, get_args
 from xml.parsers import expat
 
 from linkcore.errors import BadValue
 
+from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
+from .service import Resend
 
 __all__ = ["BadConfiguration", "Configuration", "Element", "PluginEntry", "parse_config", "parse_xml", "read_config"]
 
@@ -203,6 +205,9 @@ class Configuration:
         synchronized: whether each tick waits for the master's request, at most one period.
         width: words of a time stamp, 2 or 4, as the clients have it; ``<server> <width value="4"/>``. The original has
             no such element: its width is that of the machine it was built for.
+        resend: what a client is told, "changed" or "original"; ``<server> <resend value="original"/>``.
+        limits: what a client may ask for; ``<server> <limits variables="100" length="64" words="1000" batch="4096"/>``.
+        client_timeout, inactivity_timeout: seconds, see `Host`; ``<clients timeout="5" inactivity="10"/>``.
         plugins: in the order of the file, those not enabled among them.
     """
 
@@ -215,6 +220,10 @@ class Configuration:
     allwriters: bool = False
     synchronized: bool = False
     width: int = 2
+    resend: Resend = "changed"
+    limits: Limits = field(default_factory=Limits)
+    client_timeout: float = 5.0
+    inactivity_timeout: float = 10.0
     plugins: tuple[PluginEntry, ...] = ()
 
     @property
@@ -269,6 +278,9 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
     width = server.find("width") or nothing
     if width.integer("value", 2) not in WIDTHS:
         width.reject("a time stamp has 2 or 4 words")
+    resend = server.get("resend", "changed")
+    if resend not in get_args(Resend):
+        (server.find("resend") or server).reject(f"value={resend!r} is none of {', '.join(get_args(Resend))}")
     plugins = root.find("plugins") or nothing
     priority = scheduler.find("realtimepriority")
     default = Configuration()
@@ -282,6 +294,10 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
         allwriters=clients.integer("allwriters", 0) != 0,
         synchronized=mode == "synchronized",
         width=width.integer("value", default.width),
+        resend=cast("Resend", resend),
+        limits=_limits(server.find("limits") or nothing),
+        client_timeout=clients.number("timeout", default.client_timeout, least=0.001, most=3600.0),
+        inactivity_timeout=clients.number("inactivity", default.inactivity_timeout, least=0.0, most=1e9),
         plugins=tuple(map(_entry, plugins.children)),
     )
 
@@ -297,6 +313,12 @@ def parse_xml(data: bytes | str, source: str) -> Element:
         BadConfiguration: it is none, or beyond the limits of what is read.
     """
     return _Tree(source).parse(data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data)
+
+
+def _limits(element: Element) -> Limits:
+    default = Limits()
+    names = [each.name for each in fields(Limits)]
+    return Limits(**{name: element.integer(name, getattr(default, name), least=1, most=2**31 - 1) for name in names})
 
 
 def _entry(element: Element) -> PluginEntry:

@@ -226,6 +226,10 @@ class Host:
             "synchronized": config.synchronized and config.pacing == "period",
             "pacing": config.pacing,
             "width": config.width,
+            "resend": config.resend,
+            "limits": config.limits,
+            "client_timeout": config.client_timeout,
+            "inactivity_timeout": config.inactivity_timeout,
         }
         host = cls(plugins, **{**from_file, **options})  # type: ignore[arg-type]
         host._configs = {id(plugin): element for plugin, element in zip(plugins, elements, strict=True)}
