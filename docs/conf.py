@@ -24,6 +24,7 @@ extensions = [
     "layouts",
     "missions",
     "packages",
+    "variables",
     "postures",
 ]
 exclude_patterns = ["_build", "_extensions"]

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         kinematics as kinematics,
         models as models,
         poses as poses,
+        rtde as rtde,
         urdf as urdf,
     )
     from .commanding.io import IO as IO, Analog as Analog
@@ -185,5 +186,5 @@ else:
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
         },
-        modules="dynamics kinematics models poses urdf",
+        modules="dynamics kinematics models poses rtde urdf",
     )

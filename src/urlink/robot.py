@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from .interfaces.dashboard.client import Dashboard
     from .kinematics import Arm
+    from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
@@ -156,6 +157,8 @@ class Robot:
         self._who = KnownIdentity(source.ask)
         #: changed in single steps, so that a signal handler finds it whole
         self._streams: dict[str, Stream[Any]] = {}
+        self._rtde: Rtde | None = None
+        self._registers: Registers | None = None
         self._is_closed = False
 
     # -- what it says ------------------------------------------------------------------------------
@@ -174,6 +177,22 @@ class Robot:
     def secondary(self) -> Stream[RobotState]:
         """As `primary`, without messages but the version (port 30002)."""
         return self._stream("secondary")
+
+    @property
+    def rtde(self) -> Rtde:
+        """Variables of the controller by name, up to 500 times a second, read and written (port 30004)."""
+        if self._rtde is None:
+            from .rtde import Rtde
+
+            self._rtde = Rtde(self.address, self._source, lambda: self.firmware, refusal=self._refusal)
+        return self._rtde
+
+    @property
+    def registers(self) -> Registers:
+        """General-purpose registers by number, shared with the program on the controller."""
+        if self._registers is None:
+            self._registers = self.rtde.registers()
+        return self._registers
 
     @property
     def firmware(self) -> Firmware:
@@ -221,19 +240,30 @@ class Robot:
             raise LocalError(f"{self.address} is no simulator of this program; connect to sim:// for one")
         return self._controller
 
-    def record(self, path: str | os.PathLike[str], interfaces: Sequence[str] = ("realtime", "primary")) -> Recorder:
+    def record(
+        self, path: str | os.PathLike[str], interfaces: Sequence[str | OutputStream[Any]] = ("realtime", "primary")
+    ) -> Recorder:
         """Record streams into a new file, from now until the recorder is closed.
+
+        Args:
+            path: of the file.
+            interfaces: "realtime", "primary", "secondary", or a stream that `Rtde.outputs` has made, of which there
+                may be one.
 
         Raises:
             BadRecording: the file exists, or cannot be made.
-            BadValue: no such interface.
+            BadValue: no such interface, or two streams of RTDE.
             RemoteError: a stream could not be opened.
         """
-        streams = [(name, self._stream(name)) for name in interfaces]
+        streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
+        if len({name for name, _ in streams}) < len(streams):
+            raise BadValue(f"recorded twice: {', '.join(name for name, _ in streams)}; expected each once")
         recorder = Recorder(path)
         try:
             for name, stream in streams:
-                recorder.add(stream, {"name": name, "address": self.address, **_described(self.identity)})
+                recorder.add(
+                    stream, {"name": name, "address": self.address, **_described(self.identity), **stream.description()}
+                )
         except BaseException:
             # A robot that is away leaves no file behind.
             recorder.close()
@@ -333,6 +363,8 @@ class Robot:
         self._is_closed = True
         if self._control is not None:
             self._control.close(timeout)
+        if self._rtde is not None:
+            self._rtde.close(max(until - time.monotonic(), 0.0))
         for stream in tuple(self._streams.values()):
             stream.close(max(until - time.monotonic(), 0.0))
         if self._controller is not None:

@@ -43,6 +43,7 @@ class Source(NamedTuple):
         timeout: seconds for a connection to be made.
         silence: seconds without a packet after which a connection counts as lost; None for ever.
         is_lossless: who takes packets without naming a policy makes the source wait.
+        channel: what a recording says of the channel of an interface; None where nothing was recorded.
     """
 
     ask: Callable[[], Identity]
@@ -51,6 +52,7 @@ class Source(NamedTuple):
     timeout: float
     silence: float | None
     is_lossless: bool
+    channel: Callable[[str], Mapping[str, Any]] | None = None
 
     def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:
         """A stream of one interface. Nothing connects before it is used.
@@ -108,6 +110,8 @@ def networked(
             return identify(place.host, place.ports["secondary" + suffix], timeout)
 
     def transport(interface: str) -> Transport:
+        if interface == "rtde":  # it has no read-only twin: who only asks for outputs writes nothing
+            return TcpTransport(place.host, place.ports["rtde"], silence=silence)
         if interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
         return TcpTransport(place.host, place.ports[interface + suffix], silence=silence)
@@ -151,5 +155,8 @@ def recorded(place: RecordingAddress) -> Source:
     def transport(interface: str) -> Transport:
         return ReplayTransport(recording, interface, clock)
 
+    def channel(interface: str) -> Mapping[str, Any]:
+        return recording.channels[recording.channel(interface)]
+
     at_once = Backoff(first=0, most=0)
-    return Source(ask, transport, at_once, timeout=5.0, silence=None, is_lossless=place.rate == 0)
+    return Source(ask, transport, at_once, timeout=5.0, silence=None, is_lossless=place.rate == 0, channel=channel)

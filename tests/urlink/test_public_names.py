@@ -120,7 +120,7 @@ NAMES = [
 
 
 #: Modules that users import names from.
-MODULES = ["dynamics", "kinematics", "models", "poses", "urdf"]
+MODULES = ["dynamics", "kinematics", "models", "poses", "rtde", "urdf"]
 
 
 def test_public_names() -> None:
@@ -141,7 +141,7 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address close controller dashboard firmware identity io kinematics model motion popup primary realtime
-        record safety script secondary set_payload set_speed_slider set_tcp""",
+        record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
     "robot.identity": "arm dh_table firmware kinematics model said_so",
     "robot.motion": "current follow move_joints move_linear servo speed_joints speed_linear stop",
     "robot.motion.stop()": f"{HANDLE} progress",
@@ -158,6 +158,8 @@ SURFACES = {
         loaded_program operational_mode pause play polyscope_version popup power_off power_on program_state quit
         restart_safety robot_mode robot_model running safety_mode safety_status save_log send serial_number
         set_operational_mode set_user_role shutdown start stop unlock_protective_stop user_role version""",
+    "robot.rtde": "close inputs is_recorded missing outputs registers who_holds",
+    "robot.registers": "read_bit read_float read_integer write_bit write_float write_integer",
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv has_velocities
         is_quintic points q qd qdd sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags follow

@@ -63,6 +63,14 @@ class Stream(Feed[T]):
         """
         self._connection.start()
 
+    def description(self) -> dict[str, Any]:
+        """What a recording has to say of this stream beyond its name so that its bytes can be read; JSON can hold it.
+
+        Raises:
+            RemoteError, LocalError, Closed: as `start`, where the peer has to be asked for it.
+        """
+        return {}
+
     def of(self, kind: type[K]) -> Feed[K]:
         """The packets of another class on the same stream.
 

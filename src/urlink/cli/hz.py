@@ -6,9 +6,12 @@ import argparse
 import math
 import time
 from collections import deque
+from typing import Any
 
 from linkcore.errors import LinkTimeout
 from linkcore.streaming.statistics import StreamStatistics
+from linkcore.streaming.stream import Stream
+from linkcore.wire.packet import State
 
 from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
@@ -17,7 +20,7 @@ from ..robot import connect
 from .options import Subparsers, add_address, add_command, add_interface, positive_int, seconds
 from .tap import Tap
 
-__all__ = ["add_parser", "line"]
+__all__ = ["add_parser", "line", "measure"]
 
 _DESCRIPTION = """\
 Measure how regularly states come, by the times at which their bytes arrived here.
@@ -51,32 +54,39 @@ def run(args: argparse.Namespace) -> int:
         RemoteError: nobody is there, or no state ever came.
     """
     kind = RealtimeState if args.interface == "realtime" else RobotState
-    periods: deque[float] = deque(maxlen=args.window)
+    with connect(args.address, timeout=args.connect_timeout) as robot:
+        measure(getattr(robot, args.interface), kind, args.window, args.duration)
+    return 0
+
+
+def measure(stream: Stream[Any], kind: type[State], window: int, duration: float | None) -> None:
+    """Print a line each second, for `duration` seconds, or until no state will come any more.
+
+    Raises:
+        RemoteError: the stream could not be opened, gave up, or no state ever came.
+    """
+    periods: deque[float] = deque(maxlen=window)
     last: float | None = None
     fresh = 0
-    with connect(args.address, timeout=args.connect_timeout) as robot:
-        stream = getattr(robot, args.interface)
-        with Tap(stream, kind) as tap:
-            start = time.monotonic()
-            until = math.inf if args.duration is None else start + args.duration
-            due = min(start + 1.0, until)
-            is_over = False
-            while not is_over:
-                packets = tap.take(max(due - time.monotonic(), 0.0))
-                for packet in packets or ():
-                    arrived = packet.received.monotonic
-                    if last is not None:
-                        periods.append(arrived - last)
-                    last = arrived
-                    fresh += 1
-                now = time.monotonic()
-                is_over = packets is None or now >= until
-                if now >= due or is_over:
-                    print(line(periods, fresh, stream.stats), flush=True)
-                    due, fresh = min(due + 1.0, until), 0
+    with Tap(stream, kind) as tap:
+        until = math.inf if duration is None else time.monotonic() + duration
+        due = min(time.monotonic() + 1.0, until)
+        is_over = False
+        while not is_over:
+            packets = tap.take(max(due - time.monotonic(), 0.0))
+            for packet in packets or ():
+                arrived = packet.received.monotonic
+                if last is not None:
+                    periods.append(arrived - last)
+                last = arrived
+                fresh += 1
+            now = time.monotonic()
+            is_over = packets is None or now >= until
+            if now >= due or is_over:
+                print(line(periods, fresh, stream.stats), flush=True)
+                due, fresh = min(due + 1.0, until), 0
     if last is None:
-        raise LinkTimeout(f"{args.address}: no state came on the {args.interface} interface")
-    return 0
+        raise LinkTimeout(f"{stream.name}: no state came")
 
 
 def line(periods: deque[float], fresh: int, stats: StreamStatistics) -> str:

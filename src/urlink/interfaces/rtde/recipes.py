@@ -43,18 +43,27 @@ class Outputs(State):
 
     #: of the data package; None of a class that is not of one recipe
     RECIPE: ClassVar[Recipe | None] = None
+    #: variables that were asked for and that the controller does not have; they read as None
+    LEFT_OUT: ClassVar[tuple[str, ...]] = ()
 
     def __reduce__(self) -> tuple[object, ...]:
         # The class was made at run time, so it is made again.
         recipe, base = self.RECIPE, type(self).__mro__[1]
         assert recipe is not None, "there are no packets of a class without a recipe"
-        return (_restored, (recipe.names, recipe.types, recipe.number, base, self._data, self._stamp))
+        made = (recipe.names, recipe.types, recipe.number, base, self.LEFT_OUT)
+        return (_restored, (*made, self._data, self._stamp))
 
 
 def _restored(
-    names: tuple[str, ...], types: tuple[str, ...], number: int | None, base: type[Outputs], data: bytes, stamp: Stamp
-) -> Outputs:
-    return Recipe(names, types, number).state_class(base).LAYOUTS.decode(data, None, stamp)  # type: ignore[no-any-return]
+    names: tuple[str, ...],
+    types: tuple[str, ...],
+    number: int | None,
+    base: type[Outputs],
+    left_out: tuple[str, ...],
+    data: bytes,
+    stamp: Stamp | None,
+) -> Any:
+    return Recipe(names, types, number).state_class(base, left_out).LAYOUTS.decode(data, None, stamp)
 
 
 class Recipe:
@@ -152,8 +161,8 @@ class Recipe:
         if self.number is not None and data[3] != self.number:
             raise PacketError(f"of recipe {data[3]}, not {self.number}", packet="data package", offset=3)
 
-    def state_class(self, base: type[Outputs] = Outputs) -> type[Outputs]:
-        """The class of typed states with a property for each variable, derived from `base`.
+    def state_class(self, base: type[Outputs] = Outputs, left_out: tuple[str, ...] = ()) -> type[Outputs]:
+        """The class of typed states with a property for each variable, derived from `base`; `left_out` read as None.
 
         The same recipe has the same class, so that states from before and after a reconnect are of one.
 
@@ -162,14 +171,22 @@ class Recipe:
         """
         if not self._is_plain:
             raise BadValue(f"a name comes twice: {', '.join(self.names)}")
-        return _state_class(self.names, self.types, self.number, base)  # type: ignore[arg-type]  # classes can be hashed
+        return _state_class(self.names, self.types, self.number, base, left_out)  # type: ignore[arg-type]  # classes can be hashed
 
 
 @lru_cache(maxsize=256)
 def _state_class(
-    names: tuple[str, ...], types: tuple[str, ...], number: int | None, base: type[Outputs]
+    names: tuple[str, ...],
+    types: tuple[str, ...],
+    number: int | None,
+    base: type[Outputs],
+    left_out: tuple[str, ...],
 ) -> type[Outputs]:
     recipe = Recipe(names, types, number)
     body = {name: wire(field.shape, field.unit, field.doc) for name, field in recipe.fields.items()}
-    made = type(base.__name__, (base,), {"RECIPE": recipe, "__doc__": base.__doc__, **body})
+    made = type(
+        base.__name__,
+        (base,),
+        {"RECIPE": recipe, "LEFT_OUT": left_out, "__doc__": base.__doc__, **dict.fromkeys(left_out), **body},
+    )
     return packet(header=recipe.header, reorder=None, **recipe.constants)(made)

@@ -1,0 +1,278 @@
+"""`urlink doctor`: what is there, what is in the way, and what to do about it."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, RemoteError
+from linkcore.net.transport import TcpTransport
+from linkcore.streaming.stream import Stream
+from linkcore.text import printable, strict_json
+
+from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
+from ..firmware import NEWEST
+from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
+from ..interfaces.primary.robot_state import RobotModeData, RobotState
+from ..interfaces.realtime.packets import RealtimeState
+from ..robot import Robot, connect
+from .options import Subparsers, add_address, add_command, seconds
+from .tap import Tap
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Look at a controller, at the way to it and at this computer, and say what is in the way.
+
+One line for each thing looked at: "ok", "look" for what may be meant so, "BAD" for what keeps something from
+working, with what to do about it. Nothing is moved or switched. Each free RTDE input is claimed for some
+milliseconds to see whether somebody holds it; a client that asks for it just then is refused."""
+
+_EXAMPLES = (
+    "urlink doctor 192.168.56.101",
+    "urlink doctor sim:// --duration 1",
+    "urlink doctor 192.168.56.101 --json",
+)
+
+#: What a port is for, where it should be open.
+_PORTS = {
+    "primary": "states, messages, programs",
+    "secondary": "states, programs",
+    "realtime": "states at the full rate",
+    "rtde": "variables, registers, the speed slider",
+    "dashboard": "power, brakes, installed programs",
+}
+
+#: Seconds that this computer may be late. A servo loop at 500 Hz has 2 ms.
+_LATE_OK, _LATE_BAD = 0.001, 0.01
+
+#: Of the period of packets: how far the longest may be from the mean, before it is worth a look.
+_JITTER = 1.5
+
+
+class Finding(NamedTuple):
+    """One line: how it is, what was looked at, what was seen, and what to do about it."""
+
+    state: str  # "ok", "look" or "BAD"
+    topic: str
+    seen: str
+    remedy: str = ""
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "doctor", "say what is in the way", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    parser.add_argument(
+        "--duration", type=seconds, default=2.0, metavar="S", help="listen to packets for S seconds (2)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look, and print; the status is 1 where something is bad.
+
+    Raises:
+        BadValue: the address is a recording.
+    """
+    worst = "ok"
+    for finding in _findings(args.address, args.connect_timeout, args.duration):
+        if args.json:
+            print(strict_json(finding._asdict()), flush=True)
+        else:
+            remedy = f"; {finding.remedy}" if finding.remedy else ""
+            print(f"{finding.state:4}  {finding.topic:12}  {printable(finding.seen + remedy)}", flush=True)
+        worst = "BAD" if finding.state == "BAD" else worst
+    return 1 if worst == "BAD" else 0
+
+
+def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding]:
+    place = parse_address(address)
+    if isinstance(place, RecordingAddress):
+        raise BadValue(f"{address} is a recording; a doctor looks at what is there now")
+    yield _scheduling()
+    if isinstance(place, SimulatorAddress):
+        with connect(address, timeout=timeout) as robot:
+            ports = dict(robot.controller.ports)
+            yield from _ports(RobotAddress(robot.controller.host, ports), timeout)
+            yield from _of_robot(robot, duration)
+        return
+    open_ports = list(_ports(place, timeout))
+    yield from open_ports
+    try:
+        robot = connect(address, timeout=timeout)
+    except RemoteError as error:
+        remedy = "is the controller on, and is this its address?"
+        if any(finding.state == "ok" for finding in open_ports):
+            remedy = "the primary or secondary interface has to be open: it says which controller this is"
+        yield Finding("BAD", "controller", str(error), remedy)
+        return
+    with robot:
+        yield from _of_robot(robot, duration)
+
+
+def _of_robot(robot: Robot, duration: float) -> Iterator[Finding]:
+    looks: list[Callable[[Robot], Iterator[Finding]]] = [_identity, _modes, _remote_control, _inputs]
+    for look in looks:
+        try:
+            yield from look(robot)
+        except LinkError as error:
+            yield Finding("look", look.__name__.strip("_").replace("_", " "), f"could not be asked: {error}")
+    yield from _packets(robot, duration)
+
+
+# -- this computer ---------------------------------------------------------------------------------
+
+
+def _scheduling() -> Finding:
+    """How late this computer wakes who sleeps for 1 ms, which is what a loop at 500 Hz depends on."""
+    late = []
+    for _ in range(200):
+        due = time.monotonic() + 0.001
+        time.sleep(0.001)
+        late.append(time.monotonic() - due)
+    worst, median = max(late), statistics.median(late)
+    seen = f"woken {median * 1e3:.2f} ms late as a rule, {worst * 1e3:.2f} ms at worst (200 sleeps)"
+    if time.get_clock_info("monotonic").resolution > _LATE_OK:
+        return Finding("BAD", "computer", "its clock is coarser than 1 ms", "timing cannot be trusted here")
+    if worst > _LATE_BAD:
+        return Finding(
+            "look",
+            "computer",
+            seen,
+            "set-points may come late: give other programs less, or take a servo rate of 125 Hz",
+        )
+    return Finding("ok", "computer", seen)
+
+
+# -- the way to it ---------------------------------------------------------------------------------
+
+
+def _ports(place: RobotAddress, timeout: float) -> Iterator[Finding]:
+    for name, purpose in _PORTS.items():
+        port = place.ports[name]
+        transport = TcpTransport(place.host, port, silence=timeout)
+        began = time.monotonic()
+        try:
+            transport.open(timeout)
+        except LinkTimeout:
+            yield Finding("BAD", f"port {port}", f"{name}: nobody answers", "a firewall, a wrong address, or no route")
+        except ConnectFailed as error:
+            remedy = f"needed for {purpose}: is the service switched off (Settings, Security, Services)?"
+            yield Finding("BAD", f"port {port}", f"{name}: {error}", remedy)
+        else:
+            took = time.monotonic() - began
+            yield Finding("ok", f"port {port}", f"{name}: open, {took * 1e3:.1f} ms to connect")
+        finally:
+            transport.abort()
+
+
+# -- the robot -------------------------------------------------------------------------------------
+
+
+def _identity(robot: Robot) -> Iterator[Finding]:
+    identity = robot.identity
+    seen = f"{identity.model or 'an arm that it does not name'}, firmware {identity.firmware}"
+    if not identity.said_so:
+        yield Finding("look", "controller", seen, "the firmware is inferred from the sizes of its packages")
+    elif identity.firmware > NEWEST and identity.firmware[:2] != NEWEST[:2]:
+        remedy = f"newer than {NEWEST}, the newest that is known: what it adds is kept and not understood"
+        yield Finding("look", "controller", seen, remedy)
+    else:
+        yield Finding("ok", "controller", seen)
+
+
+def _modes(robot: Robot) -> Iterator[Finding]:
+    modes = robot.primary.of(RobotModeData).wait(2.0)
+    running = RobotModeCB2.RUNNING if robot.firmware.is_cb2 else RobotMode.RUNNING
+    if modes.robot_mode == running:
+        yield Finding("ok", "robot mode", modes.robot_mode.name)
+    else:
+        remedy = "robot.dashboard.start() switches it on, or the pendant"
+        yield Finding("look", "robot mode", modes.robot_mode.name, remedy)
+    state = robot.realtime.wait(2.0)
+    safety = state.safety_mode if state.safety_status is None else state.safety_status
+    if safety is None:
+        is_stopped = modes.is_emergency_stopped or modes.is_protective_stopped
+        yield Finding("BAD" if is_stopped else "ok", "safety", "stopped" if is_stopped else "not stopped")
+    elif safety in (SafetyMode.NORMAL, SafetyMode.REDUCED):
+        yield Finding("ok", "safety", safety.name)
+    else:
+        yield Finding("BAD", "safety", safety.name, "the arm does not move until a person has cleared this")
+    if modes.is_program_running:
+        yield Finding("look", "program", "one is running", "a motion from here would end it")
+    else:
+        yield Finding("ok", "program", "none is running")
+
+
+def _remote_control(robot: Robot) -> Iterator[Finding]:
+    if not robot.firmware.is_e_series:
+        yield Finding("ok", "control", "this generation takes commands without being in remote control")
+    elif robot.dashboard.is_in_remote_control():
+        yield Finding("ok", "control", "remote: it takes programs and commands")
+    else:
+        remedy = "programs and commands are ignored, without a word: switch to remote control at the pendant"
+        yield Finding("BAD", "control", "local", remedy)
+
+
+def _inputs(robot: Robot) -> Iterator[Finding]:
+    held = sorted(name for name, why in robot.rtde.who_holds().items() if why == "in use")
+    if held:
+        remedy = "another RTDE client, a URCap or a fieldbus: it has to let go before they can be written from here"
+        yield Finding("look", "inputs", f"{len(held)} in use: {_shortened(held)}", remedy)
+    else:
+        yield Finding("ok", "inputs", "nobody holds an RTDE input")
+
+
+def _shortened(names: list[str]) -> str:
+    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:3])} ... {', '.join(names[-2:])}"
+
+
+def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
+    looks: tuple[tuple[str, int, Stream[Any], type], ...] = (
+        ("realtime", robot.firmware.rate, robot.realtime, RealtimeState),
+        ("primary", 10, robot.primary, RobotState),
+    )
+    for name, rate, stream, kind in looks:
+        try:
+            arrivals = _arrivals(stream, kind, duration)
+        except LinkError as error:
+            yield Finding("BAD", f"{name} data", str(error))
+            continue
+        periods = [later - earlier for earlier, later in itertools.pairwise(arrivals)]
+        if not periods:
+            yield Finding("BAD", f"{name} data", f"{len(arrivals)} packets in {duration:g} s", "expected more")
+            continue
+        mean, longest = statistics.fmean(periods), max(periods)
+        spread = statistics.pstdev(periods)
+        seen = (
+            f"{1 / mean if mean else math.inf:.1f} Hz of {rate}, longest gap {longest * 1e3:.1f} ms, "
+            f"jitter {spread * 1e3:.2f} ms ({len(arrivals)} packets)"
+        )
+        if mean * rate > 1.05:
+            yield Finding(
+                "BAD", f"{name} data", seen, "packets are missing: the network, or this computer, is too slow"
+            )
+        elif longest > mean + _JITTER * max(1 / rate, 0.01):
+            yield Finding("look", f"{name} data", seen, "gaps like that make streamed set-points late")
+        else:
+            yield Finding("ok", f"{name} data", seen)
+
+
+def _arrivals(stream: Stream[Any], kind: type, duration: float) -> list[float]:
+    """When packets came, for so many seconds."""
+    arrivals: list[float] = []
+    with Tap(stream, kind) as tap:
+        until = time.monotonic() + duration
+        while (left := until - time.monotonic()) > 0:
+            packets = tap.take(left)
+            if packets is None:
+                break
+            arrivals += [packet.received.monotonic for packet in packets]
+    return arrivals

@@ -1,0 +1,160 @@
+"""`urlink rtde`: variables of the controller by name."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import itertools
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
+from typing import Any
+
+from linkcore.errors import BadValue
+from linkcore.text import strict_json
+from linkcore.wire.packet import State
+
+from ..interfaces.rtde.recipes import Outputs
+from ..robot import Robot, connect
+from ..rtde import INPUTS, OUTPUTS, OutputStream, Variable
+from .hz import measure
+from .options import Subparsers, add_address, add_command, positive_int, seconds
+from .tap import Tap, tell
+from .values import as_json, as_text, plain
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Print variables of the controller over RTDE (port 30004), one line for each data package.
+
+--list says which variables this controller has, with their types and units, and which inputs somebody
+holds. A variable that it lacks is an error, unless --leave-out says to go on without it. --record keeps
+what comes in a file; of a recording the variables need not be named."""
+
+_EXAMPLES = (
+    "urlink rtde 192.168.56.101 actual_q actual_TCP_pose --frequency 125",
+    "urlink rtde sim:// timestamp actual_q --csv --count 500 > run.csv",
+    "urlink rtde 192.168.56.101 --list",
+    "urlink rtde 192.168.56.101 timestamp --hz --duration 10",
+    "urlink rtde 192.168.56.101 actual_q output_double_register_24 --record run.urlog",
+    "urlink rtde replay:///tmp/run.urlog --json",
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "rtde", "print variables of the controller", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    parser.add_argument("names", metavar="NAME", nargs="*", help="variables to print, such as actual_q")
+    parser.set_defaults(trailing="names")
+    parser.add_argument("--list", action="store_true", help="say what this controller has, and end")
+    parser.add_argument("--frequency", type=float, metavar="HZ", help="packages a second (the most it sends)")
+    parser.add_argument("--leave-out", action="store_true", help="go on without variables that it lacks")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null")
+    form.add_argument("--csv", action="store_true", help="a head line, then one line each; a column for each number")
+    form.add_argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does")
+    parser.add_argument("--record", metavar="FILE", help="record into a file too; it must not exist yet")
+    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="with --hz: end after S seconds (never)")
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print until told to stop.
+
+    Raises:
+        BadValue: a name or a frequency that cannot be asked for.
+        RemoteError: nobody is there, or the controller refuses.
+    """
+    with connect(args.address, timeout=args.connect_timeout) as robot:
+        if args.list:
+            _list(robot)
+            return 0
+        missing: Any = "leave_out" if args.leave_out else "error"
+        stream: OutputStream[Any] = robot.rtde.outputs(*args.names, frequency=args.frequency, missing=missing)
+        with nullcontext() if args.record is None else robot.record(args.record, [stream]):
+            if args.hz:
+                measure(stream, Outputs, 1000, args.duration)
+            else:
+                _print(stream, args)
+    return 0
+
+
+def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
+    names = args.names or list(stream.names)
+    with Tap(stream, Outputs) as tap:  # connects; of a recording, nothing is read before somebody listens
+        if stream.left_out:
+            tell(f"this controller does not have {', '.join(stream.left_out)}")
+        show = _as_json if args.json else _csv_of(stream, names) if args.csv else _as_line(names)
+        packets: Iterable[State] = tap.packets(args.timeout)
+        for packet in itertools.islice(packets, args.count):
+            print(show(packet))
+            sys.stdout.flush()
+
+
+def _as_json(packet: State) -> str:
+    return strict_json(as_json(packet))
+
+
+def _as_line(names: Sequence[str]) -> Callable[[State], str]:
+    return lambda packet: " ".join(f"{name}={as_text(getattr(packet, name))}" for name in names)
+
+
+def _csv_of(stream: OutputStream[Any], names: Sequence[str]) -> Callable[[State], str]:
+    """A line of a packet; writes the head."""
+    recipe = stream.recipe
+    assert recipe is not None, "the stream is connected"
+    counts = {name: recipe.fields[name].shape.count for name in names if name in recipe.fields}
+    columns = ["received"]
+    for name in names:
+        count = counts.get(name)
+        columns += [name] if count is None else [f"{name}_{number}" for number in range(count)]
+    print(_csv_line(columns))
+
+    def line(packet: State) -> str:
+        row: list[Any] = ["" if packet.received is None else packet.received.wall]
+        for name in names:
+            value = plain(getattr(packet, name))
+            row += value if isinstance(value, list) else [value]
+        return _csv_line(row)
+
+    return line
+
+
+def _csv_line(row: Sequence[Any]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(["" if cell is None else cell for cell in row])
+    return text.getvalue()
+
+
+def _list(robot: Robot) -> None:
+    """The variables of the table, and what this controller says of each.
+
+    Raises:
+        BadValue: the address is a recording.
+    """
+    if robot.rtde.is_recorded:
+        raise BadValue(f"{robot.address} is a recording; it holds {', '.join(robot.rtde.outputs().names)}")
+    missing = set(robot.rtde.missing())
+    held = robot.rtde.who_holds()
+    print("outputs")
+    for variable in OUTPUTS.values():
+        if variable.name not in missing:
+            print(_described(variable, ""))
+    print("inputs")
+    for variable in INPUTS.values():
+        if held.get(variable.name) != "not there":
+            print(_described(variable, held.get(variable.name, "")))
+    if missing:
+        print("outputs of other firmware, which this controller does not have")
+        for name in sorted(missing):
+            print(_described(OUTPUTS[name], ""))
+
+
+def _described(variable: Variable, note: str) -> str:
+    unit = f" [{variable.unit}]" if variable.unit else ""
+    mark = f"  ({note})" if note else ""
+    return f"  {variable.name:42} {variable.type:13} {variable.doc}{unit}{mark}"

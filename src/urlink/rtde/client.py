@@ -1,0 +1,322 @@
+"""`robot.rtde`: outputs as streams, inputs, registers, and who holds which input."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
+
+from linkcore.arguments import check_choice
+from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.streaming.connection import Connection
+
+from ..firmware import Firmware
+from ..interfaces.rtde.framing import LONGEST_NAMES
+from ..interfaces.rtde.packets import (
+    InputsReply,
+    InputsRequest,
+    OutputsReply,
+    OutputsRequest,
+    join_names,
+    split_names,
+)
+from ..interfaces.rtde.protocol import Plan, RtdeProtocol, RtdeRefused, check_names
+from ..interfaces.rtde.recipes import Outputs
+from ..interfaces.rtde.transport import RtdeTransport
+from ..interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
+from ..source import Source
+from .inputs import Inputs, with_masks
+from .outputs import OutputStream, connection_of, declared, recorded_plan
+from .shared_registers import Claims, Registers
+
+if TYPE_CHECKING:
+    from .names import AnyOutputs, InputName, OutputName
+
+__all__ = ["Missing", "Rtde"]
+
+#: What to do where the controller lacks a variable.
+Missing = Literal["error", "leave_out"]
+
+T = TypeVar("T", bound=Outputs)
+
+#: Packages a second on a connection that is there for its inputs: they say that the controller is alive.
+_HEARTBEAT = 10.0
+
+#: The least that a controller can be asked for, says the vendor.
+_LEAST_FREQUENCY = 1.0
+
+
+class Rtde:
+    """What a controller offers on RTDE (port 30004). Nothing connects before it is used.
+
+    Each recipe of outputs and each set of inputs has a connection of its own.
+
+    Args:
+        name: for messages and threads.
+        source: where bytes come from.
+        firmware: what is known of the controller's firmware.
+        refusal: why nothing can be written; empty where it can.
+    """
+
+    def __init__(self, name: str, source: Source, firmware: Callable[[], Firmware], *, refusal: str = "") -> None:
+        self._name = name
+        self._source = source
+        self._firmware = firmware
+        self._refusal = refusal
+        self._lock = threading.Lock()
+        self._open: list[OutputStream[Any] | Inputs | Claims] = []
+        self._claims: Claims | None = None
+        self._is_closed = False
+
+    @property
+    def is_recorded(self) -> bool:
+        """It is a recording, which holds what was recorded and nothing else."""
+        return self._source.channel is not None
+
+    # -- reading -----------------------------------------------------------------------------------------
+
+    @overload
+    def outputs(
+        self, kind: type[T], /, *, frequency: float | None = None, missing: Missing = "error"
+    ) -> OutputStream[T]: ...
+    @overload
+    def outputs(
+        self, *names: OutputName | str, frequency: float | None = None, missing: Missing = "error"
+    ) -> OutputStream[AnyOutputs]: ...
+    def outputs(self, *names: Any, frequency: float | None = None, missing: Missing = "error") -> OutputStream[Any]:
+        """A stream of variables, by their names or by a class that declares them.
+
+        ``robot.rtde.outputs("actual_q", "actual_TCP_pose", frequency=125)`` has both in each state. A class derived
+        from `Outputs` declares them by annotations; one that may be None is left out where the controller lacks it.
+
+        Args:
+            names: of the variables (`urlink.rtde.OUTPUTS` has all that are known), or one class.
+            frequency: packages a second, 1 to 125 on CB3 and to 500 later; None for the most. The controller sends
+                each so-manieth cycle, so it sends no less than this, and at most twice as many.
+            missing: what to do about a variable that the controller lacks: "error", or "leave_out", after which it
+                reads as None and stands in `OutputStream.left_out`.
+
+        Returns:
+            The stream; it connects when it is first used, and is closed with the robot.
+
+        Raises:
+            BadValue: a name that cannot be one, one that comes twice, more than 2048 bytes of names, or a frequency
+                that the controller does not have.
+            BadRecording: the recording holds no RTDE, or not these variables.
+            Closed: the robot was closed.
+        """
+        check_choice(missing, "missing", ("error", "leave_out"))
+        kind: type[Outputs] = Outputs
+        optional: frozenset[str] = frozenset()
+        if len(names) == 1 and isinstance(names[0], type):
+            if not issubclass(names[0], Outputs) or names[0] is Outputs:
+                raise BadValue(f"{names[0]!r}; expected a class derived from urlink.rtde.Outputs")
+            kind = names[0]
+            wanted, optional = declared(kind)
+        elif not names and self.is_recorded:
+            wanted = ()
+        else:
+            wanted = check_names(names)
+        if missing == "leave_out":
+            optional = frozenset(wanted)
+        if self.is_recorded:
+            return self._recorded(wanted, optional, kind)
+        self._check_frequency(frequency)
+        plan = Plan(wanted, frequency, optional, kind=kind)
+        connection, transport = self._connection(plan, "rtde")
+        stream: OutputStream[Any] = OutputStream(connection, plan, transport)
+        self._keep(stream)
+        return stream
+
+    def _recorded(self, wanted: tuple[str, ...], optional: frozenset[str], kind: type[Outputs]) -> OutputStream[Any]:
+        assert self._source.channel is not None, "of a recording"
+        plan = recorded_plan(self._source.channel("rtde"), kind)
+        lacking = [name for name in wanted if name not in plan.outputs and name not in optional]
+        if lacking:
+            raise BadValue(f"{self._name} was recorded without {', '.join(lacking)}; it has {', '.join(plan.outputs)}")
+        connection = connection_of(
+            f"{self._name} rtde",
+            self._source.transport("rtde"),
+            plan,
+            backoff=self._source.backoff,
+            timeout=self._source.timeout,
+            silence=None,
+        )
+        stream: OutputStream[Any] = OutputStream(connection, plan, None, lossless=self._source.is_lossless)
+        self._keep(stream)
+        return stream
+
+    def _check_frequency(self, frequency: float | None) -> None:
+        most = self._firmware().rate
+        if frequency is not None and not _LEAST_FREQUENCY <= frequency <= most:
+            raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
+
+    # -- writing -----------------------------------------------------------------------------------------
+
+    def inputs(self, *names: InputName | str) -> Inputs:
+        """Claim variables in order to write them; connects at once.
+
+        Args:
+            names: of the variables (`urlink.rtde.INPUTS` has all that are known); masks are added by themselves.
+
+        Raises:
+            BadValue: a name that cannot be one, one that comes twice, or more than 2048 bytes of names.
+            InputInUse: another client, or a fieldbus, holds one; says which.
+            NoSuchVariable: the controller lacks one.
+            RemoteError: the controller cannot be reached, or does not answer.
+            LocalError: a recording, or a connection that was made with ``read_only=True``.
+            Closed: the robot was closed.
+        """
+        self._check_writable()
+        wanted = with_masks(names)
+        plan = Plan(("timestamp",), _HEARTBEAT, inputs=[wanted])
+        connection, transport = self._connection(plan, "rtde inputs")
+        inputs = Inputs(connection, transport, wanted, self._source.timeout)
+        self._keep(inputs)
+        return inputs
+
+    def registers(self, *, lower: bool = False) -> Registers:
+        """The general-purpose registers by number; with `lower` also those that are for fieldbuses and PLCs.
+
+        `robot.registers` is the one without.
+        """
+
+        def outputs(names: tuple[str, ...], frequency: float) -> OutputStream[Any]:
+            return self.outputs(*names, frequency=frequency)
+
+        return Registers(self._claimed, outputs, self._source.timeout, lower=lower)
+
+    def _claimed(self) -> Claims:
+        """The connection on which registers are claimed."""
+        self._check_writable()
+        with self._lock:
+            claims = self._claims
+        if claims is None:
+            plan = Plan(("timestamp",), _HEARTBEAT)
+            connection, transport = self._connection(plan, "rtde registers")
+            made = Claims(connection, transport, plan, self._source.timeout)
+            with self._lock:
+                claims = self._claims = self._claims or made
+            if claims is made:
+                self._keep(made)
+        return claims
+
+    def who_holds(self) -> dict[str, str]:
+        """Try each input, and say of those that cannot be had why.
+
+        Each one that is free is claimed for as long as this takes, some milliseconds; who asks for it meanwhile is
+        refused. What this robot object holds itself is in use, too.
+
+        Returns:
+            name -> "in use" (by another client or a fieldbus) or "not there" (this controller lacks it).
+
+        Raises:
+            RemoteError: the controller cannot be reached, or does not answer.
+            LocalError: a recording, or a connection that was made with ``read_only=True``.
+        """
+        self._check_writable()
+        said = {IN_USE: "in use", NOT_FOUND: "not there"}
+        types = self._types([InputsRequest(names=name) for name in INPUTS])
+        return {name: said[type] for name, type in zip(INPUTS, types, strict=True) if type in said}
+
+    def missing(self) -> tuple[str, ...]:
+        """The outputs of the table that this controller does not have; it is asked for all of them.
+
+        Raises:
+            RemoteError: the controller cannot be reached, or does not answer.
+            BadValue: of a recording, which has nobody to ask.
+        """
+        if self.is_recorded:
+            raise BadValue(f"{self._name} is a recording; it has what was recorded: {', '.join(self.outputs().names)}")
+        parts: list[list[str]] = [[]]
+        for name in OUTPUTS:
+            if len(join_names([*parts[-1], name])) > LONGEST_NAMES:
+                parts.append([])
+            parts[-1].append(name)
+        frequency = _LEAST_FREQUENCY
+        types = self._types([OutputsRequest(frequency=frequency, names=join_names(part)) for part in parts])
+        return tuple(name for name, type in zip(OUTPUTS, types, strict=True) if type == NOT_FOUND)
+
+    def _types(self, requests: Sequence[OutputsRequest | InputsRequest]) -> list[str]:
+        """The types that the controller answers to requests, on a connection on which nothing is started.
+
+        Raises:
+            RemoteError: the controller cannot be reached, does not answer, or answers another number of types.
+        """
+        until = time.monotonic() + self._source.timeout
+        transport = RtdeTransport(self._source.transport("rtde"), Plan())
+        transport.open(self._source.timeout)
+        try:
+            assert transport.dialogue is not None, "the connection was made"
+            if transport.dialogue.protocol == 1:
+                requests = [type(request)("1.0", names=request.names) for request in requests]
+            transport.send(b"".join(map(bytes, requests)), max(until - time.monotonic(), 0.0))
+            replies = self._replies(transport, len(requests), until)
+        finally:
+            transport.abort()
+        types: list[str] = []
+        for request, reply in zip(requests, replies, strict=True):
+            names, answered = split_names(request.names), split_names(reply.types)
+            if len(answered) != len(names):
+                raise RtdeRefused(f"{transport.name}: {len(answered)} types for {len(names)} names", names)
+            types += answered
+        return types
+
+    @staticmethod
+    def _replies(transport: RtdeTransport, count: int, until: float) -> list[OutputsReply | InputsReply]:
+        """The answers about so many recipes; what else comes is passed over."""
+        listener = RtdeProtocol(Plan())  # the bytes of the dialogue come first
+        replies: list[OutputsReply | InputsReply] = []
+        while len(replies) < count:
+            left = until - time.monotonic()
+            if left <= 0:
+                raise LinkTimeout(f"{transport.name}: {len(replies)} of {count} requests were answered in time")
+            data, stamp = transport.receive(left)
+            packets, _ = listener.decode_all(listener.framer.feed(data), stamp)
+            replies += [packet for packet in packets if isinstance(packet, (OutputsReply, InputsReply))]
+        return replies
+
+    def _check_writable(self) -> None:
+        if self._refusal:
+            raise LocalError(self._refusal)
+
+    # -- connections -------------------------------------------------------------------------------------
+
+    def _connection(self, plan: Plan, what: str) -> tuple[Connection, RtdeTransport]:
+        source = self._source
+        transport = RtdeTransport(source.transport("rtde"), plan)
+        connection = connection_of(
+            f"{self._name} {what}",
+            transport,
+            plan,
+            backoff=source.backoff,
+            timeout=source.timeout,
+            silence=source.silence,
+        )
+        return connection, transport
+
+    def _keep(self, opened: OutputStream[Any] | Inputs | Claims) -> None:
+        """Close this with the robot.
+
+        Raises:
+            Closed: that has been closed already.
+        """
+        with self._lock:
+            is_closed = self._is_closed
+            self._open.append(opened)
+        if is_closed:
+            self.close()
+            raise Closed(f"{self._name} was closed")
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Close every stream and release every input, within `timeout` seconds. Idempotent."""
+        until = time.monotonic() + timeout
+        with self._lock:
+            self._is_closed = True
+            opened, self._open = self._open, []
+        for each in opened:
+            each.close(max(until - time.monotonic(), 0.0))
+
+    def __repr__(self) -> str:
+        return f"<Rtde {self._name}>"

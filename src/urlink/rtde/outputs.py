@@ -1,0 +1,145 @@
+"""The stream of one recipe of outputs: what users iterate, subscribe to, and record."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping
+from typing import Any, TypeVar, get_args
+
+from linkcore.errors import BadRecording, BadValue
+from linkcore.net.transport import Transport
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.stream import Stream
+from linkcore.wire.packet import State
+
+from ..firmware import Firmware
+from ..interfaces.rtde.packets import REPLIES
+from ..interfaces.rtde.protocol import Plan, RtdeProtocol, check_names
+from ..interfaces.rtde.recipes import Outputs, Recipe
+from ..interfaces.rtde.transport import RtdeTransport
+
+__all__ = ["OutputStream", "connection_of", "declared", "recorded_plan"]
+
+T = TypeVar("T", bound=Outputs)
+
+#: Packets that a controller may send late or not at all, before a connection counts as lost.
+_LATE = 5
+
+
+def declared(kind: type[Outputs]) -> tuple[tuple[str, ...], frozenset[str]]:
+    """The variables that a class declares as annotations, and those among them that may be None.
+
+    Raises:
+        BadValue: it declares none, or one that cannot be asked for.
+    """
+    names: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        if issubclass(base, Outputs) and base is not Outputs:
+            names |= inspect.get_annotations(base)
+    if not names:
+        raise BadValue(f"{kind.__name__} declares no variable; expected something like 'actual_q: Vector'")
+    return check_names(tuple(names)), frozenset(name for name, hint in names.items() if _may_be_none(hint))
+
+
+def _may_be_none(hint: Any) -> bool:
+    if isinstance(hint, str):  # from __future__ import annotations
+        return re.search(r"\b(None|Optional)\b", hint) is not None
+    return type(None) in get_args(hint)
+
+
+def connection_of(
+    name: str,
+    transport: Transport,
+    plan: Plan,
+    *,
+    backoff: Backoff | None,
+    timeout: float,
+    silence: float | None,
+) -> Connection:
+    """A connection that asks for what the plan says, each time it is made."""
+    if silence is not None and plan.frequency is not None:
+        silence = max(silence, _LATE / plan.frequency)
+    fan_out = FanOut(plan.kind, parts=_no_parts, others=tuple(REPLIES.values()))
+    return Connection(
+        name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence
+    )
+
+
+def _no_parts(packet: State) -> tuple[State, ...]:
+    return ()
+
+
+def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Plan:
+    """What was asked for when a recording was made, from what it says of its channel.
+
+    Raises:
+        BadRecording: it does not say what it should.
+    """
+    try:
+        recipe = Recipe(info["names"], info["types"], info["number"])
+        return Plan(tuple(info["asked"]), info["frequency"], frozenset(info["asked"]), kind=kind, recorded=recipe)
+    except (KeyError, TypeError, BadValue) as error:
+        raise BadRecording(f"the recording does not say which RTDE variables it holds ({error})") from None
+
+
+class OutputStream(Stream[T]):
+    """The data packages of one recipe, on a connection of its own. Made by `Rtde.outputs`.
+
+    Text from the controller and its replies come on it too: ``stream.of(RtdeMessage)``.
+
+    Attributes:
+        names: of the variables that were asked for.
+        frequency: packages a second that were asked for; None for the most that the controller sends.
+    """
+
+    def __init__(
+        self, connection: Connection, plan: Plan, transport: RtdeTransport | None, *, lossless: bool = False
+    ) -> None:
+        kind: Any = plan.kind
+        super().__init__(connection, kind, lossless=lossless)
+        self.names = plan.outputs
+        self.frequency = plan.frequency
+        self._plan = plan
+        self._transport = transport
+
+    @property
+    def _dialogue(self) -> RtdeProtocol | None:
+        return None if self._transport is None else self._transport.dialogue
+
+    @property
+    def recipe(self) -> Recipe | None:
+        """Names and types of what comes, in order; None before the first connection."""
+        dialogue = self._dialogue
+        return self._plan.recorded if dialogue is None else dialogue.recipe
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Variables that were asked for and that the controller does not have; they read as None."""
+        recipe = self.recipe
+        return () if recipe is None else tuple(name for name in self.names if name not in recipe.names)
+
+    @property
+    def controller(self) -> Firmware | None:
+        """What the controller said of itself on this connection; None before the first, and of a recording."""
+        dialogue = self._dialogue
+        return None if dialogue is None else dialogue.controller
+
+    def description(self) -> dict[str, Any]:
+        """The recipe, which a recording needs, since it may begin after the controller has told it; connects for that.
+
+        Raises:
+            RemoteError, LocalError, Closed: as `start`.
+        """
+        self.start()
+        recipe = self.recipe
+        assert recipe is not None, "a connection that has been made has its recipe"
+        return {
+            "asked": list(self.names),
+            "frequency": self.frequency,
+            "names": list(recipe.names),
+            "types": list(recipe.types),
+            "number": recipe.number,
+        }

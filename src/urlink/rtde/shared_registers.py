@@ -1,0 +1,189 @@
+"""General-purpose registers by number: what a program on the controller and a client tell each other.
+
+A client writes input registers, which the program reads by `read_input_integer_register(n)`; the program writes output
+registers by `write_output_integer_register(n, value)`, which a client reads. The numbers are those of URScript.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from linkcore.arguments import check_whole
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.policy import block
+
+from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest
+from ..interfaces.rtde.protocol import Plan, claim_of
+from ..interfaces.rtde.recipes import Recipe
+from ..interfaces.rtde.transport import RtdeTransport
+from .inputs import checked
+from .outputs import OutputStream
+
+__all__ = ["Claims", "Registers"]
+
+#: Kind of register -> the first of the upper range, and how many there are.
+_RANGES = {"bit": (64, 128), "int": (24, 48), "double": (24, 48)}
+
+#: Packages a second in which the registers are read.
+_FREQUENCY = 125.0
+
+
+class Claims:
+    """A connection on which single inputs are claimed as they are needed.
+
+    Args:
+        connection: of the plan, which it gives whoever reads it.
+        transport: of the connection.
+        plan: what is asked for again when the connection has to be made again.
+        timeout: seconds for a claim to be answered.
+    """
+
+    def __init__(self, connection: Connection, transport: RtdeTransport, plan: Plan, timeout: float) -> None:
+        self._connection = connection
+        self._transport = transport
+        self._plan = plan
+        self._timeout = timeout
+        self._lock = threading.Lock()  # one claim at a time, since a reply does not say what it answers
+
+    def write(self, name: str, value: Any) -> None:
+        """Write one input, and claim it first where that has not been done.
+
+        Raises:
+            BadValue: the variable cannot have this value; nothing was sent.
+            InputInUse, NoSuchVariable: another client has it, or the controller lacks it.
+            RemoteError, Closed: there is no connection, or nothing was answered in time.
+        """
+        self._connection.start()
+        with self._lock:
+            dialogue = self._transport.dialogue
+            if dialogue is None:
+                raise ConnectionLost(f"{self._connection.name} is not connected")
+            if (name,) in self._plan.inputs:
+                recipe = dialogue.claims[self._plan.inputs.index((name,))]
+            else:
+                recipe = self._claim(name)
+                if self._transport.dialogue is not dialogue:
+                    raise ConnectionLost(f"{self._connection.name}: the connection was lost while {name} was claimed")
+                dialogue.claims.append(recipe)
+                self._plan.inputs.append((name,))
+        self._connection.send(recipe.encode({name: checked(name, recipe.types[0], value)}), self._timeout)
+
+    def _claim(self, name: str) -> Recipe:
+        until = time.monotonic() + self._timeout
+        connection = self._connection
+        queue = connection.open_queue(InputsReply, block)
+        try:
+            # Data is paused meanwhile, as the vendor asks for before a recipe is changed.
+            requests = (PauseRequest(), InputsRequest(names=name), StartRequest())
+            connection.send(b"".join(map(bytes, requests)), self._timeout)
+            reply = queue.next(max(until - time.monotonic(), 0.0))
+        finally:
+            connection.close_queue(queue)
+        if reply is None:
+            raise LinkTimeout(f"{connection.name}: the claim of {name} was not answered within {self._timeout:g} s")
+        return claim_of((name,), reply)
+
+    def close(self, timeout: float) -> None:
+        """Disconnect, which releases the inputs. Idempotent."""
+        self._connection.close(timeout)
+
+
+class Registers:
+    """The general-purpose registers of a controller, by number; `robot.registers`.
+
+    Each register that is written is claimed when it is written for the first time, and kept until the robot is closed,
+    so no other client can write it. Bits 64 to 127, integers and floats 24 to 47 are for clients such as this one; the
+    lower ones are for fieldbuses and PLCs, and not taken unless asked for (`Rtde.registers`).
+    """
+
+    def __init__(
+        self,
+        claims: Callable[[], Claims],
+        outputs: Callable[[tuple[str, ...], float], OutputStream[Any]],
+        timeout: float,
+        *,
+        lower: bool,
+    ) -> None:
+        self._claims = claims
+        self._outputs = outputs
+        self._timeout = timeout
+        self._lower = lower
+        self._streams: dict[str, OutputStream[Any]] = {}
+        self._lock = threading.Lock()
+
+    # -- what a program on the controller reads --------------------------------------------------------
+
+    def write_bit(self, number: int, value: bool) -> None:
+        """Write an input bit, 64 to 127; the lower ones can only be written 32 at a time, by `Rtde.inputs`.
+
+        Raises:
+            BadValue: no such register, or no such value; nothing was sent.
+            InputInUse: another client holds the register.
+            RemoteError, Closed: the controller cannot be reached.
+        """
+        check_whole(number, "number", 64, 127)
+        self._claims().write(f"input_bit_register_{number}", value)
+
+    def write_integer(self, number: int, value: int) -> None:
+        """Write an input integer of 32 bits; see `write_bit`."""
+        self._claims().write(f"input_int_register_{self._checked(number, 'int')}", value)
+
+    def write_float(self, number: int, value: float) -> None:
+        """Write an input float; see `write_bit`."""
+        self._claims().write(f"input_double_register_{self._checked(number, 'double')}", value)
+
+    # -- what a program on the controller writes -------------------------------------------------------
+
+    def read_bit(self, number: int) -> bool:
+        """The newest value of an output bit.
+
+        Raises:
+            BadValue: no such register.
+            LinkTimeout: nothing came in time.
+            RemoteError, Closed: the controller cannot be reached.
+        """
+        number = self._checked(number, "bit")
+        if number >= 64:
+            return bool(self._read("bit", f"output_bit_register_{number}"))
+        low = number // 32 * 32
+        return bool(self._read("words", f"output_bit_registers{low}_to_{low + 31}") >> (number - low) & 1)
+
+    def read_integer(self, number: int) -> int:
+        """The newest value of an output integer; see `read_bit`."""
+        return int(self._read("int", f"output_int_register_{self._checked(number, 'int')}"))
+
+    def read_float(self, number: int) -> float:
+        """The newest value of an output float; see `read_bit`."""
+        return float(self._read("double", f"output_double_register_{self._checked(number, 'double')}"))
+
+    def _checked(self, number: int, kind: str) -> int:
+        upper, end = _RANGES[kind]
+        check_whole(number, "number", 0, end - 1)
+        if number < upper and not self._lower:
+            raise BadValue(
+                f"number={number}; registers below {upper} are for fieldbuses and PLCs, expected {upper} to {end - 1}; "
+                "robot.rtde.registers(lower=True) has the others too"
+            )
+        return number
+
+    def _read(self, kind: str, name: str) -> Any:
+        """The newest value of an output register; all of its kind come on one connection."""
+        with self._lock:
+            stream = self._streams.get(kind)
+            if stream is None:
+                if kind == "words":
+                    names = tuple(f"output_bit_registers{low}_to_{low + 31}" for low in (0, 32))
+                else:
+                    upper, end = _RANGES[kind]
+                    first = upper if kind == "bit" or not self._lower else 0
+                    names = tuple(f"output_{kind}_register_{number}" for number in range(first, end))
+                stream = self._streams[kind] = self._outputs(names, _FREQUENCY)
+        state = stream.latest or stream.wait(self._timeout)
+        return getattr(state, name)
+
+    def __repr__(self) -> str:
+        return f"<Registers {'of all numbers' if self._lower else 'of the upper range'}>"

@@ -1,0 +1,122 @@
+"""`urlink rtde` and `urlink doctor` against the simulated controller."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.harm import strict
+from urlink.cli import doctor
+from urlink.simulator import Controller
+
+from .conftest import Run
+
+
+def test_variables_line_by_line(run: Run, address: str) -> None:
+    status, out, err = run("rtde", address, "robot_mode", "actual_q", "--count", "2", "--frequency", "100")
+    assert (status, err) == (0, "")
+    assert [line.partition(" actual_q=[")[0] for line in out.splitlines()] == ["robot_mode=RUNNING"] * 2
+
+
+def test_json_and_csv(run: Run, address: str) -> None:
+    (record,) = map(strict, run("rtde", address, "robot_mode", "actual_q", "--count", "1", "--json")[1].splitlines())
+    assert record["robot_mode"] == "RUNNING"
+    assert len(record["actual_q"]) == 6
+    head, row = run("rtde", address, "robot_mode", "actual_q", "--count", "1", "--csv")[1].splitlines()
+    assert head == "received,robot_mode," + ",".join(f"actual_q_{number}" for number in range(6))
+    assert row.split(",")[1] == "RUNNING"
+    assert len(row.split(",")) == 8
+
+
+def test_what_the_controller_lacks(run: Run) -> None:
+    with Controller("UR5e", "5.4") as controller:
+        status, _, err = run("rtde", controller.address, "payload", "timestamp", "--count", "1")
+        assert status == 1
+        assert "does not have payload" in err
+        status, out, err = run("rtde", controller.address, "payload", "robot_mode", "--count", "1", "--leave-out")
+        assert (status, out) == (0, "payload=- robot_mode=RUNNING\n")
+        assert "does not have payload" in err
+        status, out, _ = run(
+            "rtde", controller.address, "payload", "robot_mode", "--count", "1", "--leave-out", "--csv"
+        )
+        assert out.splitlines()[0] == "received,payload,robot_mode"
+
+
+def test_the_list(run: Run, address: str) -> None:
+    status, out, _ = run("rtde", address, "--list")
+    assert status == 0
+    assert "  actual_q                                   VECTOR6D      actual joint positions [rad]" in out
+    there, _, other = out.partition("outputs of other firmware")
+    assert "actual_current_as_torque" in other
+    assert "actual_current_as_torque" not in there
+    assert "speed_slider_mask" in there.partition("inputs")[2]
+
+
+def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.urlog"
+    status, out, _ = run("rtde", address, "timestamp", "--record", str(path), "--count", "20")
+    assert (status, out.count("\n")) == (0, 20)
+    status, out, _ = run("rtde", f"replay://{path}?rate=max", "--json")
+    assert status == 0
+    assert len(out.splitlines()) >= 20
+    status, _, err = run("rtde", f"replay://{path}?rate=max", "--list")
+    assert status == 1
+    assert "it holds timestamp" in err
+    status, out, _ = run("rtde", address, "timestamp", "--hz", "--duration", "0.3")
+    assert status == 0
+    assert "Hz | period min" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["actual q"], "cannot be the name"),
+        ([], "expected the names"),
+        (["timestamp", "--frequency", "501"], "1 to 500"),
+    ],
+)
+def test_what_cannot_be_asked_for(run: Run, address: str, arguments: list[str], error: str) -> None:
+    status, out, err = run("rtde", address, *arguments)
+    assert (status, out) == (1, "")
+    assert error in err
+
+
+def test_a_healthy_controller(run: Run, controller: Controller, address: str) -> None:
+    status, out, _ = run("doctor", address, "--duration", "0.5", "--json")
+    findings = {finding["topic"]: finding for finding in map(json.loads, out.splitlines())}
+    assert status == 0, out
+    for topic in ("controller", "robot mode", "safety", "control", "inputs"):
+        assert findings[topic]["state"] == "ok", findings[topic]
+    assert {topic for topic in findings if topic.startswith("port ")} == {
+        f"port {controller.ports[name]}" for name in doctor._PORTS
+    }
+    assert "Hz of 500" in findings["realtime data"]["seen"]
+    assert "woken" in findings["computer"]["seen"]
+
+
+def test_what_is_in_the_way_is_said(run: Run) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        controller.remote_control = False
+        controller.faults.protective_stop()
+        ports = {**controller.ports}
+        address = controller.address.replace(f"rtde={ports['rtde']}", "rtde=1")
+        status, out, _ = run("doctor", address, "--duration", "0.3")
+    assert status == 1
+    lines = {line[6:18].strip(): line for line in out.splitlines()}
+    assert lines["safety"].startswith("BAD")
+    assert "PROTECTIVE_STOP" in lines["safety"]
+    assert lines["control"].startswith("BAD")
+    assert "switch to remote control" in lines["control"]
+    assert lines["port 1"].startswith("BAD")
+    assert "is the service switched off" in lines["port 1"]
+    assert lines["inputs"].startswith("look")
+
+
+def test_nobody_is_there(run: Run) -> None:
+    ports = "&".join(f"{name}=1" for name in ("primary", "secondary", "realtime", "rtde", "dashboard"))
+    status, out, _ = run("doctor", f"ur://127.0.0.1?{ports}", "--connect-timeout", "1")
+    assert status == 1
+    assert "is the controller on" in out
+    assert run("doctor", "replay:///nowhere.urlog")[0] == 1

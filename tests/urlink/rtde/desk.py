@@ -1,0 +1,125 @@
+"""A transport that answers RTDE requests as a controller does, or as a test says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from linkcore.wire.framing import Framer
+from linkcore.wire.packet import State
+from tests.linkcore.script import ScriptedTransport
+from urlink.interfaces.rtde.framing import REQUEST_SIZES, RtdeBoundary
+from urlink.interfaces.rtde.packets import (
+    ControllerVersionReply,
+    ControllerVersionRequest,
+    DataPackage,
+    InputsReply,
+    InputsRequest,
+    OutputsReply,
+    OutputsRequest,
+    PauseReply,
+    PauseRequest,
+    Protocol,
+    ProtocolReply,
+    ProtocolRequest,
+    StartReply,
+    StartRequest,
+    decode_request,
+    split_names,
+)
+from urlink.interfaces.rtde.recipes import Recipe
+from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
+
+#: What stands in place of an answer: the request as it was decoded -> what is sent, one package after the other.
+Answer = Callable[[Any], list[State]]
+
+
+class Desk(ScriptedTransport):
+    """A controller that has all variables but those that it `lacks`; `held` inputs are in use.
+
+    `answers` replaces what it says to a class of request. `asked` is what it was asked, `written` name -> value of the
+    inputs that data packages wrote.
+    """
+
+    def __init__(self, *openings: Exception | None) -> None:
+        super().__init__(*openings)
+        self.protocol: Protocol = 1
+        self.protocols: set[Protocol] = {1, 2}
+        self.firmware = (5, 11, 0, 0)
+        self.lacks: set[str] = set()
+        self.held: set[str] = set()
+        self.answers: dict[type[State], Answer] = {}
+        self.asked: list[Any] = []
+        self.written: dict[str, Any] = {}
+        self.outputs: Recipe | None = None
+        self.claims: dict[int, Recipe] = {}
+        self._framer = Framer(RtdeBoundary(REQUEST_SIZES))
+
+    def open(self, timeout: float) -> None:
+        super().open(timeout)
+        self.protocol, self.outputs, self.claims = 1, None, {}
+        self._framer = Framer(RtdeBoundary(REQUEST_SIZES))
+
+    def send(self, data: bytes, timeout: float) -> None:
+        super().send(data, timeout)
+        self._take(data)
+
+    def send_some(self, data: bytes | memoryview) -> int:
+        count = super().send_some(data)
+        self._take(bytes(data[:count]))
+        return count
+
+    def _take(self, data: bytes) -> None:
+        for frame in self._framer.feed(data):
+            request: Any = decode_request(frame, self.protocol)
+            self.asked.append(request)
+            answers = self.answers.get(type(request), self.usual)(request)
+            if answers:
+                self.put(b"".join(map(bytes, answers)))
+            if isinstance(request, ProtocolRequest) and request.wanted in self.protocols:
+                self.protocol = 2 if request.wanted == 2 else 1
+
+    def usual(self, request: Any) -> list[State]:
+        """What a controller answers."""
+        version = f"{self.protocol}.0"
+        if isinstance(request, ProtocolRequest):
+            return [ProtocolReply(accepted=request.wanted in self.protocols)]
+        if isinstance(request, ControllerVersionRequest):
+            return [ControllerVersionReply(**dict(zip(("major", "minor", "bugfix"), self.firmware, strict=False)))]
+        if isinstance(request, OutputsRequest):
+            names = split_names(request.names)
+            types = [OUTPUTS[name].type if name in OUTPUTS.keys() - self.lacks else NOT_FOUND for name in names]
+            is_valid = NOT_FOUND not in types
+            if is_valid:
+                self.outputs = Recipe(names, types, 1 if self.protocol == 2 else None)
+            return [OutputsReply(version, recipe=int(is_valid), types=",".join(types))]
+        if isinstance(request, InputsRequest):
+            names = split_names(request.names)
+            types = [self.input_type(name) for name in names]
+            number = len(self.claims) + 1
+            if {NOT_FOUND, IN_USE} & set(types):
+                return [InputsReply(recipe=0, types=",".join(types))]
+            self.claims[number] = Recipe(names, types, number, INPUTS)
+            return [InputsReply(recipe=number, types=",".join(types))]
+        if isinstance(request, StartRequest):
+            return [StartReply(accepted=True), *([] if self.outputs is None else [self.data()])]
+        if isinstance(request, PauseRequest):
+            return [PauseReply(accepted=True)]
+        if isinstance(request, DataPackage) and request.recipe in self.claims:
+            self.written |= self.claims[request.recipe].decode(bytes(request))
+        return []
+
+    def input_type(self, name: str) -> str:
+        return (
+            NOT_FOUND if name not in INPUTS.keys() - self.lacks else IN_USE if name in self.held else INPUTS[name].type
+        )
+
+    def data(self, **values: Any) -> State:
+        """A data package of the recipe that holds."""
+        assert self.outputs is not None
+        version = f"{self.protocol}.0"
+        return DataPackage.LAYOUTS.of(version).decode(self.outputs.encode(values))  # type: ignore[no-any-return]
+
+    def say(self, **values: Any) -> None:
+        """Send a data package."""
+        self.put(bytes(self.data(**values)))

@@ -1,0 +1,400 @@
+"""`robot.rtde` over a controller that answers as the test says: streams, inputs, registers, and who holds what."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadValue, Closed, ConnectionLost, LocalError
+from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import ConnectionState
+from linkcore.wire.packet import Vector
+from tests.urlink.rtde import names_module
+from tests.urlink.rtde.desk import Desk
+from tests.waiting import until
+from urlink.firmware import Firmware
+from urlink.identity import Identity
+from urlink.interfaces.rtde.packets import InputsReply, InputsRequest, MessageLevel, OutputsRequest, RtdeMessage
+from urlink.rtde import InputInUse, NoSuchVariable, Outputs, Rtde
+from urlink.source import Source
+
+AT_ONCE = Backoff(first=0, most=0)
+
+
+class Cell(urlink.rtde.Outputs):
+    actual_q: Vector
+    output_int_register_24: int
+    payload: float | None
+
+
+@contextmanager
+def rtde_of(*desks: Desk, firmware: str = "5.11", refusal: str = "") -> Iterator[Rtde]:
+    """An `Rtde` whose connections are to these desks, one after the other."""
+    left = list(desks)
+    known = Firmware.parse(firmware)
+
+    def transport(interface: str) -> Any:
+        assert interface == "rtde"
+        return left.pop(0)
+
+    source = Source(lambda: Identity(known, True, None), transport, AT_ONCE, 2.0, None, False)
+    rtde = Rtde("desk", source, lambda: known, refusal=refusal)
+    try:
+        yield rtde
+    finally:
+        rtde.close()
+
+
+# -- outputs ---------------------------------------------------------------------------------------
+
+
+def test_a_stream_of_variables() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs("timestamp", "actual_q", frequency=125)
+        assert desk.opened == 0, "nothing connects before it is used"
+        state = stream.wait(2.0)
+        assert state.actual_q.tolist() == [0.0] * 6
+        desk.say(timestamp=7.0, actual_q=[1, 2, 3, 4, 5, 6])
+        until(lambda: stream.latest is not None and stream.latest.timestamp == 7.0)
+        newest = stream.latest
+        assert newest is not None
+        assert newest.actual_q.tolist() == [1, 2, 3, 4, 5, 6]
+        assert newest.received is not None
+        assert stream.stats.received == stream.stats.decoded
+        assert stream.stats.failed == 0
+        assert stream.recipe is not None
+        assert stream.recipe.names == ("timestamp", "actual_q")
+        assert (stream.left_out, str(stream.controller), stream.frequency) == ((), "5.11", 125)
+        assert pickle.loads(pickle.dumps(newest)) == newest
+
+
+def test_a_declared_class() -> None:
+    desk = Desk()
+    desk.lacks = {"payload"}
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs(Cell)
+        state = stream.wait(2.0)
+        assert isinstance(state, Cell)
+        assert (state.output_int_register_24, state.payload) == (0, None)
+        assert stream.left_out == ("payload",)
+        got: list[Cell] = []
+        stream.subscribe(got.append)
+        desk.say(output_int_register_24=5)
+        until(lambda: bool(got))
+        assert got[0].output_int_register_24 == 5
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda rtde: rtde.outputs(), "expected the names"),
+        (lambda rtde: rtde.outputs("timestamp", frequency=501), "frequency=501; this controller sends 1 to 500"),
+        (lambda rtde: rtde.outputs("timestamp", frequency=0.5), "frequency=0.5"),
+        (lambda rtde: rtde.outputs("timestamp", missing="maybe"), "missing='maybe'"),
+        (lambda rtde: rtde.outputs(Outputs), "expected a class derived"),
+        (lambda rtde: rtde.outputs(dict), "expected a class derived"),
+        (lambda rtde: rtde.outputs(type("Nothing", (Outputs,), {})), "Nothing declares no variable"),
+        (lambda rtde: rtde.inputs("speed_slider_mask"), "without what it is the mask of"),
+        (lambda rtde: rtde.inputs(), "expected the names"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_sent(call: Callable[[Rtde], object], error: str) -> None:
+    with rtde_of() as rtde, pytest.raises(BadValue, match=error):
+        call(rtde)
+
+
+def test_cb3_sends_at_125_hz_at_most() -> None:
+    with rtde_of(firmware="3.15") as rtde, pytest.raises(BadValue, match="1 to 125"):
+        rtde.outputs("timestamp", frequency=500)
+
+
+def test_what_is_missing_is_said_when_the_stream_is_used() -> None:
+    desk = Desk()
+    desk.lacks = {"payload"}
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs("timestamp", "payload")
+        with pytest.raises(NoSuchVariable, match="payload"):
+            stream.wait(2.0)
+
+
+def test_the_recipe_is_restored_after_the_connection_was_lost() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs("timestamp")
+        times: list[float] = []
+        stream.subscribe(lambda state: times.append(state.timestamp), inline=True)
+        until(lambda: len(times) == 1)
+        desk.put(ConnectionLost("cut"))
+        until(lambda: len(times) == 2)  # each connection begins with a data package
+        desk.say(timestamp=9.0)
+        until(lambda: times[-1] == 9.0)
+        assert stream.stats.reconnects == 1
+        assert [type(request).__name__ for request in desk.asked].count("OutputsRequest") == 2
+
+
+def test_another_recipe_after_the_connection_was_lost() -> None:
+    """A controller that comes back with an older firmware lacks a variable that was there."""
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs("timestamp", "payload", missing="leave_out")
+        assert stream.wait(2.0).payload == 0.0
+        desk.lacks = {"payload"}
+        desk.put(ConnectionLost("cut"))
+        until(lambda: stream.stats.reconnects == 1 and stream.latest is not None)
+        newest: Any = stream.latest
+        assert newest.payload is None
+        assert stream.left_out == ("payload",)
+
+
+def test_text_comes_on_the_stream() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs("timestamp")
+        texts: list[RtdeMessage] = []
+        stream.subscribe(texts.append, RtdeMessage)
+        desk.put(bytes(RtdeMessage("2.0", message="hello", source="URControl", level=MessageLevel.INFO)))
+        until(lambda: bool(texts))
+        assert (texts[0].message, texts[0].source, texts[0].level) == ("hello", "URControl", MessageLevel.INFO)
+
+
+def test_a_package_that_does_not_fit_is_counted_and_no_more() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        stream = rtde.outputs("timestamp")
+        stream.start()
+        desk.put(b"\0\x05U\1\0")
+        desk.say(timestamp=3.0)
+        until(lambda: stream.latest is not None and stream.latest.timestamp == 3.0)
+        assert stream.stats.failed == 1
+
+
+# -- inputs ----------------------------------------------------------------------------------------
+
+
+def test_masks_are_set_by_themselves() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde, rtde.inputs("speed_slider_fraction", "standard_digital_output") as inputs:
+        assert inputs.names == ("speed_slider_fraction", "standard_digital_output")
+        inputs.send(speed_slider_fraction=0.5)
+        assert desk.written == {
+            "speed_slider_mask": 1,
+            "speed_slider_fraction": 0.5,
+            "standard_digital_output_mask": 0,
+            "standard_digital_output": 0,
+        }
+        inputs.send(standard_digital_output={0: True, 3: False})
+        assert (desk.written["standard_digital_output_mask"], desk.written["standard_digital_output"]) == (0b1001, 1)
+        assert desk.written["speed_slider_mask"] == 0
+        inputs.send(standard_digital_output=0b110)
+        assert (desk.written["standard_digital_output_mask"], desk.written["standard_digital_output"]) == (0xFF, 0b110)
+        assert inputs.connection is ConnectionState.CONNECTED
+
+
+def test_analogue_outputs_need_their_type_once() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde, rtde.inputs("standard_analog_output_0", "standard_analog_output_1") as inputs:
+        with pytest.raises(BadValue, match="standard_analog_output_type has to be given"):
+            inputs.send(standard_analog_output_0=0.5)
+        inputs.send(standard_analog_output_0=0.5, standard_analog_output_type=1)
+        assert (desk.written["standard_analog_output_mask"], desk.written["standard_analog_output_type"]) == (1, 1)
+        inputs.send(standard_analog_output_1=1.0)
+        assert (desk.written["standard_analog_output_mask"], desk.written["standard_analog_output_type"]) == (2, 1)
+
+
+def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
+        with pytest.raises(BadValue, match="the first time input_double_register_24 has to be given"):
+            inputs.send(input_int_register_24=1)
+        assert desk.written == {}
+        inputs.send(input_int_register_24=1, input_double_register_24=0.5)
+        inputs.send(input_int_register_24=2)
+        assert desk.written == {"input_int_register_24": 2, "input_double_register_24": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("values", "error"),
+    [
+        ({}, "cannot send nothing"),
+        ({"timestamp": 1}, "cannot send timestamp"),
+        ({"speed_slider_mask": 1}, "cannot send speed_slider_mask"),
+        ({"speed_slider_fraction": 1.01}, "expected 0 to 1"),
+        ({"speed_slider_fraction": float("nan")}, "expected a finite number"),
+        ({"speed_slider_fraction": "half"}, "expected a number"),
+        ({"tool_digital_output": {2: True}}, "expected outputs 0 to 1"),
+        ({"tool_digital_output": {0: 7}}, "expected True or False"),
+        ({"tool_digital_output": 4}, "expected bits of 0x3"),
+        ({"input_int_register_24": 2**31}, "expected -2147483648 to 2147483647"),
+        ({"input_int_register_24": 1.0}, "expected a whole number"),
+        ({"external_force_torque": [0, 0, 0]}, "expected 6 finite numbers"),
+        ({"input_bit_register_64": 2}, "expected True or False"),
+    ],
+)
+def test_values_are_checked(values: dict[str, Any], error: str) -> None:
+    desk = Desk()
+    names = ["speed_slider_fraction", "tool_digital_output", "input_int_register_24", "external_force_torque"]
+    with rtde_of(desk) as rtde, rtde.inputs(*names, "input_bit_register_64") as inputs:
+        with pytest.raises(BadValue, match=error):
+            inputs.send(**values)
+        assert desk.written == {}
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    desk = Desk()
+    names = ["input_int_register_24", "external_force_torque", "input_bit_register_64"]
+    with rtde_of(desk) as rtde, rtde.inputs(*names) as inputs:
+        inputs.send(
+            input_int_register_24=np.int64(-3), external_force_torque=np.arange(6), input_bit_register_64=np.True_
+        )
+        assert desk.written == {
+            "input_int_register_24": -3,
+            "external_force_torque": (0, 1, 2, 3, 4, 5),
+            "input_bit_register_64": True,
+        }
+
+
+def test_an_input_in_use_is_said_by_name() -> None:
+    desk = Desk()
+    desk.held = {"speed_slider_fraction"}
+    with rtde_of(desk) as rtde, pytest.raises(InputInUse, match="speed_slider_fraction") as caught:
+        rtde.inputs("speed_slider_fraction")
+    assert caught.value.names == ("speed_slider_fraction",)
+
+
+def test_inputs_are_claimed_again_and_what_was_sent_is_not_sent_again() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24") as inputs:
+        inputs.send(input_int_register_24=4)
+        desk.written.clear()
+        desk.put(ConnectionLost("cut"))
+        until(lambda: desk.opened == 2 and inputs.connection is ConnectionState.CONNECTED)
+        assert desk.written == {}
+        inputs.send(input_int_register_24=5)
+        assert desk.written == {"input_int_register_24": 5}
+
+
+def test_nothing_is_written_where_nothing_may_be() -> None:
+    with rtde_of(refusal="is a recording") as rtde:
+        calls: list[Callable[[], object]] = [
+            lambda: rtde.inputs("input_int_register_24"),
+            rtde.who_holds,
+            lambda: rtde.registers().write_integer(24, 1),
+        ]
+        for call in calls:
+            with pytest.raises(LocalError, match="is a recording"):
+                call()
+
+
+def test_what_is_closed_cannot_be_used() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        inputs = rtde.inputs("input_int_register_24")
+        inputs.close()
+        inputs.close()
+        with pytest.raises(Closed):
+            inputs.send(input_int_register_24=1)
+
+
+def test_who_holds_inputs() -> None:
+    desk = Desk()
+    desk.held = {"speed_slider_mask", "input_int_register_0"}
+    desk.lacks = {"external_force_torque"}
+    with rtde_of(desk) as rtde:
+        assert rtde.who_holds() == {
+            "speed_slider_mask": "in use",
+            "external_force_torque": "not there",
+            "input_int_register_0": "in use",
+        }
+    assert desk._closed
+
+
+def test_what_a_controller_lacks() -> None:
+    for protocol in (1, 2):
+        desk = Desk()
+        desk.protocols = {protocol}
+        desk.lacks = {"timestamp", "input_double_register_47"}
+        with rtde_of(desk) as rtde:
+            assert rtde.missing() == ("timestamp", "input_double_register_47")
+        assert max(len(request.names) for request in desk.asked if isinstance(request, OutputsRequest)) <= 2048
+
+
+# -- registers -------------------------------------------------------------------------------------
+
+
+def test_registers_are_claimed_as_they_are_written() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        registers = rtde.registers()
+        registers.write_integer(24, 7)
+        registers.write_float(47, 0.25)
+        registers.write_bit(64, True)
+        registers.write_integer(24, 8)
+        assert desk.written == {
+            "input_int_register_24": 8,
+            "input_double_register_47": 0.25,
+            "input_bit_register_64": True,
+        }
+        assert [type(request).__name__ for request in desk.asked].count("InputsRequest") == 3
+        desk.put(ConnectionLost("cut"))
+        until(lambda: desk.opened == 2 and len(desk.claims) == 3)
+
+        def is_written() -> bool:
+            try:
+                registers.write_float(47, 0.5)
+            except ConnectionLost:
+                return False
+            return True
+
+        until(is_written)
+        assert desk.written["input_double_register_47"] == 0.5
+        assert [type(request).__name__ for request in desk.asked].count("InputsRequest") == 6
+
+
+def test_registers_that_cannot_be_had() -> None:
+    desk = Desk()
+    desk.held = {"input_int_register_24"}
+    with rtde_of(desk) as rtde:
+        registers = rtde.registers()
+        for number in (-1, 48, 1.0):
+            with pytest.raises(BadValue, match="whole number from 0 to 47"):
+                registers.write_integer(number, 1)  # type: ignore[arg-type]
+        with pytest.raises(BadValue, match=r"fieldbuses and PLCs, expected 24 to 47; robot.rtde.registers"):
+            registers.write_float(23, 1)
+        with pytest.raises(BadValue, match="64 to 127"):
+            registers.write_bit(63, True)
+        with pytest.raises(InputInUse, match="input_int_register_24"):
+            registers.write_integer(24, 1)
+        rtde.registers(lower=True).write_integer(0, 1)
+        assert desk.written == {"input_int_register_0": 1}
+
+
+def test_a_claim_that_is_not_answered() -> None:
+    desk = Desk()
+    desk.answers[InputsRequest] = lambda request: [InputsReply(recipe=0, types="INT32")]
+    with rtde_of(desk) as rtde, pytest.raises(urlink.rtde.RtdeRefused, match="refused the inputs"):
+        rtde.registers().write_integer(24, 1)
+
+
+def test_output_registers_are_read() -> None:
+    desks = [Desk() for _ in range(4)]
+    with rtde_of(*desks) as rtde:
+        registers = rtde.registers(lower=True)
+        assert registers.read_integer(0) == 0
+        desks[0].say(output_int_register_47=-5)
+        until(lambda: registers.read_integer(47) == -5)
+        assert registers.read_float(30) == 0.0
+        assert registers.read_bit(64) is False
+        assert registers.read_bit(33) is False
+        desks[3].say(output_bit_registers32_to_63=2)
+        until(lambda: registers.read_bit(33))
+
+
+def test_the_names_for_type_checkers_are_those_of_the_table() -> None:
+    assert names_module.PATH.read_text(encoding="utf-8") == names_module.text(), "run tests/urlink/rtde/names_module.py"
