@@ -98,7 +98,8 @@ class Rtde:
                 reads as None and stands in `OutputStream.left_out`.
 
         Returns:
-            The stream; it connects when it is first used, and is closed with the robot.
+            The stream; it connects when it is first used. It is a context manager that closes itself; one that is not
+            closed stays connected until the robot is closed.
 
         Raises:
             BadValue: a name that cannot be one, one that comes twice, more than 2048 bytes of names, or a frequency
@@ -304,7 +305,7 @@ class Rtde:
         """
         with self._lock:
             is_closed = self._is_closed
-            self._open.append(opened)
+            self._open = [*(each for each in self._open if not each.is_over), opened]
         if is_closed:
             self.close()
             raise Closed(f"{self._name} was closed")

@@ -119,6 +119,11 @@ class Inputs:
         """What the connection is doing."""
         return self._connection.state
 
+    @property
+    def is_over(self) -> bool:
+        """It was closed, or its connection has been given up for good."""
+        return self._connection.is_over
+
     def send(self, **values: Any) -> None:
         """Write variables, all of them in one package, so in the same control cycle.
 
@@ -134,13 +139,30 @@ class Inputs:
         unknown = values.keys() - set(self.names)
         if unknown or not values:
             raise BadValue(f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; there is {', '.join(self.names)}")
-        dialogue = self._transport.dialogue
-        if dialogue is None:
-            raise ConnectionLost(f"{self._connection.name} is not connected")
-        recipe = dialogue.claims[0]
+        recipe = self._recipe()
         package = self._package(recipe, values)
         self._connection.send(recipe.encode(package), self._timeout)
         self._last |= {name: value for name, value in package.items() if name not in _MASKS}
+
+    def _write(self, values: Mapping[str, Any]) -> None:
+        """Write every variable of the recipe, masks included, without waiting and unchecked: for set-points.
+
+        Raises:
+            BadValue: a value that its type cannot hold; nothing was sent.
+            ConnectionLost: there is no connection, or the controller does not read; it is given up then, since what
+                follows would be read as the rest of the package.
+        """
+        package = self._recipe().encode(values)
+        if self._connection.send_some(package) < len(package):
+            self._connection.abort()
+            raise ConnectionLost(f"{self._connection.name}: the controller does not read what is written")
+
+    def _recipe(self) -> Recipe:
+        """What was claimed on the present connection, or on the one before if there is none."""
+        dialogue = self._transport.dialogue
+        if dialogue is None:
+            raise ConnectionLost(f"{self._connection.name} is not connected")
+        return dialogue.claims[0]
 
     def _package(self, recipe: Recipe, values: Mapping[str, Any]) -> dict[str, Any]:
         """The value of each variable of the recipe, masks included."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from linkcore.errors import BadRecording, BadValue
 from linkcore.net.transport import Transport
@@ -20,6 +20,9 @@ from ..interfaces.rtde.packets import REPLIES
 from ..interfaces.rtde.protocol import Plan, RtdeProtocol, check_names
 from ..interfaces.rtde.recipes import Outputs, Recipe
 from ..interfaces.rtde.transport import RtdeTransport
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["OutputStream", "connection_of", "declared", "recorded_plan"]
 
@@ -126,6 +129,17 @@ class OutputStream(Stream[T]):
         """What the controller said of itself on this connection; None before the first, and of a recording."""
         dialogue = self._dialogue
         return None if dialogue is None else dialogue.controller
+
+    @property
+    def is_over(self) -> bool:
+        """No state will ever come again: it was closed, or a recording has ended."""
+        return self._connection.is_over
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
     def description(self) -> dict[str, Any]:
         """The recipe, which a recording needs, since it may begin after the controller has told it; connects for that.

@@ -49,6 +49,11 @@ class Claims:
         self._timeout = timeout
         self._lock = threading.Lock()  # one claim at a time, since a reply does not say what it answers
 
+    @property
+    def is_over(self) -> bool:
+        """It was closed."""
+        return self._connection.is_over
+
     def write(self, name: str, value: Any) -> None:
         """Write one input, and claim it first where that has not been done.
 

@@ -260,6 +260,37 @@ def test_numbers_of_numpy_are_numbers() -> None:
         }
 
 
+def test_what_was_closed_is_let_go() -> None:
+    desks = [Desk(), Desk(), Desk()]
+    with rtde_of(*desks) as rtde:
+        with rtde.outputs("timestamp") as stream:
+            stream.wait(2.0)
+        assert desks[0]._closed
+        assert stream.is_over
+        rtde.inputs("input_int_register_24").close()
+        held = rtde.outputs("timestamp")
+        assert rtde._open == [held]
+
+
+def test_set_points_are_written_without_waiting() -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
+        inputs._write({"input_int_register_24": 1, "input_double_register_24": 0.5})
+        assert desk.written == {"input_int_register_24": 1, "input_double_register_24": 0.5}
+        with pytest.raises(BadValue, match="input_int_register_24"):
+            inputs._write({"input_int_register_24": 0.5})
+        desk.make_room(5)
+        with pytest.raises(ConnectionLost, match="does not read"):
+            inputs._write({"input_int_register_24": 2, "input_double_register_24": 0.5})
+        desk.make_room(None)
+        until(lambda: desk.opened == 2 and inputs.connection is ConnectionState.CONNECTED)
+        inputs._write({"input_int_register_24": 3, "input_double_register_24": 0.5})
+        assert desk.written["input_int_register_24"] == 3
+        inputs.close()
+        with pytest.raises(Closed):
+            inputs._write({"input_int_register_24": 4, "input_double_register_24": 0.5})
+
+
 def test_an_input_in_use_is_said_by_name() -> None:
     desk = Desk()
     desk.held = {"speed_slider_fraction"}
