@@ -179,6 +179,7 @@ class Registers:
         """The newest value of an output register; all of its kind come on one connection."""
         with self._lock:
             stream = self._streams.get(kind)
+            is_new = stream is None
             if stream is None:
                 if kind == "words":
                     names = tuple(f"output_bit_registers{low}_to_{low + 31}" for low in (0, 32))
@@ -187,7 +188,8 @@ class Registers:
                     first = upper if kind == "bit" or not self._lower else 0
                     names = tuple(f"output_{kind}_register_{number}" for number in range(first, end))
                 stream = self._streams[kind] = self._outputs(names, _FREQUENCY)
-        state = stream.latest or stream.wait(self._timeout)
+        # A new stream is connected by waiting, so that its first package is not missed.
+        state = (None if is_new else stream.latest) or stream.wait(self._timeout)
         return getattr(state, name)
 
     def __repr__(self) -> str:
