@@ -20,7 +20,7 @@ SOCKETS = {
 }
 
 #: The only modules that may import `asyncio`.
-AWAITED = {"linkcore.handle"}
+AWAITED = {"linkcore.handle", "rhdlink.aio"}
 
 #: The only modules that may start threads.
 THREADS = {
@@ -30,6 +30,7 @@ THREADS = {
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
+    "rhdlink.aio",  # one for each robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
     "rhdlink.smrcl.server",  # for a server that is started rather than run

@@ -1,0 +1,152 @@
+"""A robot for programs that use asyncio: what waits for the robot is awaited, everything else stays as it is.
+
+    async with rhdlink.aio.connect("smr12", rhdlink.Smr, access="w") as robot:
+        robot.variables.speedl = 20
+        await robot.sync()
+        print(robot.variables.encl)
+
+Reading and setting variables never waits, so it is done on the robot itself. `sync` runs in a thread that belongs to
+the robot. Missions and motions need nothing of this: their handles can be awaited.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import AsyncIterator, Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+
+from linkcore.errors import Closed, LocalError
+
+from .client import Variables
+from .client import connect as connect_here
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["AsyncRobot", "connect"]
+
+R = TypeVar("R", bound=Variables)
+T = TypeVar("T")
+
+
+class AsyncRobot(Generic[R]):
+    """A connected robot. An asynchronous context manager that closes itself. Made by `connect`.
+
+    Attributes:
+        variables: the robot itself, with its properties. They change with `sync` and only with it.
+    """
+
+    def __init__(self, variables: R, thread: ThreadPoolExecutor) -> None:
+        self.variables = variables
+        self._thread = thread
+        self._is_closed = False
+
+    async def sync(self, timeout: float | None = None) -> None:
+        """As `Variables.sync`. Several at once wait for each other.
+
+        Who gives up waiting does not end it: it goes on to its answer or its deadline, and the next one comes after it.
+
+        Raises:
+            as `Variables.sync`.
+        """
+        if self._is_closed:
+            raise Closed(f"{self.variables.address} was closed")
+        await asyncio.wrap_future(_submitted(self._thread, functools.partial(self.variables.sync, timeout)))
+
+    async def updates(self, timeout: float | None = None) -> AsyncIterator[R]:
+        """Sync again and again, and give the robot after each answer, until the loop is left.
+
+        Raises:
+            as `Variables.sync`. The next loop goes on, and connects again where the connection was lost.
+        """
+        while True:
+            await self.sync(timeout)
+            yield self.variables
+
+    async def close(self) -> None:
+        """Close the connection. Idempotent."""
+        self._is_closed = True
+        # Not in the robot's own thread, which may be in a sync that this is to end.
+        await asyncio.get_running_loop().run_in_executor(None, self.variables.close)
+        self._thread.shutdown(wait=False)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        await self.close()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.variables!r}>"
+
+
+class _Connecting(Generic[R]):
+    """What `connect` returns: to be awaited, or entered."""
+
+    def __init__(self, address: str, variables: type[R], options: dict[str, Any]) -> None:
+        self._arguments = address, variables, options
+        self._robot: AsyncRobot[R] | None = None
+
+    async def _connect(self) -> AsyncRobot[R]:
+        address, variables, options = self._arguments
+        thread = ThreadPoolExecutor(1, thread_name_prefix=f"rhdlink {address}")
+        connecting = _submitted(thread, lambda: connect_here(address, variables, **options))
+        try:
+            return AsyncRobot(await asyncio.wrap_future(connecting), thread)
+        except BaseException:
+            # Given up, it may be connected all the same a moment later.
+            connecting.add_done_callback(_discard)
+            thread.shutdown(wait=False)
+            raise
+
+    def __await__(self) -> Generator[Any, None, AsyncRobot[R]]:
+        return self._connect().__await__()
+
+    async def __aenter__(self) -> AsyncRobot[R]:
+        self._robot = await self._connect()
+        return self._robot
+
+    async def __aexit__(self, *exc: object) -> None:
+        if self._robot is not None:
+            await self._robot.close()
+
+
+@overload
+def connect(address: str, **options: Any) -> _Connecting[Variables]: ...
+
+
+@overload
+def connect(address: str, variables: type[R], **options: Any) -> _Connecting[R]: ...
+
+
+def connect(address: str, variables: type[Variables] = Variables, **options: Any) -> _Connecting[Any]:
+    """Connect to a robot: ``async with connect(...) as robot`` or ``robot = await connect(...)``.
+
+    Args:
+        address: as for `rhdlink.connect`.
+        variables: the class that declares what the program uses.
+        options: the other arguments of `rhdlink.connect`.
+
+    Raises:
+        as `rhdlink.connect`, when it is awaited or entered.
+    """
+    return _Connecting(address, variables, options)
+
+
+def _submitted(thread: ThreadPoolExecutor, call: Callable[[], T]) -> Future[T]:
+    """Call in a thread.
+
+    Raises:
+        LocalError: the system has no thread left.
+    """
+    try:
+        return thread.submit(call)
+    except RuntimeError as error:
+        raise LocalError(f"no thread could be started: {error}") from error
+
+
+def _discard(connecting: Future[R]) -> None:
+    if not connecting.cancelled() and connecting.exception() is None:
+        connecting.result().close()

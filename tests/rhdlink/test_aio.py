@@ -1,0 +1,138 @@
+"""A robot in a program that uses asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+import rhdlink.aio
+from rhdlink import Closed, ConnectFailed, Drive, Host, LinkTimeout, Mission, VelocityOmega
+from rhdlink.plugins.turtle import Turtle
+from rhdlink.world import World
+from tests.rhdlink.scripted import Peer, ScriptedServer, nothing_more_after_greeting
+from tests.waiting import until
+
+
+@pytest.fixture
+def turtle() -> Turtle:
+    return Turtle(World(1000.0))
+
+
+@pytest.fixture
+def host(turtle: Turtle) -> Iterator[Host]:
+    with Host([turtle], period=0.005, port=0) as host:
+        yield host
+
+
+def test_a_robot_is_driven_while_other_things_go_on(host: Host, turtle: Turtle) -> None:
+    async def drive() -> int:
+        others = 0
+
+        async def count() -> None:
+            nonlocal others
+            while True:
+                others += 1
+                await asyncio.sleep(0)
+
+        async with rhdlink.aio.connect(host.address, VelocityOmega, access="w") as robot:
+            counting = asyncio.create_task(count())
+            robot.variables.cmdtransvel = 0.5
+            async for variables in robot.updates():
+                if variables.transpos > 2000:
+                    break
+            counting.cancel()
+        return others
+
+    assert asyncio.run(drive()) > 100  # of which there would be one for each sync, if it were waited for
+    assert turtle.world.odometry.x > 0.02
+
+
+def test_it_is_a_thread_less_when_it_is_closed(host: Host) -> None:
+    async def connect_and_close() -> None:
+        robot = await rhdlink.aio.connect(host.address)
+        await robot.sync()
+        assert "tick" in robot.variables
+        await robot.close()
+        await robot.close()
+        with pytest.raises(Closed):
+            await robot.sync()
+
+    before = threading.active_count()
+    asyncio.run(connect_and_close())
+    until(lambda: threading.active_count() <= before)
+
+
+def test_nobody_there_is_an_error() -> None:
+    async def connect() -> None:
+        async with rhdlink.aio.connect("localhost:1"):
+            raise AssertionError("it is connected to nothing")
+
+    with pytest.raises(ConnectFailed):
+        asyncio.run(connect())
+
+
+def test_who_gives_up_leaves_the_robot_in_step(host: Host) -> None:
+    async def give_up() -> None:
+        async with rhdlink.aio.connect(host.address) as robot:
+            for _ in range(20):
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(robot.sync(), 1e-4)
+            await robot.sync()
+            ticks = [robot.variables["tick"]]
+            await robot.sync()
+            assert robot.variables["tick"] > ticks[0]
+
+    asyncio.run(give_up())
+
+
+def test_a_connection_that_is_made_when_nobody_waits_any_more_is_closed() -> None:
+    is_given_up = threading.Event()
+
+    def late(peer: Peer) -> None:
+        assert is_given_up.wait(10.0)
+        nothing_more_after_greeting(peer)
+
+    async def impatient(address: str) -> None:
+        async def connect() -> None:
+            await rhdlink.aio.connect(address)
+
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(connect(), 0.05)
+        is_given_up.set()
+
+    with ScriptedServer(late) as server:  # which waits until the client has left
+        asyncio.run(impatient(server.address))
+
+
+def test_a_silent_robot_is_an_error_in_time(host: Host, turtle: Turtle) -> None:
+    goes_on = threading.Event()
+
+    async def wait() -> None:
+        async with rhdlink.aio.connect(host.address) as robot:
+            turtle.periodic = lambda tick: goes_on.wait(10.0)  # type: ignore[method-assign, assignment]
+
+            async def sync_thrice() -> None:  # an answer or two may be on their way
+                for _ in range(3):
+                    await robot.sync(0.05)
+
+            with pytest.raises(LinkTimeout):
+                await sync_thrice()
+            goes_on.set()
+
+    asyncio.run(wait())
+
+
+def test_missions_and_motions_are_awaited() -> None:
+    async def drive() -> tuple[float, float]:
+        with Drive(Turtle(World(1000.0))) as drive:
+            await drive.forward(0.2)
+            driven = drive.pose.x
+        run = Mission("fwd 0.1\n", Turtle(World(1000.0))).start()
+        await run
+        return driven, run.pose.x
+
+    assert asyncio.run(drive()) == pytest.approx((0.2, 0.1), abs=0.02)
