@@ -47,6 +47,14 @@ def resolve(app: Any, function: Any, is_bound: bool) -> None:
         function.__annotations__ = typing.get_type_hints(function)
 
 
+def hide_constructor(
+    app: Any, what: str, name: str, found: Any, options: Any, signature: str, returned: str
+) -> tuple[str, str] | None:
+    """Show no arguments of a class that is made by the library: the page says so by `:exclude-members: __init__`."""
+    return ("", "") if what == "class" and "__init__" in (options.exclude_members or ()) else None
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-before-process-signature", resolve)
+    app.connect("autodoc-process-signature", hide_constructor)
