@@ -102,7 +102,8 @@ class Framer:
         end = len(buffer)
         frames = [] if self._is_lost else self._boundary.whole(buffer)
         if frames and len(frames[0]) == end:  # the common case: one packet at a time
-            kept.clear()
+            if kept:
+                kept.clear()
             return frames
         at = self._cut(buffer, sum(map(len, frames)), frames)
         if buffer is kept:

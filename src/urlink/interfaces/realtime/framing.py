@@ -50,8 +50,8 @@ class RealtimeBoundary:
         self._learnt = learnt
         self._size = 0
         self._size_bytes = b""
-        #: the bytes of the last packet's time; unpacked when a lost boundary has to be found
-        self._time: bytes | bytearray = b""
+        #: the last packet, or as much of it as holds its time; unpacked when a lost boundary has to be found
+        self._last: bytes | bytearray = b""
         #: bytes from the place of the last search on in which no header goes on in time
         self._judged = 0
 
@@ -60,19 +60,22 @@ class RealtimeBoundary:
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         """In step, packets of one size follow each other: it is enough that each has its header."""
+        # What is left undone for one packet that comes alone saves a tenth of the reader's time: with cold caches each
+        # call takes 2 to 4 us, be it ever so small.
         size = self._size
-        if not self._time:
+        if not self._last:
             return []
         if len(buffer) == size and buffer.startswith(self._size_bytes):
-            self._time = buffer[4:12]
-            return [bytes(buffer)]
+            self._last = frame = buffer if type(buffer) is bytes else bytes(buffer)
+            return [frame]
         count = len(buffer) // size
         end = count * size
         for offset, byte in enumerate(self._size_bytes):
             if not count or buffer[offset:end:size].count(byte) != count:
                 return []
-        self._time = buffer[end - size + 4 : end - size + 12]
-        return [bytes(buffer[at : at + size]) for at in range(0, end, size)]
+        frames = [bytes(buffer[at : at + size]) for at in range(0, end, size)]
+        self._last = frames[-1]
+        return frames
 
     def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
         """As `check`, by the size alone, which is believed whatever follows it."""
@@ -86,7 +89,7 @@ class RealtimeBoundary:
         """See `FrameBoundary.check`."""
         size, need = self.declared(buffer, at)
         there = len(buffer) - at
-        if size and not self._time and buffer[at + 4] == _ROBOT_STATE:
+        if size and not self._last and buffer[at + 4] == _ROBOT_STATE:
             # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
             if there < _HEAD.size:
                 return 0, _HEAD.size
@@ -113,7 +116,7 @@ class RealtimeBoundary:
             if end - at < need:
                 # Until then a packet that goes on in time may come whole, from the first place that is not judged on.
                 self._judged = end - _HEAD.size + 1 - at
-                return at, 0, min(need, self._judged + self._size) if self._time else need
+                return at, 0, min(need, self._judged + self._size) if self._last else need
             next_size, later = _HEAD.unpack_from(buffer, at + size)
             if next_size == size and time < later <= time + _LONGEST_LOSS:
                 self._take(buffer, at, size)
@@ -127,9 +130,9 @@ class RealtimeBoundary:
 
     def _find_timely(self, buffer: bytes | bytearray, start: int) -> int | None:
         """The first packet of the connection's size whose time follows that of the last one."""
-        if not self._time:
+        if not self._last:
             return None
-        (latest,) = _TIME.unpack(self._time)
+        (latest,) = _TIME.unpack_from(self._last, _SIZE_BYTES)
         until = max(len(buffer) - _TIME.size, 0)
         at = buffer.find(self._size_bytes, start, until)
         while at >= 0:
@@ -145,7 +148,7 @@ class RealtimeBoundary:
         return None if other == REALTIME_INTERFACE else other
 
     def _take(self, buffer: bytes | bytearray, at: int, size: int) -> None:
-        self._time = buffer[at + 4 : at + 12]
+        self._last = buffer[at : at + _HEAD.size]
         if size != self._size:
             self._size, self._size_bytes = size, size.to_bytes(_SIZE_BYTES, "big")
             if self._learnt is not None:
