@@ -8,7 +8,10 @@ from typing import Any
 
 from .errors import BadValue
 
-__all__ = ["check_callable", "check_choice", "check_seconds", "check_whole"]
+__all__ = ["check_callable", "check_choice", "check_seconds", "check_wait", "check_whole"]
+
+#: Seconds that `wait=True` waits.
+_WAIT = 60.0
 
 
 def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool = False) -> float:
@@ -31,6 +34,17 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
         return seconds
     expected = "a positive number of seconds" if positive else "a number of seconds, 0 or more"
     raise BadValue(f"{name}={value!r}; expected {expected}")
+
+
+def check_wait(value: bool | float) -> float:
+    """The seconds of an argument ``wait=``: 0 for False, which does not wait, and 60 for True.
+
+    Raises:
+        BadValue: neither of the two, and no finite number of seconds.
+    """
+    if isinstance(value, bool):
+        return _WAIT if value else 0.0
+    return check_seconds(value, "wait", finite=True)
 
 
 def check_whole(value: Any, name: str, least: int, most: int) -> None:

@@ -129,7 +129,11 @@ if TYPE_CHECKING:
     from .interfaces.realtime.packets import RealtimeState as RealtimeState
     from .models import UnknownModel as UnknownModel
     from .motion import (
+        Circular as Circular,
+        Joint as Joint,
+        Linear as Linear,
         Motions as Motions,
+        PathMotion as PathMotion,
         Servo as Servo,
         ServoStatistics as ServoStatistics,
         TrajectoryFeedback as TrajectoryFeedback,
@@ -182,7 +186,7 @@ else:
             """,
             ".interfaces.realtime.packets": "RealtimeState",
             ".models": "UnknownModel",
-            ".motion": "Motions Servo ServoStatistics TrajectoryFeedback",
+            ".motion": "Circular Joint Linear Motions PathMotion Servo ServoStatistics TrajectoryFeedback",
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
         },

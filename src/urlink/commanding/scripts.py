@@ -7,19 +7,16 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from linkcore.arguments import check_callable
+from linkcore.arguments import check_callable, check_wait
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue
 from linkcore.handle import Handle, Lifecycle
 
-from ..urscript.text import checked
 from .channel import CommandChannel
 from .programs import Programs
 
 __all__ = ["Program", "Scripts"]
 
-#: Seconds that `run(wait=True)` waits.
-_RUN_TIMEOUT = 60.0
 #: Lines of `textmsg` that are kept of a program.
 _TEXTS = 1000
 
@@ -72,7 +69,7 @@ class Scripts:
             SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
             LinkError: it could not be sent; with `wait`, also what ended it.
         """
-        seconds = _RUN_TIMEOUT if wait is True else 0.0 if wait is False else checked(wait, "wait", 0.0)
+        seconds = check_wait(wait)
         if on_text is not None:
             check_callable(on_text, "on_text")
         wrapped = self._programs.wrap(_text(source) if isinstance(source, os.PathLike) else source)

@@ -2,6 +2,17 @@
 
 from .following import TrajectoryFeedback
 from .motions import Motions
+from .path import Circular, Joint, Linear, PathMotion, Waypoint
 from .servo import Servo, ServoStatistics
 
-__all__ = ["Motions", "Servo", "ServoStatistics", "TrajectoryFeedback"]
+__all__ = [
+    "Circular",
+    "Joint",
+    "Linear",
+    "Motions",
+    "PathMotion",
+    "Servo",
+    "ServoStatistics",
+    "TrajectoryFeedback",
+    "Waypoint",
+]

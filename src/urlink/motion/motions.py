@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
 from ..urscript import programs
 from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
@@ -19,6 +20,7 @@ from .context import MotionContext
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback
 from .linked import LinkedProgram
+from .path import PathMotion, Rates, Waypoint, check_joints, plan
 from .servo import Servo
 from .setpoints import Servoing
 from .speed_limit import largest_speeds
@@ -31,10 +33,18 @@ __all__ = ["Motions"]
 _LEAST, _HOUR = 1e-3, 3600.0
 #: rad/s² and m/s² beyond which a number is a mistake.
 _HARDEST = 100.0
+#: What becomes of a motion that nobody here can follow any more, for messages.
+_MAY_GO_ON = "the arm may still move, to the end of the motion"
+
+M = TypeVar("M", bound=Motion)
 
 
 class Motions:
-    """Moves the arm. Nothing here waits for the arm: each method returns the handle of a motion under way.
+    """Moves the arm. Each method returns the handle of a motion under way; it waits for the arm only if it is asked to.
+
+    With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, with
+    a number for so many seconds; after that a `LinkTimeout` says that the motion goes on. What interrupts the waiting
+    itself (Ctrl-C) cancels the motion, since nobody holds its handle.
 
     A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All of them raise
     `BadValue` for arguments that make no sense or are beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or
@@ -54,7 +64,13 @@ class Motions:
     # -- one command -----------------------------------------------------------------------------------
 
     def move_joints(
-        self, q: ArrayLike, speed: float = 1.05, acceleration: float = 1.4, *, time: float | None = None
+        self,
+        q: ArrayLike,
+        speed: float = 1.05,
+        acceleration: float = 1.4,
+        *,
+        time: float | None = None,
+        wait: bool | float = False,
     ) -> Motion:
         """Move all joints to a position, in a straight line in joint space.
 
@@ -63,19 +79,27 @@ class Motions:
             speed: rad/s of the joint that is furthest.
             acceleration: rad/s².
             time: seconds that it is to take; then speed and acceleration do not matter.
+            wait: see `Motions`.
         """
+        seconds = check_wait(wait)
         goal = six(q, "q")
         model = self._context.who.identity.arm
         if model is not None:
-            _within(model, goal)
+            check_joints(model, goal)
             checked(speed, "speed", _LEAST, float(model.max_speed.max()))
         body = programs.move_joints(
             goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
         )
-        return self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual))
+        return _waited(self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual)), seconds)
 
     def move_linear(
-        self, pose: ArrayLike, speed: float = 0.25, acceleration: float = 1.2, *, time: float | None = None
+        self,
+        pose: ArrayLike,
+        speed: float = 0.25,
+        acceleration: float = 1.2,
+        *,
+        time: float | None = None,
+        wait: bool | float = False,
     ) -> Motion:
         """Move the tool to a pose in the base frame, in a straight line.
 
@@ -84,13 +108,87 @@ class Motions:
             speed: m/s.
             acceleration: m/s².
             time: seconds that it is to take; then speed and acceleration do not matter.
+            wait: see `Motions`.
         """
+        seconds = check_wait(wait)
         goal = six(pose, "pose")
         body = programs.move_linear(
             goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
         )
         # Of the pose only the position: one rotation has more than one vector.
-        return self._upload("move_linear", body, _arriving(goal[:3], lambda state: state.tool_vector_actual[:3]))
+        motion = self._upload("move_linear", body, _arriving(goal[:3], lambda state: state.tool_vector_actual[:3]))
+        return _waited(motion, seconds)
+
+    def move_circular(
+        self,
+        via: ArrayLike,
+        to: ArrayLike,
+        speed: float = 0.25,
+        acceleration: float = 1.2,
+        *,
+        wait: bool | float = False,
+    ) -> Motion:
+        """Move the tool along the circle through one pose to another, both in the base frame.
+
+        Args:
+            via: (6,) position in m, and rotation vector in rad, on the way; its orientation does not count.
+            to: (6,) where it ends.
+            speed: m/s.
+            acceleration: m/s².
+            wait: see `Motions`.
+        """
+        from ..curves import Arc
+
+        seconds = check_wait(wait)
+        between, goal = six(via, "via").tolist(), six(to, "to").tolist()
+        body = programs.move_circular(between, goal, *_rates(speed, acceleration))
+        # From where the arm is now; where it moves yet, its stop is not far.
+        arc = Arc(self._context.state().tool_vector_actual.tolist(), between, goal)
+        motion = self._upload("move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()))
+        return _waited(motion, seconds)
+
+    def path(
+        self,
+        waypoints: Sequence[Waypoint],
+        speed: float = 0.25,
+        acceleration: float = 1.2,
+        *,
+        joint_speed: float = 1.05,
+        joint_acceleration: float = 1.4,
+        wait: bool | float = False,
+    ) -> PathMotion:
+        """Go through several waypoints in one motion; where one has a blend, round the corner without stopping there.
+
+        It is checked before it is sent, from where the arm is: that every point of a line or an arc can be reached by
+        the way on which the arm comes, within the limits of the joints; that no joint gets too fast; that blends do not
+        overlap. Corners are looked at as if they were not blended. It needs to be known which arm this is (1.8 and
+        later); where it is not, only the numbers are checked. That the arm hits nothing is not.
+
+        Args:
+            waypoints: `Joint`, `Linear` and `Circular`, each with a blend, and a speed of its own if it is to have one.
+            speed, acceleration: m/s and m/s² of the tool on lines and arcs.
+            joint_speed, joint_acceleration: rad/s and rad/s² of the joint that goes furthest, on the way to a `Joint`.
+            wait: see `Motions`.
+
+        Raises:
+            BadValue: which waypoint, and why it will not do.
+            LinkTimeout: no state tells where the arm is.
+        """
+        seconds = check_wait(wait)
+        joint_rates = Rates(
+            checked(joint_speed, "joint_speed", _LEAST, _HARDEST),
+            checked(joint_acceleration, "joint_acceleration", _LEAST, _HARDEST),
+        )
+        context = self._context
+        identity = context.who.identity
+        arm = None if identity.arm is None else identity.kinematics
+        planned = plan(list(waypoints), joint_rates, Rates(*_rates(speed, acceleration)), arm, context.state())
+        life = context.programs.life("path")
+        life.brake = lambda: context.programs.stop(life)
+        motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
+        wrapped = context.programs.own(planned.body)
+        context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._hear)
+        return _waited(motion, seconds)
 
     def speed_joints(self, qd: ArrayLike, acceleration: float = 1.4, *, duration: float = 0.5) -> Motion:
         """Turn the joints at a speed, and brake when time is up.
@@ -129,14 +227,15 @@ class Motions:
         )
         return self._speed("speed_linear", body, duration)
 
-    def stop(self, acceleration: float = 2.0) -> Motion:
+    def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
         """Brake all joints with so many rad/s². Done when the arm stands.
 
         An ordinary stop by the controller's program, no substitute for the emergency stop. It is sent whether or not
         `safety.enable()` was called; where a stop holds it is refused, and the arm stands.
         """
+        seconds = check_wait(wait)
         body = programs.stop(_acceleration(acceleration))
-        return self._upload("stop", body, is_stop=True)
+        return _waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- programs that talk back -------------------------------------------------------------------------
 
@@ -153,6 +252,7 @@ class Motions:
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
+        wait: bool | float = False,
     ) -> Motion:
         """Follow a trajectory from where the arm stands.
 
@@ -169,11 +269,13 @@ class Motions:
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time: s, 0.03 to 0.2; how far ``servoj`` looks ahead: more is smoother and lags more. Not on CB2.
             gain: 100 to 2000; how stiffly ``servoj`` follows. Not on CB2.
+            wait: see `Motions`.
 
         Raises:
             LocalError: `low_bandwidth` on a CB2.
             BadAddress: nobody can listen for the robot's connection at this port.
         """
+        seconds = check_wait(wait)
         if not isinstance(trajectory, Trajectory):
             raise BadValue(f"{trajectory!r} is no Trajectory")
         context, firmware = self._context, self._context.who.identity.firmware
@@ -195,7 +297,7 @@ class Motions:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
             following = Follower(trajectory, tolerances, servoing, model)
-        return self._follow(following, feedback)
+        return _waited(self._follow(following, feedback), seconds)
 
     def servo(
         self,
@@ -231,7 +333,7 @@ class Motions:
         *,
         is_stop: bool = False,
         asks: bool = True,
-        left_alone: str = "the arm may still move, to the end of the motion",
+        left_alone: str = _MAY_GO_ON,
     ) -> Motion:
         """A motion that is one short program: sent, and then the controller's affair."""
         context = self._context
@@ -322,9 +424,14 @@ def _acceleration(value: float) -> float:
     return checked(value, "acceleration", _LEAST, _HARDEST)
 
 
-def _within(model: Model, q: FloatArray) -> None:
-    for joint, (value, (low, high)) in enumerate(zip(q.tolist(), model.position_limits.tolist(), strict=True)):
-        if not low <= value <= high:
-            raise BadValue(
-                f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; a {model.name} reaches {low:.4f} to {high:.4f} rad"
-            )
+def _waited(motion: M, seconds: float) -> M:
+    """The motion, after so many seconds or its end; 0 does not wait."""
+    if seconds:
+        try:
+            motion.wait(seconds)
+        except Exception:
+            raise
+        except BaseException:
+            motion.cancel()
+            raise
+    return motion

@@ -18,6 +18,7 @@ What ends such a program before its time it says with a ``textmsg``: `NO_CONNECT
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from textwrap import dedent
 
@@ -38,8 +39,11 @@ __all__ = [
     "introduction",
     "lines",
     "missable",
+    "move_circular",
     "move_joints",
     "move_linear",
+    "segment",
+    "segment_of",
     "servo_cycle",
     "speed_joints",
     "speed_linear",
@@ -58,24 +62,53 @@ NO_CONNECTION = "urlink: cannot connect"
 LINK_ENDED = "urlink: the link ended"
 STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
+_SEGMENT = "urlink: segment "
 
 
 # -- one command ---------------------------------------------------------------------------------------
 
 
-def move_joints(q: Sequence[float], speed: float, acceleration: float, time: float | None = None) -> list[str]:
+def move_joints(
+    q: Sequence[float], speed: float, acceleration: float, time: float | None = None, blend: float = 0.0
+) -> list[str]:
     """Move the joints to `q` (6, rad), at most so fast (rad/s, rad/s²), or in `time` seconds."""
-    return [f"movej({vector(q, what='q')}, {_how(speed, acceleration, time)})"]
+    return [f"movej({vector(q, what='q')}, {_how(speed, acceleration, time, blend)})"]
 
 
-def move_linear(target: Sequence[float], speed: float, acceleration: float, time: float | None = None) -> list[str]:
+def move_linear(
+    target: Sequence[float], speed: float, acceleration: float, time: float | None = None, blend: float = 0.0
+) -> list[str]:
     """Move the tool in a straight line to a pose (m, rad), at most so fast (m/s, m/s²), or in `time` seconds."""
-    return [f"movel({pose(target)}, {_how(speed, acceleration, time)})"]
+    return [f"movel({pose(target)}, {_how(speed, acceleration, time, blend)})"]
 
 
-def _how(speed: float, acceleration: float, time: float | None) -> str:
-    limits = f"a={number(acceleration, 'acceleration')}, v={number(speed, 'speed')}"
-    return limits if time is None else f"{limits}, t={number(time, 'time')}"
+def move_circular(
+    via: Sequence[float], to: Sequence[float], speed: float, acceleration: float, blend: float = 0.0
+) -> list[str]:
+    """Move the tool along the circle through one pose to another (m, rad), at most so fast (m/s, m/s²)."""
+    return [f"movec({pose(via, 'via')}, {pose(to, 'to')}, {_how(speed, acceleration, None, blend)})"]
+
+
+def _how(speed: float, acceleration: float, time: float | None, blend: float) -> str:
+    figures = f"a={number(acceleration, 'acceleration')}, v={number(speed, 'speed')}"
+    if time is not None:
+        figures += f", t={number(time, 'time')}"
+    return f"{figures}, r={number(blend, 'blend')}" if blend else figures
+
+
+def segment(index: int) -> str:
+    """What a path says before its movement `index`; where the one before blends into it, as the blend begins.
+
+    A `textmsg` takes no time. That it does not end a blend, as no statement does that takes none, is how the vendor's
+    own programs look, which set outputs between blended waypoints.
+    """
+    return f"textmsg({quoted(f'{_SEGMENT}{index}')})"
+
+
+def segment_of(text: str) -> int | None:
+    """Which movement a line of text announces; None if it is another text."""
+    found = re.fullmatch(rf"{_SEGMENT}(\d{{1,4}})", text)
+    return int(found[1]) if found else None
 
 
 def speed_joints(firmware: Firmware, qd: Sequence[float], acceleration: float, duration: float) -> list[str]:

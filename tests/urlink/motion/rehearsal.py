@@ -13,11 +13,14 @@ from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.kinematics import Arm
 from urlink.motion.context import MotionContext
 from urlink.motion.motions import Motions
 from urlink.motion.reverse import ReversePort
 from urlink.urscript.wrapping import finish_marker, start_marker
+from urlink.vectors import FloatArray
 
+_ARM = Arm("UR5e")
 PATIENCE = 10.0
 STOP, FOLLOW, WAIT = 0, 1, 2
 #: rad; far from the limits and from singular postures.
@@ -73,10 +76,16 @@ class Rehearsal(StandIn):
             q_actual=actual,
             qd_target=self.qd,
             qd_actual=self.qd,
+            tool_vector_actual=self.pose,
             **mode,
             **safety,
         )
         self.fast.put(bytes(state))
+
+    @property
+    def pose(self) -> FloatArray:
+        """Of its flange, which is its tool."""
+        return _ARM.forward(self.q)
 
     def show(self) -> None:
         """Tick, and wait until that has been heard."""

@@ -16,14 +16,15 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from linkcore.errors import BadValue
+from urlink.curves import Arc, Line
 from urlink.kinematics import Arm
 
 from ..sources import BRAKING, Setpoint
-from .joint_limits import JointLimits, LimitViolation, checked, positive
+from .joint_limits import JointLimits, LimitViolation, Unreachable, checked, positive
 from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, timed
 from .servo_motion import ServoMotion, lag_of
 from .speed_motion import JointSpeed, ToolSpeed
-from .tool_paths import CircularPath, LinearPath
+from .tool_paths import ToolPath
 
 __all__ = ["MotionGenerator"]
 
@@ -170,7 +171,8 @@ class MotionGenerator:
             Unreachable: the arm does not reach the pose.
         """
         start, blend = self._take_over()
-        path = LinearPath(self._kinematics, self.tcp, start, checked(pose, "a pose"))
+        line = Line(self._kinematics.forward(start, self.tcp).tolist(), checked(pose, "a pose"))
+        path = ToolPath(self._kinematics, self.tcp, line, start)
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movec(
@@ -191,7 +193,12 @@ class MotionGenerator:
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
         start, blend = self._take_over()
         ends = checked(via, "a pose"), checked(to, "a pose")
-        path = CircularPath(self._kinematics, self.tcp, start, *ends, fixed=mode == 1)
+        begin = self._kinematics.forward(start, self.tcp).tolist()
+        try:
+            arc = Arc(begin, *ends, is_fixed=mode == 1)
+        except BadValue as error:
+            raise Unreachable(str(error)) from None
+        path = ToolPath(self._kinematics, self.tcp, arc, start)
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:

@@ -1,0 +1,383 @@
+"""Paths of several movements that blend into each other, and what is checked of one before it is sent.
+
+The controller makes the movement; what is here is its plan, to tell beforehand what it would refuse half-way. It is
+computed with the arm's own kinematics and the tool centre point that it shows, from where the joints are.
+
+What is known of controllers, and what is not: blends that overlap are refused (vendor's manual; "overlapping blends"
+in users' logs), here by the sum of the two radii at the ends of a movement. That a line is refused where a joint would
+get too fast is what its users see, as a protective stop. How a controller limits the speed of a tool that turns in
+place, and how it goes round a corner, is not published: corners are checked as if they were not blended.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue
+from linkcore.handle import Lifecycle, Motion
+
+from ..interfaces.realtime.packets import RealtimeState
+from ..models import Model
+from ..urscript import programs
+from ..urscript.text import checked
+from ..vectors import JOINTS, FloatArray, six
+
+if TYPE_CHECKING:
+    from ..curves import Curve
+    from ..kinematics import Arm
+
+__all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "check_joints", "plan"]
+
+#: m; no arm is longer, so a blend that is has the wrong unit.
+_WIDEST = 2.0
+#: m/s, rad/s and m/s², rad/s², between which the number of a person lies.
+_SLOWEST, _HARDEST = 1e-3, 100.0
+#: Waypoints of a path. What a controller takes is not known; with this many the text has 200 kB.
+_MOST = 1000
+#: m and rad between two places at which a line or an arc is looked at, and how many there are at most.
+_STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
+#: rad that a joint may turn between two of them where the tool turns in place: the way leads through a singularity.
+_LEAP = 0.5
+#: m that a turn of one rad counts as, for the time that it takes. A guess.
+_RADIAN = 0.25
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How fast: rad/s and rad/s² of the leading joint, or m/s and m/s² of the tool."""
+
+    speed: float
+    acceleration: float
+
+    def seconds(self, way: float) -> float:
+        """From rest to rest."""
+        if way * self.acceleration > self.speed * self.speed:
+            return way / self.speed + self.speed / self.acceleration
+        return 2.0 * math.sqrt(way / self.acceleration)
+
+
+class Waypoint:
+    """Where a path goes next, and how; made as one of its subclasses.
+
+    Attributes:
+        blend: m from the waypoint at which the arm begins to go round the corner; 0 to stop there.
+        rates: its own speed and acceleration; None for those of the path.
+    """
+
+    def __init__(self, blend: float, speed: float | None, acceleration: float | None) -> None:
+        self.blend = checked(blend, "blend", 0.0, _WIDEST)
+        self._speed = None if speed is None else checked(speed, "speed", _SLOWEST, _HARDEST)
+        self._acceleration = None if acceleration is None else checked(acceleration, "acceleration", _SLOWEST, _HARDEST)
+
+    def rates(self, usual: Rates) -> Rates:
+        """Its own speed and acceleration, where it has some."""
+        return Rates(self._speed or usual.speed, self._acceleration or usual.acceleration)
+
+
+class Joint(Waypoint):
+    """Straight in joint space to joint positions.
+
+    Args:
+        q: (6,) rad.
+        blend: m from there at which the next movement may begin.
+        speed: rad/s of the joint that goes furthest; None for that of the path.
+        acceleration: rad/s²; None for that of the path.
+    """
+
+    def __init__(
+        self, q: ArrayLike, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
+    ) -> None:
+        super().__init__(blend, speed, acceleration)
+        self.q = six(q, "q")
+
+    def __repr__(self) -> str:
+        return f"Joint({self.q.tolist()}, blend={self.blend:g})"
+
+
+class Linear(Waypoint):
+    """The tool straight to a pose in the base frame.
+
+    Args:
+        pose: (6,) m, and rotation vector in rad.
+        blend: m from there at which the next movement may begin.
+        speed: m/s; None for that of the path.
+        acceleration: m/s²; None for that of the path.
+    """
+
+    def __init__(
+        self, pose: ArrayLike, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
+    ) -> None:
+        super().__init__(blend, speed, acceleration)
+        self.pose = six(pose, "pose")
+
+    def __repr__(self) -> str:
+        return f"Linear({self.pose.tolist()}, blend={self.blend:g})"
+
+
+class Circular(Waypoint):
+    """The tool along the circle through one pose to another, in the base frame.
+
+    Args:
+        via: (6,) m and rad, on the way; its orientation does not count.
+        to: (6,) m and rad, where it ends.
+        blend: m from there at which the next movement may begin.
+        speed: m/s; None for that of the path.
+        acceleration: m/s²; None for that of the path.
+    """
+
+    def __init__(
+        self,
+        via: ArrayLike,
+        to: ArrayLike,
+        *,
+        blend: float = 0.0,
+        speed: float | None = None,
+        acceleration: float | None = None,
+    ) -> None:
+        super().__init__(blend, speed, acceleration)
+        self.via, self.to = six(via, "via"), six(to, "to")
+
+    def __repr__(self) -> str:
+        return f"Circular({self.via.tolist()}, {self.to.tolist()}, blend={self.blend:g})"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One movement of a path, as it was planned.
+
+    Attributes:
+        seconds: that it takes from rest to rest: its share of the path.
+        part: tells which part of it is behind the arm.
+    """
+
+    seconds: float
+    part: Callable[[RealtimeState], float]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A path that was checked.
+
+    Attributes:
+        body: the lines of its program.
+        sections: one for each waypoint.
+    """
+
+    body: list[str]
+    sections: list[Section]
+
+
+class PathMotion(Motion):
+    """A path under way."""
+
+    def __init__(
+        self, life: Lifecycle, sections: Sequence[Section], newest: Callable[[], RealtimeState | None]
+    ) -> None:
+        super().__init__(life, self._part)
+        self._sections = sections
+        self._newest = newest
+        self._segment = 0
+
+    @property
+    def segment(self) -> int:
+        """Number of the waypoint, counted from 0, that the arm is on its way to; with a blend, once that has begun."""
+        return self._segment
+
+    @property
+    def segments(self) -> int:
+        """How many waypoints there are."""
+        return len(self._sections)
+
+    def _hear(self, text: str) -> None:
+        """A line that the program has said."""
+        segment = programs.segment_of(text)
+        if segment is not None and segment < self.segments:
+            self._segment = segment
+
+    def _part(self) -> float:
+        segment, state = self._segment, self._newest()
+        seconds = [section.seconds for section in self._sections]
+        now = 0.0 if state is None else seconds[segment] * min(max(self._sections[segment].part(state), 0.0), 1.0)
+        return (sum(seconds[:segment]) + now) / sum(seconds)
+
+
+def plan(
+    waypoints: Sequence[Waypoint], joint_rates: Rates, tool_rates: Rates, arm: Arm | None, state: RealtimeState
+) -> Plan:
+    """Check a path from where the arm is.
+
+    Args:
+        waypoints: where it goes.
+        joint_rates, tool_rates: of waypoints that have none.
+        arm: its kinematics; None where nobody knows it, and reach, joint limits and blends remain unchecked.
+        state: of the robot, which shows the joints and the tool centre point.
+
+    Raises:
+        BadValue: which waypoint, and why it will not do.
+    """
+    if not 0 < len(waypoints) <= _MOST:
+        raise BadValue(f"a path of {len(waypoints)} waypoints; expected 1 to {_MOST}")
+    for number, waypoint in enumerate(waypoints):
+        if not isinstance(waypoint, (Joint, Linear, Circular)):
+            raise BadValue(f"waypoint {number} is {waypoint!r}; expected a Joint, Linear or Circular")
+    if waypoints[-1].blend:
+        raise BadValue(f"waypoint {len(waypoints) - 1} is the last and has no next to blend into; expected blend=0")
+    rates = [each.rates(joint_rates if isinstance(each, Joint) else tool_rates) for each in waypoints]
+    body: list[str] = []
+    for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
+        body += [programs.segment(number), *_statement(waypoint, rate)]
+    if arm is None:
+        return Plan(body, [Section(1.0, lambda state: 0.0)] * len(waypoints))
+    planner = _Planner(arm, state)
+    before = 0.0
+    sections = []
+    for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
+        try:
+            sections.append(planner.section(waypoint, rate, before))
+        except BadValue as error:
+            raise BadValue(f"waypoint {number}: {error}") from None
+        before = waypoint.blend
+    return Plan(body, sections)
+
+
+def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
+    figures = (rate.speed, rate.acceleration)
+    if isinstance(waypoint, Joint):
+        return programs.move_joints(waypoint.q.tolist(), *figures, blend=waypoint.blend)
+    if isinstance(waypoint, Linear):
+        return programs.move_linear(waypoint.pose.tolist(), *figures, blend=waypoint.blend)
+    assert isinstance(waypoint, Circular)
+    return programs.move_circular(waypoint.via.tolist(), waypoint.to.tolist(), *figures, blend=waypoint.blend)
+
+
+class _Planner:
+    """Goes along a path from waypoint to waypoint, corner by corner as if there were no blends."""
+
+    def __init__(self, arm: Arm, state: RealtimeState) -> None:
+        from ..poses import compose, invert
+
+        self._arm = arm
+        # What set_tcp was told shows in every firmware as the difference between flange and tool.
+        self._tcp = compose(invert(arm.forward(state.q_actual)), state.tool_vector_actual)
+        self._q: FloatArray = np.array(state.q_target)
+
+    def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> Section:
+        """The movement to a waypoint, after one that ends with a blend of `blend` m."""
+        if isinstance(waypoint, Joint):
+            return self._joint(waypoint, rate, blend)
+        return self._curve(waypoint, rate, blend)
+
+    def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> Section:
+        model = self._arm.model
+        check_joints(model, waypoint.q)
+        checked(rate.speed, "speed", _SLOWEST, float(model.max_speed.max()))
+        start, way = self._q, waypoint.q - self._q
+        places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
+        _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
+        self._q = np.array(waypoint.q)
+        squared = float(way @ way)
+
+        def part(state: RealtimeState) -> float:
+            return float((state.q_actual - start) @ way) / squared if squared else 1.0
+
+        return Section(rate.seconds(float(np.abs(way).max())), part)
+
+    def _curve(self, waypoint: Waypoint, rate: Rates, blend: float) -> Section:
+        from ..curves import Arc, Line
+
+        start = self._arm.forward(self._q, self._tcp).tolist()
+        curve: Curve
+        if isinstance(waypoint, Linear):
+            curve = Line(start, waypoint.pose.tolist())
+        else:
+            assert isinstance(waypoint, Circular)
+            curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
+        _check_blends(blend, waypoint.blend, curve.length)
+        self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)
+        return Section(
+            rate.seconds(max(curve.length, _RADIAN * curve.turn)),
+            lambda state: curve.part(state.tool_vector_actual.tolist()),
+        )
+
+    def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
+        """The joints at its end, if the arm can go along it.
+
+        Raises:
+            BadValue: out of reach, beyond a position limit, or too fast for a joint.
+        """
+        from ..kinematics import Unreachable
+
+        model = self._arm.model
+        steps = min(max(math.ceil(max(curve.length / _STEP, curve.turn / _TURN)), 1), _MOST_STEPS)
+        parts = np.linspace(0.0, 1.0, steps + 1)
+        poses = [curve.pose(part) for part in parts.tolist()]
+        try:
+            rows = self._arm.inverse_path(poses, self._q, self._tcp)
+        except Unreachable as error:
+            # Without the number of the row: the message has the pose.
+            raise BadValue(f"the way there is out of reach: {str(error).partition(': ')[2]}") from None
+        low, high = model.position_limits.T
+        beyond = (rows < low) | (rows > high)
+        if beyond.any():
+            row, joint = map(int, np.argwhere(beyond)[0])
+            raise BadValue(
+                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would be at {rows[row, joint]:.3f} rad; "
+                f"a {model.name} reaches {low[joint]:.4f} to {high[joint]:.4f} rad"
+            )
+        turns = np.abs(np.diff(rows, axis=0))
+        if (turns > _LEAP).any():
+            row, joint = map(int, np.argwhere(turns > _LEAP)[0])
+            raise BadValue(
+                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to leap by {turns[row, joint]:.2f} rad: "
+                "it leads through a singularity"
+            )
+        if curve.length > 0.0:
+            speed = _speed_along(curve.length, rate, steps, is_fast_at_start, is_fast_at_end)
+            self._check_speeds(turns * (steps / curve.length) * speed, parts)
+        end: FloatArray = rows[-1]
+        return end
+
+    def _check_speeds(self, speeds: FloatArray, parts: FloatArray) -> None:
+        """`speeds`: (steps, 6) rad/s."""
+        model = self._arm.model
+        excess = speeds / model.max_speed
+        if excess.max() > 1.0:
+            row, joint = map(int, np.unravel_index(int(excess.argmax()), excess.shape))
+            raise BadValue(
+                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} "
+                f"rad/s; a {model.name} turns it at {model.max_speed[joint]:.2f} rad/s at most"
+            )
+
+
+def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
+    """(steps, 1) m/s of the tool in the middle of each step; from rest and to rest, but where a blend is."""
+    way = (np.arange(steps) + 0.5) * (length / steps)
+    speed = np.full(steps, rate.speed)
+    if not is_fast_at_start:
+        speed = np.minimum(speed, np.sqrt(2.0 * rate.acceleration * way))
+    if not is_fast_at_end:
+        speed = np.minimum(speed, np.sqrt(2.0 * rate.acceleration * (length - way)))
+    return speed[:, np.newaxis]
+
+
+def _check_blends(before: float, after: float, length: float) -> None:
+    """Two blends at the ends of a movement must not overlap."""
+    if before + after > length and (before or after):
+        raise BadValue(
+            f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a way of {length:.4g} m"
+        )
+
+
+def check_joints(model: Model, q: FloatArray) -> None:
+    """Raise `BadValue` unless joint positions are within the position limits."""
+    for joint, (value, (low, high)) in enumerate(zip(q.tolist(), model.position_limits.tolist(), strict=True)):
+        if not low <= value <= high:
+            raise BadValue(
+                f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; a {model.name} reaches {low:.4f} to {high:.4f} rad"
+            )

@@ -1,0 +1,311 @@
+"""Paths of several movements: what is refused before it is sent, what is sent, and how far it has got."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadValue, Cancelled, LinkTimeout
+from linkcore.handle import Phase
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal
+from tests.waiting import until
+from urlink import Circular, Joint, Linear
+from urlink.curves import Arc
+from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.kinematics import Arm
+from urlink.motion.path import Plan, Rates, Waypoint, plan
+from urlink.poses import compose
+from urlink.vectors import FloatArray
+
+ARM = Arm("UR5e")
+#: rad; elbow up, tool down.
+READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
+POSE = ARM.forward(READY)
+TCP = (0.0, 0.02, 0.1, 0.0, 0.3, 0.0)
+JOINT_RATES, TOOL_RATES = Rates(1.05, 1.4), Rates(0.25, 1.2)
+
+
+def state_at(q: FloatArray, arm: Arm = ARM) -> RealtimeState:
+    """An arm that stands, with a tool."""
+    return RealtimeState("5.11", q_target=q, q_actual=q, tool_vector_actual=arm.forward(q, TCP))
+
+
+def planned(waypoints: list[Waypoint], rates: Rates = TOOL_RATES, arm: Arm | None = ARM) -> Plan:
+    return plan(waypoints, JOINT_RATES, rates, arm, state_at(READY))
+
+
+def shifted(pose: FloatArray, *way: float) -> FloatArray:
+    """Metres further in the base frame."""
+    there = pose.copy()
+    there[:3] += way
+    return there
+
+
+def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> list[float]:
+    """The pose of the tool at `READY`, m further in the base frame."""
+    pose: list[float] = shifted(ARM.forward(READY, TCP), x, y, z).tolist()
+    return pose
+
+
+# -- what is sent --------------------------------------------------------------------------------------
+
+
+def test_each_waypoint_is_a_line_with_its_own_figures() -> None:
+    body = planned(
+        [
+            Linear(moved(z=0.1), blend=0.02),
+            Circular(moved(0.02, 0.05, 0.1), moved(0.0, 0.1, 0.1), blend=0.01, speed=0.1, acceleration=0.5),
+            Joint(READY, speed=0.5),
+        ]
+    ).body
+    assert [line.split("(")[0] for line in body] == ["textmsg", "movel", "textmsg", "movec", "textmsg", "movej"]
+    assert [line.partition("], a=")[2] for line in body[1::2]] == [
+        "1.2, v=0.25, r=0.02)",
+        "0.5, v=0.1, r=0.01)",
+        "1.4, v=0.5)",
+    ]
+
+
+# -- what is refused -----------------------------------------------------------------------------------
+
+REFUSED: list[tuple[list[Waypoint], str]] = [
+    ([], "a path of 0 waypoints"),
+    ([Joint(READY)] * 1001, "a path of 1001 waypoints"),
+    ([[0.0] * 6], r"waypoint 0 is \[0.0, .*; expected a Joint, Linear or Circular"),  # type: ignore[list-item]
+    ([Linear(moved(z=0.1), blend=0.01)], "waypoint 0 is the last"),
+    ([Joint(READY), Joint([7.0, *READY[1:]])], r"waypoint 1: q\[0\] \(base\) is 7.0000 rad"),
+    ([Joint(READY, speed=4.0)], "waypoint 0: speed is 4.0"),
+    ([Linear(moved(x=-3.0))], "waypoint 0: the way there is out of reach: a UR5e cannot bring its tool to"),
+    # The end can be reached, and what is between is within the base.
+    ([Linear(compose([0, 0, 0, 0, 0, math.pi], moved()))], "out of reach: .* from the axis of the base"),
+    (
+        [Linear(moved(z=0.1), blend=0.06), Linear(moved(y=0.1, z=0.1), blend=0.05), Joint(READY)],
+        r"waypoint 1: blends of 0.06 m at its beginning and 0.05 m at its end do not fit on a way of 0.1 m",
+    ),
+    ([Joint(READY, blend=0.01), Linear(moved(z=0.1))], "do not fit on a way of 0 m"),
+    ([Circular(moved(z=0.05), moved(z=0.1))], "waypoint 0: .* on no circle"),
+]
+
+
+@pytest.mark.parametrize(("waypoints", "why"), REFUSED, ids=[why[:40] for _, why in REFUSED])
+def test_what_will_not_do_is_refused(waypoints: list[Waypoint], why: str) -> None:
+    with pytest.raises(BadValue, match=why):
+        planned(waypoints)
+
+
+@pytest.mark.parametrize("bad", [{"blend": -0.1}, {"blend": 20.0}, {"speed": 0.0}, {"acceleration": math.nan}])
+def test_no_such_figures(bad: dict[str, float]) -> None:
+    with pytest.raises(BadValue, match=next(iter(bad))):
+        Linear(moved(), **bad)
+
+
+def test_a_line_past_a_singular_wrist_is_refused_unless_it_is_slow() -> None:
+    near = READY.copy()
+    near[4] = -0.06
+    start, end = ARM.forward(near), ARM.forward([*near[:4], 0.06, *near[5:]])
+    state = RealtimeState("5.11", q_target=near, q_actual=near, tool_vector_actual=start)
+    # Sideways past the place where joints 4 and 6 turn about the same direction: they have to turn round.
+    sideways = [*(start[:3] + 0.2 * (end - start)[:3] / np.linalg.norm((end - start)[:3])), *start[3:]]
+    with pytest.raises(BadValue, match=r"waypoint 0: after \d+% of the way .* would have to turn at"):
+        plan([Linear(sideways)], JOINT_RATES, Rates(1.0, 10.0), ARM, state)
+    plan([Linear(sideways)], JOINT_RATES, Rates(0.002, 10.0), ARM, state)
+
+
+def test_of_an_arm_that_nobody_knows_only_the_numbers_are_checked() -> None:
+    found = planned([Linear(moved(x=-3.0)), Joint(READY)], arm=None)
+    assert len(found.sections) == 2
+    with pytest.raises(BadValue, match="is the last"):
+        planned([Linear(moved(), blend=0.1)], arm=None)
+
+
+# -- what is accepted is carried out -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("firmware", ["3.15", "5.11"])
+def test_what_is_accepted_breaks_no_limit(seed: int, firmware: str) -> None:
+    """The simulated arm refuses what its joints cannot do. It reaches each waypoint as far as its blend lets it."""
+    rng = np.random.default_rng(seed)
+    rates = Rates(1.0, 5.0)
+    version = Firmware.parse(firmware)
+    arm = ARM if version.is_e_series else Arm("UR5")
+    start = arm.forward(READY)
+    waypoints: list[Waypoint] = []
+    while len(waypoints) < 5:
+        place = [*(start[:3] + rng.uniform(-0.2, 0.2, 3)), *start[3:]]
+        kind = rng.integers(3)
+        blend = float(rng.choice([0.0, 0.01]))
+        if kind == 0:
+            further: Waypoint = Joint(READY + rng.uniform(-0.4, 0.4, 6), blend=blend, speed=2.0, acceleration=10.0)
+        elif kind == 1:
+            further = Linear(place, blend=blend)
+        else:
+            further = Circular([*(start[:3] + rng.uniform(-0.2, 0.2, 3)), *start[3:]], place, blend=blend)
+        state = RealtimeState(version, q_target=READY, q_actual=READY, tool_vector_actual=start)
+        try:
+            found = plan([*waypoints, further, Joint(READY)], JOINT_RATES, rates, arm, state)
+        except BadValue:
+            continue
+        waypoints.append(further)
+    bench = Bench(found.body, version, READY.tolist())
+    bench.run(20_000)
+    assert bench.has_finished
+    assert len(bench.said) == len(waypoints) + 1
+    poses = arm.forward(np.array(bench.path))
+    for waypoint in waypoints:
+        if isinstance(waypoint, Joint):
+            away = np.abs(np.array(bench.path) - waypoint.q).max(axis=1)
+        else:
+            to = waypoint.to if isinstance(waypoint, Circular) else waypoint.pose  # type: ignore[attr-defined]
+            away = np.linalg.norm(poses[:, :3] - to[:3], axis=1)
+        assert away.min() < (0.05 if waypoint.blend else 1e-4)
+
+
+# -- how far it has got --------------------------------------------------------------------------------
+
+
+def test_progress_by_segment(robot: Rehearsal) -> None:
+    up, down = [*HOME[:5], 0.4], list(HOME)
+    motion = robot.motion.path([Joint(up), Joint(down), Joint(up)])
+    assert motion.segments == 3
+    robot.begin()
+    robot.show()
+    assert (motion.segment, motion.progress) == (0, 0.0)
+    robot.q = [*HOME[:5], 0.2]
+    robot.show()
+    assert motion.progress == pytest.approx(1.0 / 6.0)
+    robot.text("urlink: segment 1")
+    until(lambda: motion.segment == 1)
+    assert motion.progress == pytest.approx(0.5)
+    # Somebody else's words.
+    for text in ("urlink: segment 7", "urlink: segment", "urlink: segment 2 or so", "urlink: segment 2"):
+        robot.text(text)
+    until(lambda: motion.segment == 2)
+    assert motion.progress == pytest.approx(5.0 / 6.0)
+    robot.finish()
+    motion.wait(PATIENCE)
+    assert motion.progress == 1.0
+
+
+def test_nothing_is_sent_of_a_path_that_is_refused(robot: Rehearsal) -> None:
+    with pytest.raises(BadValue, match="waypoint 0"):
+        robot.motion.path([Joint([9.0] * 6)])
+    assert robot.sent == []
+    assert robot.motion.current is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("arm", "firmware"), [("ur5", "1.8"), ("ur5", "3.15"), ("ur5e", "5.11"), ("ur5e", "10.12")])
+def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
+    with urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0) as robot:
+        robot.motion.move_joints(READY, speed=3.0, acceleration=20.0, wait=PATIENCE)
+        here = robot.realtime.wait(PATIENCE).tool_vector_actual
+        up, aside = shifted(here, 0, 0, 0.05), shifted(here, 0, 0.05, 0.05)
+        motion = robot.motion.path(
+            [Linear(up, blend=0.01), Circular(shifted(here, 0, 0.03, 0.06), aside), Joint(READY)],
+            speed=0.3,
+            acceleration=2.0,
+        )
+        seen: list[tuple[int, float]] = []
+        while not motion.done:
+            seen.append((motion.segment, motion.progress))
+            robot.realtime.wait(PATIENCE)
+        motion.wait(0.0)
+        assert motion.phase is Phase.DONE
+        assert {segment for segment, _ in seen} == {0, 1, 2}
+        # A blend ends a movement a little before its end.
+        assert all(later >= before - 1e-3 for (_, before), (_, later) in pairwise(seen))
+        robot.motion.move_linear(up, speed=0.3, wait=PATIENCE)
+        motion_round = robot.motion.move_circular(shifted(here, 0, 0.03, 0.06), aside, speed=0.5)
+        until(lambda: motion_round.done, PATIENCE)
+        assert robot.realtime.wait(PATIENCE).tool_vector_actual[:3] == pytest.approx(aside[:3], abs=1e-3)
+
+
+def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
+    start = robot.pose
+    via, to = shifted(start, 0, 0.05, 0.05), shifted(start, 0, 0.1, 0)
+    motion = robot.motion.move_circular(via, to)
+    robot.begin()
+    arc = Arc(start.tolist(), via.tolist(), to.tolist())
+    for part in (0.0, 0.25, 0.8):
+        robot.q = ARM.inverse(arc.pose(part), robot.q).tolist()
+        robot.show()
+        assert motion.progress == pytest.approx(part, abs=1e-6)
+    robot.finish()
+    motion.wait(PATIENCE)
+
+
+def test_points_in_a_row_are_no_circle(robot: Rehearsal) -> None:
+    with pytest.raises(BadValue, match="no circle"):
+        robot.motion.move_circular(shifted(robot.pose, 0, 0.1, 0), shifted(robot.pose, 0, 0.2, 0))
+    assert robot.sent == []
+
+
+# -- waiting for it ------------------------------------------------------------------------------------
+
+WAITING: list[Callable[[Rehearsal, float], object]] = [
+    lambda r, wait: r.motion.move_joints(HOME, wait=wait),
+    lambda r, wait: r.motion.move_linear(r.pose, wait=wait),
+    lambda r, wait: r.motion.move_circular(shifted(r.pose, 0, 0, 0.1), shifted(r.pose, 0, 0.1, 0.1), wait=wait),
+    lambda r, wait: r.motion.path([Joint(HOME)], wait=wait),
+    lambda r, wait: r.motion.stop(wait=wait),
+]
+
+
+@pytest.mark.parametrize("move", WAITING)
+def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, float], object]) -> None:
+    def play() -> None:
+        until(lambda: robot.sent)
+        robot.begin()
+        robot.finish()
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    motion = move(robot, PATIENCE)
+    thread.join(PATIENCE)
+    assert isinstance(motion, urlink.Motion)
+    assert motion.phase is Phase.DONE
+    with pytest.raises(LinkTimeout, match="it goes on"):
+        move(robot, 0.01)
+    with pytest.raises(BadValue, match="wait="):
+        move(robot, -1.0)
+
+
+def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal) -> None:
+    """Nobody holds the handle."""
+
+    def interrupt() -> None:
+        until(lambda: robot.motion.current is not None)
+        robot.begin()
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        robot.motion.move_joints(HOME, wait=PATIENCE)
+    thread.join(PATIENCE)
+    until(lambda: "stopj" in robot.uploaded)
+    assert robot.motion.current is None
+
+
+def test_what_ends_a_motion_is_raised_while_it_is_waited_for(robot: Rehearsal) -> None:
+    def preempt() -> None:
+        until(lambda: robot.motion.current is not None)
+        robot.begin()
+        robot.motion.stop()
+        robot.begin()
+
+    thread = threading.Thread(target=preempt)
+    thread.start()
+    with pytest.raises(Cancelled, match="preempted by stop"):
+        robot.motion.move_joints(HOME, wait=PATIENCE)
+    thread.join(PATIENCE)
