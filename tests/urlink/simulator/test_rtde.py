@@ -721,7 +721,7 @@ def test_texts_and_data_before_and_in_place_of_replies() -> None:
     sim = controller()
     sim.faults.rtde_hello()
     peer = Peer(sim, 1)
-    assert peer.take() == [("M", b"\3SafetySetup has not been confirmed yet")]
+    assert peer.take() == [("M", b"\2SafetySetup has not been confirmed yet")]
     sim.faults.heal()
     peer = Peer(sim)
     peer.outputs("timestamp")

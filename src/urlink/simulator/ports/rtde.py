@@ -123,7 +123,7 @@ class RtdePort:
 
     def greeting(self) -> list[bytes]:
         hello = self.disturbance.hello
-        return [_text(1, hello)] if hello else []
+        return [_text(1, hello, level=MessageLevel.WARNING)] if hello else []
 
     def next_cycle(self, cycle: int) -> int | None:
         wanted = [session.next_cycle(cycle) for session in self.sessions if session.is_started]
