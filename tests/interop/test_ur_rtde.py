@@ -1,8 +1,8 @@
 """The dashboard client of ur_rtde, which other people wrote, against the simulator's dashboard server.
 
 It asks for the version first, leaves out what that version does not have, and raises where a reply is not the one that
-it expects; so a call that returns has been answered as it expects of a real controller. RTDE itself is not served, and
-not tried here.
+it expects; so a call that returns has been answered as it expects of a real controller. The interfaces of ur_rtde that
+speak RTDE are in `test_ur_rtde_interfaces.py`.
 """
 
 from __future__ import annotations

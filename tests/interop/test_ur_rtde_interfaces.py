@@ -1,0 +1,434 @@
+"""ur_rtde's receive, I/O and control interface, which other people wrote, against the simulator's RTDE.
+
+What they report and cause is held against the controller itself, and what they compute against the library. Not tried,
+because the simulator does not model it: force mode, teach mode, freedrive and `directTorque`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.waiting import until
+from urlink.interfaces.rtde.variables import OUTPUTS
+from urlink.poses import compose
+from urlink.simulator import HOME, Controller, Still
+from urlink.simulator.ports.rtde_variables import OUTPUT_VALUES
+
+pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s interop` installs it where it can be had")
+
+#: ur_rtde has the standard ports built in; an address for each process of the tests keeps them apart.
+HOST = f"127.30.0.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
+FIRMWARES = ["3.15", "5.4", "5.11", "5.25"]
+NEAR = [0.1, -1.4, 1.3, -1.5, -1.5, 0.2]
+
+
+class Rtde:
+    """ur_rtde in a process of its own.
+
+    `rtde.control.moveJ(q)` calls that method there.
+    """
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("rtde_process.py"))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._replies: queue.Queue[Any] = queue.Queue()
+        self._said: list[str] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            if line.startswith(">>>"):
+                self._replies.put(json.loads(line[3:]))
+            else:
+                self._said.append(line)
+        self._replies.put({"error": f"it has ended, having said: {''.join(self._said[-20:])}"})
+
+    def call(self, name: str, method: str, *arguments: Any) -> Any:
+        """Call it, and wait for the value.
+
+        Raises:
+            RuntimeError: that is what it raised, or it has died.
+        """
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps([name, method, arguments]) + "\n")
+        self._process.stdin.flush()
+        reply = self._replies.get(timeout=30)
+        if "error" in reply:
+            raise RuntimeError(reply["error"])
+        return reply["value"]
+
+    def make(self, name: str, *arguments: Any) -> Interface:
+        """One of the interfaces, connected."""
+        self.call(name, "", HOST, *arguments)
+        return Interface(self, name)
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.wait(10)
+        self._thread.join(10)
+        for pipe in (self._process.stdin, self._process.stderr):
+            assert pipe is not None
+            pipe.close()
+
+
+class Interface:
+    """One interface; its methods are those of ur_rtde."""
+
+    def __init__(self, rtde: Rtde, name: str) -> None:
+        self._rtde = rtde
+        self._name = name
+
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        return partial(self._rtde.call, self._name, method)
+
+
+@pytest.fixture(params=FIRMWARES)
+def controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
+    with Controller(None, request.param, host=HOST, ports="standard", motion=Still()) as controller:
+        yield controller
+
+
+@pytest.fixture
+def rtde() -> Iterator[Rtde]:
+    rtde = Rtde()
+    yield rtde
+    rtde.close()
+
+
+def near(values: Any, wanted: Any, within: float = 1e-9) -> bool:
+    return bool(np.allclose(values, wanted, rtol=0, atol=within))
+
+
+def eventually(read: Callable[[], Any], wanted: Any, within: float = 1e-9) -> None:
+    until(lambda: near(read(), wanted, within))
+
+
+# -- receive -------------------------------------------------------------------------------------------
+
+# getter -> variable. What moves with noise is compared in a cycle in which nothing is sent.
+GETTERS = {
+    "getTargetQ": "target_q",
+    "getTargetQd": "target_qd",
+    "getTargetQdd": "target_qdd",
+    "getTargetCurrent": "target_current",
+    "getTargetMoment": "target_moment",
+    "getActualQ": "actual_q",
+    "getActualQd": "actual_qd",
+    "getActualCurrent": "actual_current",
+    "getJointControlOutput": "joint_control_output",
+    "getActualTCPPose": "actual_TCP_pose",
+    "getActualTCPSpeed": "actual_TCP_speed",
+    "getActualTCPForce": "actual_TCP_force",
+    "getTargetTCPPose": "target_TCP_pose",
+    "getTargetTCPSpeed": "target_TCP_speed",
+    "getActualDigitalInputBits": "actual_digital_input_bits",
+    "getJointTemperatures": "joint_temperatures",
+    "getActualExecutionTime": "actual_execution_time",
+    "getRobotMode": "robot_mode",
+    "getJointMode": "joint_mode",
+    "getSafetyMode": "safety_mode",
+    "getActualToolAccelerometer": "actual_tool_accelerometer",
+    "getSpeedScaling": "speed_scaling",
+    "getTargetSpeedFraction": "target_speed_fraction",
+    "getActualMomentum": "actual_momentum",
+    "getActualMainVoltage": "actual_main_voltage",
+    "getActualRobotVoltage": "actual_robot_voltage",
+    "getActualRobotCurrent": "actual_robot_current",
+    "getActualJointVoltage": "actual_joint_voltage",
+    "getActualDigitalOutputBits": "actual_digital_output_bits",
+    "getRuntimeState": "runtime_state",
+    "getStandardAnalogInput0": "standard_analog_input0",
+    "getStandardAnalogInput1": "standard_analog_input1",
+    "getStandardAnalogOutput0": "standard_analog_output0",
+    "getStandardAnalogOutput1": "standard_analog_output1",
+    "getRobotStatus": "robot_status_bits",
+    "getSafetyStatusBits": "safety_status_bits",
+    "getTimestamp": "timestamp",
+}
+# Since 3.11/5.5.1, 3.15/5.11 and 5.9.
+LATER_GETTERS = {
+    "getPayload": "payload",
+    "getPayloadCog": "payload_cog",
+    "getPayloadInertia": "payload_inertia",
+    "getFtRawWrench": "ft_raw_wrench",
+}
+
+
+def test_what_is_received_is_what_the_controller_sends(controller: Controller, rtde: Rtde) -> None:
+    signals, registers = controller.signals, controller.registers.outputs
+    signals.set_digital_input(5, True)
+    signals.set_digital_output(17, True)
+    signals.set_analog_input(1, 0.75)
+    controller.arm.payload, controller.arm.payload_cog = 1.25, (0.0, 0.01, 0.02)
+    controller.speed_fraction = 0.5
+    registers.integers[12], registers.floats[19] = -12, 0.125
+    receive = rtde.make("receive")
+    assert receive.isConnected()
+    assert receive.getActualDigitalInputBits() == 1 << 5
+    # The last package before a silence, which is that of the present cycle when the controller is asked again.
+    controller.faults.stall(1000.0, "rtde")
+    time.sleep(0.1)
+    last = receive.getTimestamp()
+    names = {**GETTERS, **{getter: name for getter, name in LATER_GETTERS.items() if has(controller, name)}}
+    got = {name: getattr(receive, getter)() for getter, name in names.items()}
+    assert receive.getOutputIntRegister(12) == -12
+    assert receive.getOutputDoubleRegister(19) == 0.125
+    steady = {name: value for name, value in got.items() if not name.startswith(NOISY) and name != "timestamp"}
+    assert len(steady) > 20
+    for name, value in steady.items():
+        assert near(value, sent(controller, name), 1e-12), name
+    for name, value in got.items():
+        if name.startswith(NOISY):
+            # Rotation vectors of half a turn change their sign with the noise.
+            assert near(np.ravel(value)[:3], np.ravel(sent(controller, name))[:3], 2.0), name
+    assert 45.0 < last < controller.time + 45.0
+
+
+NOISY = (
+    "actual_q",
+    "actual_TCP",
+    "actual_current",
+    "actual_joint_voltage",
+    "actual_tool",
+    "actual_robot_current",
+    "actual_momentum",
+    "ft_raw",
+)
+
+
+def has(controller: Controller, name: str) -> bool:
+    return OUTPUTS[name].is_in(controller.firmware)
+
+
+def sent(controller: Controller, name: str) -> Any:
+    """What the controller would send of a variable now."""
+    found: list[Any] = []
+    controller.call(lambda: found.append(OUTPUT_VALUES[name](controller._state)))
+    return found[0]
+
+
+def test_variables_of_ones_own_and_the_upper_registers(controller: Controller, rtde: Rtde) -> None:
+    receive = rtde.make("receive", 10.0, ["timestamp", "actual_q"])
+    first = receive.getTimestamp()
+    until(lambda: receive.getTimestamp() > first)
+    assert receive.getTimestamp() - first == pytest.approx(0.1, abs=0.01)
+    assert near(receive.getActualQ(), HOME, 1e-3)
+
+
+# -- inputs and outputs --------------------------------------------------------------------------------
+
+
+def test_outputs_slider_and_registers_take_effect(controller: Controller, rtde: Rtde) -> None:
+    io = rtde.make("io")
+    assert io.setStandardDigitalOut(3, True)
+    assert io.setConfigurableDigitalOut(1, True)
+    assert io.setToolDigitalOut(1, True)
+    until(lambda: controller.signals.digital_outputs == 1 << 3 | 1 << 9 | 1 << 17)
+    assert io.setStandardDigitalOut(3, False)
+    until(lambda: controller.signals.digital_outputs == 1 << 9 | 1 << 17)
+    assert io.setSpeedSlider(0.25)
+    until(lambda: controller.speed_fraction == 0.25)
+    assert io.setAnalogOutputVoltage(1, 0.5)
+    assert io.setAnalogOutputCurrent(0, 0.25)
+    eventually(lambda: controller.signals.analog_outputs, [0.008, 5.0])
+    assert controller.signals.analog_output_domains == [0, 1]
+    for number in range(18, 23):
+        assert io.setInputIntRegister(number, -number)
+        assert io.setInputDoubleRegister(number, number / 8)
+    until(lambda: controller.registers.inputs.integers[18:23] == [-18, -19, -20, -21, -22])
+    until(lambda: controller.registers.inputs.floats[18:23] == [18 / 8, 19 / 8, 20 / 8, 21 / 8, 22 / 8])
+    io.disconnect()
+
+
+def test_the_upper_range_of_registers(controller: Controller, rtde: Rtde) -> None:
+    io = rtde.make("io", False, True)
+    assert io.setInputIntRegister(42, 7)
+    assert io.setInputDoubleRegister(46, 0.5)
+    until(lambda: controller.registers.inputs.integers[42] == 7)
+    until(lambda: controller.registers.inputs.floats[46] == 0.5)
+
+
+def test_an_input_in_use_is_an_error_there(rtde: Rtde) -> None:
+    with Controller("UR5e", "5.11", host=HOST, ports="standard", motion=Still()) as controller:
+        controller.fieldbus = "EtherNet/IP"
+        with pytest.raises(RuntimeError, match="in use"):
+            rtde.make("io")
+
+
+# -- control -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def control(controller: Controller, rtde: Rtde) -> Interface:
+    control = rtde.make("control")
+    assert controller.program_name == "rtde_control"
+    return control
+
+
+def test_moves(controller: Controller, control: Interface) -> None:
+    assert control.moveJ(NEAR, 2.0, 4.0)
+    assert near(controller.arm.setpoint.q, NEAR)
+    pose = controller.arm.sample.pose_target
+    there = [pose[0], pose[1] + 0.05, pose[2] - 0.05, *pose[3:]]
+    assert control.moveL(there, 0.5, 2.0)
+    assert near(controller.arm.sample.pose_target, there, 1e-7)
+    assert control.moveJ_IK(pose, 2.0, 4.0)
+    assert near(controller.arm.setpoint.q, NEAR, 1e-6)
+    assert control.moveL_FK(list(HOME), 0.5, 2.0)
+    assert near(controller.arm.setpoint.q, HOME, 1e-6)
+    assert control.moveJ(NEAR, 0.5, 1.0, True)
+    until(lambda: controller.arm.is_moving)
+    assert control.getAsyncOperationProgress() >= 0
+    control.stopJ(4.0)
+    until(lambda: not controller.arm.is_moving)
+    assert not near(controller.arm.setpoint.q, NEAR)
+    assert control.moveL(there, 0.1, 1.0, True)
+    until(lambda: controller.arm.is_moving)
+    control.stopL(2.0)
+    until(lambda: not controller.arm.is_moving)
+    assert not near(controller.arm.sample.pose_target, there, 1e-3)
+
+
+def test_a_path(controller: Controller, control: Interface) -> None:
+    first = [*NEAR, 2.0, 4.0, 0.0]
+    second = [*HOME, 2.0, 4.0, 0.0]
+    assert control.movePath([["J", "joints", first], ["J", "joints", second]])
+    # It is sent as text, with four decimals.
+    assert near(controller.arm.setpoint.q, HOME, 1e-4)
+
+
+def test_servo_and_speed(controller: Controller, control: Interface) -> None:
+    q = list(HOME)
+    period = 1.0 / controller.firmware.rate
+    for _ in range(40):
+        q[5] += 0.2 * period
+        assert control.servoJ(q, 0, 0, period, 0.1, 300)
+        time.sleep(period)
+    until(lambda: controller.arm.setpoint.q[5] > HOME[5] + 0.005)
+    assert control.servoStop(10.0)
+    assert control.speedJ([0, 0, 0, 0, 0, 0.3], 2.0, 0)
+    eventually(lambda: controller.arm.setpoint.qd[5], 0.3, 1e-6)
+    assert control.speedStop(4.0)
+    until(lambda: not controller.arm.is_moving)
+    assert control.speedL([0, 0, -0.05, 0, 0, 0], 0.5, 0)
+    eventually(lambda: controller.arm.sample.speed_target[2], -0.05, 1e-3)
+    assert control.speedStop(4.0)
+    until(lambda: not controller.arm.is_moving)
+    pose = list(controller.arm.sample.pose_target)
+    for _ in range(20):
+        pose[2] += 0.02 * period
+        assert control.servoL(pose, 0, 0, period, 0.1, 300)
+        time.sleep(period)
+    assert control.servoStop(10.0)
+    assert control.jogStart([0, 0, 50, 0, 0, 0], 0) or True
+    until(lambda: controller.arm.is_moving)
+    assert control.jogStop()
+    until(lambda: not controller.arm.is_moving)
+
+
+def test_kinematics_are_those_of_the_library(controller: Controller, control: Interface) -> None:
+    arm = controller.arm.kinematics
+    tool = [0.0, 0.01, 0.15, 0.1, 0.0, 0.2]
+    assert control.setTcp(tool)
+    until(lambda: near(controller.arm.tcp, tool))
+    if controller.firmware >= (3, 6):
+        assert near(control.getTCPOffset(), tool)
+    pose = arm.forward(NEAR, tool).tolist()
+    assert near(control.getForwardKinematics(NEAR, tool), pose)
+    assert near(control.getInverseKinematics(pose, NEAR), NEAR, 1e-9)
+    assert near(control.getInverseKinematics(pose), arm.inverse(pose, HOME, tool), 1e-9)
+    assert near(control.poseTrans(pose, tool), compose(pose, tool))
+    eventually(control.getActualToolFlangePose, arm.forward(list(HOME)), 1e-3)
+    assert control.isPoseWithinSafetyLimits(pose)
+    assert control.isJointsWithinSafetyLimits(NEAR)
+    if controller.firmware >= (5, 10) or not controller.firmware.is_e_series:
+        assert control.getInverseKinematicsHasSolution(pose)
+        assert not control.getInverseKinematicsHasSolution([5.0, 0, 0, 0, 0, 0])
+
+
+def test_tool_payload_and_questions(controller: Controller, control: Interface) -> None:
+    assert control.setPayload(1.5, [0.0, 0.0, 0.05])
+    until(lambda: controller.arm.payload == 1.5)
+    assert near(controller.arm.payload_cog, [0, 0, 0.05])
+    assert control.isSteady()
+    assert control.isProgramRunning()
+    assert control.zeroFtSensor()
+    # These it does not wait for: the first call gives what was in the registers before.
+    eventually(control.getJointTorques, controller.arm.sample.M_target, 1e-6)
+    assert control.setGravity([0.0, 0.0, 9.82]) or True
+    if controller.firmware.is_e_series:
+        eventually(control.getStepTime, 0.002)
+        assert near(control.getTargetWaypoint(), controller.arm.sample.pose_target, 1e-6)
+        eventually(partial(control.getActualJointPositionsHistory, 0), HOME, 1e-3)
+        until(lambda: not control.toolContact([0, 0, 1, 0, 0, 0]))
+    if controller.firmware >= (5, 23):
+        wanted = controller.arm.kinematics.jacobian(list(HOME), controller.arm.tcp)
+        eventually(lambda: np.reshape(control.getJacobian(), (6, 6)).T, wanted, 1e-3)
+
+
+def test_the_watchdog_stops_the_program(controller: Controller, control: Interface) -> None:
+    assert control.setWatchdog(10.0)
+    for _ in range(10):
+        assert control.kickWatchdog()
+        time.sleep(0.05)
+    assert controller.program_name == "rtde_control"
+    until(lambda: controller.program_name is None)
+    until(lambda: not control.isProgramRunning())
+    assert control.reuploadScript()
+    until(lambda: controller.program_name == "rtde_control")
+    until(control.isProgramRunning)
+    assert control.moveJ(NEAR, 2.0, 4.0)
+
+
+def test_a_protective_stop_and_after_it(controller: Controller, rtde: Rtde, control: Interface) -> None:
+    receive = rtde.make("receive")
+    controller.faults.protective_stop()
+    until(receive.isProtectiveStopped)
+    controller.faults.clear()
+    until(lambda: not receive.isProtectiveStopped())
+    controller.call(controller.pendant.stop)
+    until(lambda: controller.program_name is None)
+    assert control.reuploadScript()
+    # It returns before the program has begun.
+    until(lambda: controller.program_name == "rtde_control")
+    until(control.isProgramRunning)
+    assert control.moveJ(NEAR, 2.0, 4.0)
+    assert near(controller.arm.setpoint.q, NEAR)
+
+
+def test_it_connects_again(controller: Controller, rtde: Rtde, control: Interface) -> None:
+    receive = rtde.make("receive")
+    controller.faults.cut()
+    until(lambda: not receive.isConnected(), 20)
+    assert receive.reconnect()
+    assert near(receive.getActualQ(), HOME, 1e-3)
+    # The control interface does so by itself.
+    until(lambda: len(controller.rtde.sessions) == 2, 20)
+    until(control.isProgramRunning)
+    until(lambda: control.moveJ(NEAR, 2.0, 4.0))
+    assert near(controller.arm.setpoint.q, NEAR)
+    control.stopScript()
+    until(lambda: controller.program_name is None)
+    control.disconnect()
+    receive.disconnect()
+    until(lambda: not controller.rtde.sessions)
