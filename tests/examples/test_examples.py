@@ -52,6 +52,14 @@ def test_watch_safety() -> None:
     assert any(line.startswith("RobotCommMessage(") and "code=153" in line for line in told)
 
 
+def test_rtde_cell() -> None:
+    lines = output("rtde_cell.py", "--count", "5").splitlines()
+    counted = [int(line.rpartition(" ")[2]) for line in lines]
+    assert len(counted) == 5
+    assert counted == sorted(counted)
+    assert counted[-1] > counted[0]
+
+
 def test_log_to_csv(tmp_path: Path) -> None:
     file = tmp_path / "run.csv"
     text = output("log_to_csv.py", str(file), "--duration", "0.5")

@@ -7,12 +7,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, ConnectFailed, LinkTimeout, PacketError
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests import real_captures
-from tests.urlink.interfaces.rtde_material import Recorded, recordings
+from tests.urlink.interfaces.rtde_material import Recorded, recordings, replies
 from tests.urlink.rtde.desk import Desk
 from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
@@ -40,7 +42,7 @@ from urlink.interfaces.rtde.protocol import (
     RtdeRefused,
     check_names,
 )
-from urlink.interfaces.rtde.recipes import Outputs
+from urlink.interfaces.rtde.recipes import Outputs, Recipe
 from urlink.interfaces.rtde.transport import RtdeTransport
 
 
@@ -226,6 +228,23 @@ def test_data_packages_that_do_not_fit() -> None:
     assert protocol.unknown == 1
 
 
+def test_a_recording_that_begins_late_goes_on_with_another_recipe() -> None:
+    """The recipe that held when it began is told beside it; the next connection tells its own."""
+    recorded = Recipe(("timestamp", "payload"), ("DOUBLE", "DOUBLE"), 1)
+    protocol = RtdeProtocol(Plan(recorded.names, optional=frozenset(recorded.names), recorded=recorded))
+    assert protocol.decode(recorded.encode({"timestamp": 1.0, "payload": 2.0})).payload == 2.0
+    for reply in (
+        ProtocolReply(accepted=True),
+        ControllerVersionReply(major=5, minor=4),
+        OutputsReply("2.0", recipe=0, types="DOUBLE,NOT_FOUND"),
+        OutputsReply("2.0", recipe=2, types="DOUBLE"),
+        StartReply(accepted=True),
+    ):
+        protocol.decode(bytes(reply))
+    state = protocol.decode(Recipe(("timestamp",), ("DOUBLE",), 2).encode({"timestamp": 3.0}))
+    assert (state.timestamp, state.payload) == (3.0, None)
+
+
 def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
     desk = Desk()
     desk.lacks = {"timestamp"}
@@ -254,6 +273,54 @@ def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
 def test_names_that_cannot_be_asked_for(names: list[str], error: str) -> None:
     with pytest.raises(BadValue, match=error):
         check_names(names)
+
+
+# -- any answers -----------------------------------------------------------------------------------
+
+ANSWERS = st.one_of(
+    replies(1),
+    replies(2),
+    st.builds(
+        lambda number, types: OutputsReply("2.0", recipe=number, types=",".join(types)),
+        st.integers(0, 2),
+        st.lists(st.sampled_from(["DOUBLE", "VECTOR6D", "NOT_FOUND", "IN_USE", "STRING", ""]), max_size=3),
+    ),
+    st.builds(
+        lambda number, types: InputsReply(recipe=number, types=",".join(types)),
+        st.integers(0, 2),
+        st.lists(st.sampled_from(["INT32", "DOUBLE", "NOT_FOUND", "IN_USE"]), max_size=2),
+    ),
+    st.sampled_from(
+        [ProtocolReply(accepted=True), StartReply(accepted=True), ControllerVersionReply(major=5, minor=4)]
+    ),
+)
+
+
+@pytest.mark.property
+@given(
+    answers=st.lists(ANSWERS.map(bytes) | st.binary(min_size=3, max_size=20), max_size=12),
+    optional=st.booleans(),
+    frequency=st.sampled_from([None, 125.0]),
+)
+def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
+    answers: list[bytes], optional: bool, frequency: float | None
+) -> None:
+    names = ("timestamp", "actual_q")
+    plan = Plan(names, frequency, frozenset(names if optional else ()), [("input_int_register_24",)])
+    protocol = RtdeProtocol(plan)
+    for answer in answers:
+        requests = Framer(RtdeBoundary(REQUEST_SIZES)).feed(protocol.requests())
+        assert all(isinstance(decode_request(frame, protocol.protocol), State) for frame in requests)
+        try:
+            assert isinstance(protocol.decode(answer), State)
+        except PacketError:
+            continue
+        except RtdeRefused:
+            return
+    if protocol.is_ready:
+        assert protocol.recipe is not None
+        assert {*protocol.recipe.names, *protocol.left_out} == set(names)
+        assert len(protocol.claims) == 1
 
 
 # -- recorded answers ------------------------------------------------------------------------------
