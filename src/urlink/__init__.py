@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         Traffic as Traffic,
     )
     from linkcore.streaming.feed import Feed as Feed
+    from linkcore.streaming.history import History as History
     from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
     from linkcore.streaming.stream import Stream as Stream
     from linkcore.streaming.subscription import Subscription as Subscription
@@ -155,6 +156,7 @@ else:
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "Chunk ConnectionEvent ConnectionState Traffic",
             "linkcore.streaming.feed": "Feed",
+            "linkcore.streaming.history": "History",
             "linkcore.streaming.policy": "Policy block drop_oldest latest",
             "linkcore.streaming.stream": "Stream",
             "linkcore.streaming.subscription": "Subscription",

@@ -103,7 +103,7 @@ class Control:
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         self.settings = Settings(channel, slow, fast, who, section, self._is_remote, options.start_flag)
-        self.io = IO(self.settings, primary)
+        self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
         self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, section))
 

@@ -80,7 +80,7 @@ class StandIn:
             lambda: is_remote,
             start_flag,
         )
-        self.io = IO(self.settings, self.primary)
+        self.io = IO(self.settings, self.primary, self.realtime)
 
     def close(self) -> None:
         self.programs.close()

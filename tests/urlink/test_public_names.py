@@ -35,6 +35,7 @@ NAMES = [
     "Firmware",
     "ForceModeData",
     "Handle",
+    "History",
     "IO",
     "Joint",
     "JointData",
@@ -155,7 +156,8 @@ SURFACES = {
     "robot.script.run('sync()')": f"{HANDLE} texts",
     "robot.io": """analog_in analog_out configurable_digital_in configurable_digital_out digital_in digital_out
         set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_digital_out set_tool_voltage
-        tool_analog_in tool_digital_in tool_digital_out tool_voltage""",
+        tool_analog_in tool_digital_in tool_digital_out tool_voltage wait_configurable_digital_in wait_digital_in
+        wait_tool_digital_in""",
     "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
         wait_until_clear""",
     "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup

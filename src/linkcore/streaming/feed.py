@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue, Closed, LinkTimeout
+from ..wire.packet import State
 from .connection import Connection
 from .events import ConnectionEvent, ConnectionState
+from .history import History
 from .policy import Policy, block, check_policy, drop_oldest, latest
 from .subscription import Subscription
 
 __all__ = ["Feed"]
 
 T = TypeVar("T")
+
+#: Packets that wait for who has to look at each.
+_LAGGARD = 1024
 
 
 class Feed(Generic[T]):
@@ -59,6 +65,45 @@ class Feed(Generic[T]):
                 return next(iter(connection.fan_out.expand(self._kind, packet)))
         finally:
             connection.close_queue(queue)
+        raise self._why_nothing(timeout)
+
+    def wait_until(self, condition: Callable[[T], object], timeout: float = 5.0) -> T:
+        """The first packet for which a condition holds: the newest that there is, or one that arrives.
+
+        Every packet is looked at as it comes, in this thread. One that falls more than 1024 packets behind misses the
+        oldest. Of events (`State.IS_EVENT`) only those count that arrive from now on.
+
+        Args:
+            condition: gets each packet; what it raises ends the waiting.
+            timeout: seconds.
+
+        Raises:
+            BadValue: `condition` cannot be called, or `timeout` is no number of seconds.
+            LinkTimeout: it did not hold within `timeout` seconds; the message says how many packets there were.
+            RemoteError, LocalError, Closed: as `wait`.
+        """
+        check_callable(condition, "condition")
+        timeout = check_seconds(timeout, "timeout")
+        end = time.monotonic() + timeout
+        connection, kind = self._connection, self._kind
+        connection.refuse_to_wait("wait_until()")
+        queue = connection.open_queue(kind, drop_oldest(_LAGGARD))
+        looked_at = 0
+        try:
+            # After the queue was opened, so that no packet is missed between the two; it may come twice.
+            newest = None if self._has_events else connection.fan_out.newest(kind)
+            if newest is not None and condition(newest):
+                return newest
+            while (packet := queue.next(max(end - time.monotonic(), 0.0))) is not None:
+                for each in connection.fan_out.expand(kind, packet):
+                    looked_at += 1
+                    if condition(each):
+                        return each
+        finally:
+            connection.close_queue(queue)
+        if looked_at and connection.failure is None and not connection.is_over:
+            what = f"{looked_at} {kind.__name__} from {connection.name}"
+            raise LinkTimeout(f"the condition held for none of {what} within {timeout:g} s")
         raise self._why_nothing(timeout)
 
     def iterate(self, policy: Policy | None = None, timeout: float | None = None) -> Iterator[T]:
@@ -152,13 +197,33 @@ class Feed(Generic[T]):
             kind, callback, policy=policy, deadline=deadline, on_deadline=on_deadline, owner=owner
         )
 
+    def history(self, seconds: float) -> History:
+        """Keep the states of the last seconds, from now on, to look back at as arrays.
+
+        Args:
+            seconds: for which each is kept: memory is some kilobyte for a state.
+
+        Raises:
+            BadValue: no positive number of seconds, or a class without fields of its own.
+            RemoteError, LocalError, Closed: as `subscribe`.
+        """
+        seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
+        if not (issubclass(self._kind, State) and self._kind.FIELDS):
+            raise BadValue(f"a {self._kind.__name__} has no fields of its own to keep; take a part of it with of()")
+        return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
+
     def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:
         """The policy; of those who do not say: events are kept, states are replaced by newer ones."""
         if policy is not None:
             return check_policy(policy)
         if self._lossless:
             return block
-        return drop_oldest(1024) if getattr(self._kind, "IS_EVENT", self._kind is ConnectionEvent) else for_states
+        return drop_oldest(_LAGGARD) if self._has_events else for_states
+
+    @property
+    def _has_events(self) -> bool:
+        """The packets are news that come once, rather than samples of something that goes on."""
+        return bool(getattr(self._kind, "IS_EVENT", self._kind is ConnectionEvent))
 
     def _why_nothing(self, timeout: float) -> Exception:
         """What to raise when nothing came within `timeout` seconds."""

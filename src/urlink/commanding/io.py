@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar
 
+from linkcore.errors import LinkTimeout
 from linkcore.streaming.stream import Stream
 
 from ..interfaces.enums import AnalogDomain
 from ..interfaces.primary.robot_state import MasterboardData, RobotState, ToolData
+from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import commands
 from ..urscript.commands import CONFIGURABLE, STANDARD, TOOL, DigitalBank
-from ..urscript.text import integer
+from ..urscript.text import boolean, integer
 from .settings import Echo, Settings
 
 __all__ = ["IO", "Analog"]
@@ -48,12 +50,15 @@ class IO:
     does not matter, as long as the robot runs. ``confirm=None`` sends and does not wait. In a callback that was
     subscribed with ``inline=True`` it has to be None, or a `LocalError` says so.
 
-    Reading raises `LinkTimeout` where no state came for two seconds.
+    Reading raises `LinkTimeout` where no state came for two seconds. It is as old as the primary interface's last
+    state, 0.1 s at most. Waiting for an input looks at each state of the real-time interface, 125 or 500 a second, and
+    raises what `Feed.wait_until` does.
     """
 
-    def __init__(self, settings: Settings, primary: Stream[RobotState]) -> None:
+    def __init__(self, settings: Settings, primary: Stream[RobotState], realtime: Stream[RealtimeState]) -> None:
         self._settings = settings
         self._primary = primary
+        self._realtime = realtime
 
     # -- outputs -------------------------------------------------------------------------------------
 
@@ -105,6 +110,18 @@ class IO:
     def digital_out(self, number: int) -> bool:
         """Standard digital output 0 to 7."""
         return self._digital_out(STANDARD, number)
+
+    def wait_digital_in(self, number: int, on: bool = True, timeout: float = 5.0) -> None:
+        """Wait until standard digital input 0 to 7 is on, or off; return at once if it is."""
+        self._wait_digital_in(STANDARD, number, on, timeout)
+
+    def wait_configurable_digital_in(self, number: int, on: bool = True, timeout: float = 5.0) -> None:
+        """Wait until configurable digital input 0 to 7 is on, or off."""
+        self._wait_digital_in(CONFIGURABLE, number, on, timeout)
+
+    def wait_tool_digital_in(self, number: int, on: bool = True, timeout: float = 5.0) -> None:
+        """Wait until tool input 0 or 1 is on, or off."""
+        self._wait_digital_in(TOOL, number, on, timeout)
 
     def configurable_digital_in(self, number: int) -> bool:
         """Configurable digital input 0 to 7."""
@@ -160,6 +177,15 @@ class IO:
     def _digital_in(self, bank: DigitalBank, number: int) -> bool:
         bit = bank.bit(self._settings.firmware, number, "input")
         return _bit(self._masterboard().digital_input_bits, bit)
+
+    def _wait_digital_in(self, bank: DigitalBank, number: int, on: bool, timeout: float) -> None:
+        bit = bank.bit(self._settings.firmware, number, "input")
+        boolean(on, f"{bank.name} digital input {number}")
+        try:
+            self._realtime.wait_until(lambda state: _bit(state.digital_input_bits, bit) == on, timeout)
+        except LinkTimeout as error:
+            wanted = "on" if on else "off"
+            raise LinkTimeout(f"{bank.name} digital input {number} is not {wanted}: {error}") from None
 
     def _digital_out(self, bank: DigitalBank, number: int) -> bool:
         bit = bank.bit(self._settings.firmware, number, "output")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -13,6 +14,7 @@ from urlink.commanding import io as module
 from urlink.commanding.io import IO, Analog
 from urlink.errors import NotRunning
 from urlink.interfaces.enums import AnalogDomain, RobotMode, SafetyMode
+from urlink.interfaces.realtime.packets import RealtimeState
 
 
 @pytest.fixture
@@ -131,3 +133,48 @@ def test_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FIRST_STATE", 0.05)
     with StandIn() as robot, pytest.raises(LinkTimeout):
         robot.io.digital_in(0)
+
+
+# -- waiting for an input ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("firmware", "wait", "bit"),
+    [
+        ("5.11", lambda io, on, timeout: io.wait_digital_in(3, on, timeout), 3),
+        ("5.11", lambda io, on, timeout: io.wait_configurable_digital_in(3, on, timeout), 11),
+        ("5.11", lambda io, on, timeout: io.wait_tool_digital_in(1, on, timeout), 17),
+        ("1.8", lambda io, on, timeout: io.wait_tool_digital_in(1, on, timeout), 9),
+    ],
+)
+def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
+    firmware: str, wait: Callable[[IO, bool, float], None], bit: int
+) -> None:
+    with StandIn(firmware) as robot:
+
+        def show(bits: int) -> None:
+            robot.fast.put(bytes(RealtimeState(robot.firmware, digital_input_bits=bits)))
+
+        show(~(1 << bit) & 0xFFFF)
+        with pytest.raises(LinkTimeout, match=r"digital input \d is not on: .*within 0\.05 s"):
+            wait(robot.io, True, 0.05)
+        thread = threading.Thread(target=lambda: show(1 << bit))
+        thread.start()
+        wait(robot.io, True, 10.0)
+        thread.join()
+        wait(robot.io, True, 10.0)
+        show(0)
+        wait(robot.io, False, 10.0)
+
+
+@pytest.mark.parametrize(
+    "wait",
+    [
+        lambda io: io.wait_digital_in(8),
+        lambda io: io.wait_digital_in(0, "high"),
+        lambda io: io.wait_tool_digital_in(0, True, -1.0),
+    ],
+)
+def test_no_such_input_is_waited_for(robot: StandIn, wait: Callable[[IO], None]) -> None:
+    with pytest.raises(BadValue):
+        wait(robot.io)

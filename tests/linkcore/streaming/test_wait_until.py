@@ -1,0 +1,108 @@
+"""Waiting for a packet for which something holds."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.net.transport import Finished
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from linkcore.streaming.stream import Stream
+from tests.linkcore.script import Count, ScriptedTransport, counts
+from tests.waiting import until
+
+
+def at_once(call: Callable[[], object]) -> threading.Thread:
+    thread = threading.Thread(target=call)
+    thread.start()
+    return thread
+
+
+def test_every_packet_is_looked_at_until_one_will_do(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    seen: list[int] = []
+
+    def is_forty(count: Count) -> bool:
+        if not seen:
+            transport.put(counts(*range(1, 99)))
+        seen.append(count.number)
+        return count.number == 40
+
+    transport.put(counts(0))
+    assert stream.wait_until(is_forty, 10).number == 40
+    # The first one may have been the newest and then have come.
+    assert list(dict.fromkeys(seen)) == list(range(41))
+    assert len(seen) <= 42
+
+
+def test_the_newest_will_do(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    transport.put(counts(7))
+    until(lambda: stream.latest is not None)
+    assert stream.wait_until(lambda count: count.number == 7, 0).number == 7
+    with pytest.raises(LinkTimeout, match=r"no Count from script within 0 s"):
+        stream.wait_until(lambda count: count.number == 8, 0)
+
+
+def test_an_event_that_is_over_will_not(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    stream.start()
+    feed = stream.of(ConnectionEvent)
+    found = threading.Event()
+
+    def cut() -> None:
+        # Again and again: an event that comes before it is waited for does not count.
+        while not found.wait(0.01):
+            transport.put(ConnectionLost("cut"), counts(1))
+
+    thread = at_once(cut)
+    lost = feed.wait_until(lambda event: event.state is ConnectionState.LOST, 10)
+    found.set()
+    thread.join()
+    assert isinstance(lost.error, ConnectionLost)
+    transport.put(counts(77))
+    stream.wait_until(lambda count: count.number == 77, 10)
+    with pytest.raises(LinkTimeout):
+        feed.wait_until(lambda event: event.state is ConnectionState.LOST, 0.01)
+
+
+def test_the_error_says_how_many_there_were(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    seen: list[Count] = []
+
+    def never(count: Count) -> bool:
+        seen.append(count)
+        return False
+
+    transport.put(counts(1, 2, 3))
+    with pytest.raises(LinkTimeout, match=r"held for none of \d Count from script within 0\.2 s"):
+        stream.wait_until(never, 0.2)
+    assert seen
+
+
+def test_what_ends_the_waiting(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    stream.start()
+
+    def fail(count: Count) -> bool:
+        raise RuntimeError("on purpose")
+
+    thread = at_once(lambda: transport.put(counts(1)))
+    with pytest.raises(RuntimeError, match="on purpose"):
+        stream.wait_until(fail, 10)
+    thread.join()
+    refused: list[str] = []
+
+    def inside(count: Count) -> None:
+        try:
+            stream.wait_until(bool, 1)
+        except LocalError as error:
+            refused.append(str(error))
+
+    with stream.subscribe(inside, inline=True):
+        transport.put(counts(2))
+        until(lambda: refused)
+    for condition, timeout in ((3, 1.0), (bool, -1.0)):
+        with pytest.raises(BadValue):
+            stream.wait_until(condition, timeout)  # type: ignore[arg-type]
+    transport.put(Finished())
+    with pytest.raises(Closed):
+        stream.wait_until(lambda count: False, 10)
