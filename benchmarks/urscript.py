@@ -94,7 +94,11 @@ def streaming(model: str, firmware: str) -> float:
     with listen() as listener:
         run(
             controller,
-            programs.streaming(controller.firmware, "127.0.0.1", listener.getsockname()[1], 0, speeds=[6.28] * 6),
+            programs.streaming(
+                controller.firmware,
+                programs.ReverseSocket("127.0.0.1", listener.getsockname()[1], 0),
+                speeds=[6.28] * 6,
+            ),
         )
         with closing(connected(controller, listener)) as link:
             cycles = round(SECONDS * rate)

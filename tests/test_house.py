@@ -43,7 +43,7 @@ BELOW: dict[str, dict[str, set[str]]] = {
     "urlink": {
         "interfaces": {"interfaces", "firmware"},
         "firmware": {"firmware"},
-        "models": {"models", "interfaces", "inertias"},
+        "models": {"models", "interfaces", "inertias", "vectors"},
         "inertias": {"inertias"},
         "vectors": {"vectors"},
         "rigid": {"rigid", "vectors"},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from linkcore.callbacks import CallbackThread
@@ -25,6 +26,7 @@ from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .motion.context import MotionContext
 from .motion.motions import Motions
+from .motion.register_link import Inputs, RegisterPort
 from .motion.reverse import ReversePort
 
 __all__ = ["Control", "Options"]
@@ -60,6 +62,7 @@ class Control:
         who: tells who the controller is.
         options: of the user.
         timeout: seconds for a connection to the dashboard.
+        claim: claims RTDE inputs by their names.
 
     Attributes:
         safety, script, io, motion, settings: what users hold.
@@ -75,6 +78,7 @@ class Control:
         who: KnownIdentity,
         options: Options,
         timeout: float,
+        claim: Callable[[tuple[str, ...]], Inputs],
     ) -> None:
         self._host = host
         self._dashboard_port = dashboard_port
@@ -105,7 +109,8 @@ class Control:
         self.settings = Settings(channel, slow, fast, who, section, self._is_remote, options.start_flag)
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
-        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, section))
+        registers = RegisterPort(claim)
+        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, section))
 
     @property
     def dashboard(self) -> Dashboard:

@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from linkcore.errors import BadValue, LocalError
 
 from .inertias import INERTIAS
+from .vectors import JOINTS
 
 __all__ = ["MODELS", "Model", "UnknownModel", "indistinguishable", "model", "model_of"]
 
@@ -133,6 +134,13 @@ class Model:
         )
         if not nominal:
             raise BadValue(f"{self.name}: the DH rows are not those of a nominal UR arm")
+
+    def check_joints(self, q: FloatArray) -> None:
+        """Raise `BadValue` unless joint positions (6, rad) are within the position limits."""
+        for joint, (value, (low, high)) in enumerate(zip(q.tolist(), self.position_limits.tolist(), strict=True)):
+            if not low <= value <= high:
+                reach = f"a {self.name} reaches {low:.4f} to {high:.4f} rad"
+                raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; {reach}")
 
 
 def _arm(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
-from linkcore.errors import BadValue, LocalError
+from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
     from .interfaces.dashboard.client import Dashboard
     from .kinematics import Arm
-    from .rtde import OutputStream, Registers, Rtde
+    from .rtde import Inputs, OutputStream, Registers, Rtde
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
@@ -131,6 +132,7 @@ def connect(
             robot._who,
             options,
             timeout,
+            _claimer(robot),
         )
         return robot
     except BaseException:
@@ -400,6 +402,19 @@ def _described(identity: Identity) -> dict[str, Any]:
         names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
         said["dh_table"] = {name: list(map(float, getattr(identity.dh_table, name))) for name in names}
     return said
+
+
+def _claimer(robot: Robot) -> Callable[[tuple[str, ...]], Inputs]:
+    """What claims RTDE inputs of a robot, and does not keep it alive."""
+    held = weakref.ref(robot)
+
+    def claim(names: tuple[str, ...]) -> Inputs:
+        alive = held()
+        if alive is None:
+            raise Closed("the robot was closed")
+        return alive.rtde.inputs(*names)
+
+    return claim
 
 
 def _host(host: str | None, name: str) -> str | None:

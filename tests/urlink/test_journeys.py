@@ -9,7 +9,14 @@ from types import FrameType
 from tests.urlink.motion.rehearsal import Rehearsal, turned
 
 #: Checks of arguments and facts about the robot: a reader looks them up, and the command does not go through them.
-LOOKED_UP = {"urlink.vectors", "urlink.urscript.text", "urlink.identity", "urlink.firmware"}
+LOOKED_UP = {
+    "linkcore.arguments",
+    "urlink.vectors",
+    "urlink.urscript.text",
+    "urlink.identity",
+    "urlink.models",
+    "urlink.firmware",
+}
 
 
 def modules_met(call: Callable[[], object]) -> set[str]:

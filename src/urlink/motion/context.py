@@ -13,6 +13,7 @@ from ..commanding.programs import Programs
 from ..commanding.section import Section
 from ..identity import KnownIdentity
 from ..interfaces.realtime.packets import RealtimeState
+from .register_link import RegisterPort
 from .reverse import ReversePort
 
 __all__ = ["MotionContext"]
@@ -28,6 +29,7 @@ class MotionContext:
         realtime: where the joints are, and the controller's clock.
         who: tells who the controller is.
         reverse: where its programs connect to.
+        registers: where its programs read set-points from, if not over a connection of their own.
         section: of the robot; left while somebody waits.
         clock: seconds that only grow.
     """
@@ -37,6 +39,7 @@ class MotionContext:
     realtime: Stream[RealtimeState]
     who: KnownIdentity
     reverse: ReversePort
+    registers: RegisterPort
     section: Section
     clock: Callable[[], float] = time.monotonic
 

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
+from ..urscript.programs import InputRegisters, ReverseSocket
 from .following import Following, Tolerances
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import SpeedLimit
@@ -108,9 +109,9 @@ class Follower(Following):
         self._pace = 0.0
         self._is_led = False
 
-    def body(self, host: str, port: int, token: int) -> list[str]:
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program on the robot."""
-        return self._servoing.body(host, port, token)
+        return self._servoing.body(link)
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
         """Positions and velocities that the arm is to have at a time."""

@@ -13,6 +13,7 @@ from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
+from ..urscript.programs import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, FloatArray
 from .trajectory import Trajectory
 
@@ -122,7 +123,7 @@ class Following(ABC):
         self._moving_since: float | None = None
 
     @abstractmethod
-    def body(self, host: str, port: int, token: int) -> list[str]:
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program on the robot."""
 
     @abstractmethod

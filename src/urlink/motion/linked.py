@@ -10,18 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from linkcore.errors import ConnectionLost, LinkError, LocalError, RemoteError
-from linkcore.handle import Lifecycle
+from linkcore.errors import ConnectionLost, LinkError, LocalError
+from linkcore.handle import Lifecycle, Phase
 from linkcore.streaming.policy import latest
 from linkcore.streaming.subscription import Subscription
 
 from ..errors import ProgramStopped, ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs
+from ..urscript.programs import InputRegisters, ReverseSocket
 from .context import MotionContext
-from .reverse import ReverseLink
 
-__all__ = ["CONNECT_TIMEOUT", "Dialogue", "LinkedProgram"]
+__all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
 
 #: Seconds that the program has to connect.
 CONNECT_TIMEOUT = 5.0
@@ -46,14 +46,41 @@ class Dialogue(Protocol):
     def survives_its_program(self) -> bool:
         """The program may come to its own end before all has been said."""
 
-    def body(self, host: str, port: int, token: int) -> list[str]:
-        """The lines of the program, which connects to `host` and `port` and says the token."""
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        """The lines of the program, which gets what it is told by `link`."""
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """What to say when a state has come; raises `LinkError` where it cannot go on."""
 
     def conclude(self) -> None:
         """The program has come to its own end."""
+
+
+class Link(Protocol):
+    """The way to the program: a `ReverseLink`, or a `RegisterLink`. Nothing of it waits."""
+
+    @property
+    def endpoint(self) -> ReverseSocket | InputRegisters:
+        """What the program is told of it."""
+
+    @property
+    def is_up(self) -> bool:
+        """The program can be told something."""
+
+    def poll(self, has_begun: bool) -> bool:
+        """See whether it is up now; `has_begun` says that the controller has begun the program."""
+
+    def send(self, data: bytes) -> None:
+        """Tell the program something; raises `LinkError` where it is gone."""
+
+    def received(self) -> bytes:
+        """What the program has said since; raises `ConnectionLost` where it is gone."""
+
+    def absence(self, why: str) -> LinkError:
+        """What to raise when the link does not come up."""
+
+    def close(self, *, farewell: bool) -> None:
+        """Tell it nothing more; with `farewell` what was sent last is meant to arrive. Idempotent."""
 
 
 class LinkedProgram:
@@ -63,6 +90,7 @@ class LinkedProgram:
         life: what becomes of it.
         context: the robot.
         dialogue: what is said to it.
+        open_link: makes the way to it; may raise `LinkError`.
         on_linked: called, more than once, when the program has connected and when it will not any more.
     """
 
@@ -71,15 +99,17 @@ class LinkedProgram:
         life: Lifecycle,
         context: MotionContext,
         dialogue: Dialogue,
+        open_link: Callable[[], Link],
         *,
         on_linked: Callable[[], object] = lambda: None,
     ) -> None:
         self._life = life
         self._context = context
         self._dialogue = dialogue
+        self._open_link = open_link
         self._on_linked = on_linked
         self._clock = context.clock
-        self._link: ReverseLink | None = None
+        self._link: Link | None = None
         self._subscription: Subscription | None = None
         self._sent = 0.0
         self._lost: tuple[LinkError, float] | None = None
@@ -98,13 +128,13 @@ class LinkedProgram:
         life.brake = self._brake
         try:
             context.channel.check()
-            self._link = link = context.reverse.open()
+            self._link = link = self._open_link()
             self._sent = self._clock()
             self._subscription = context.realtime.subscribe(self._on_state, policy=latest)
             life.on_end(self._release)
             context.programs.start(
-                # It asks for no permission: nobody listens for its connection once its life is over.
-                context.programs.own(self._dialogue.body(*link.address, link.token), asks=False),
+                # It asks for no permission: once its life is over, nobody takes its connection or writes its token.
+                context.programs.own(self._dialogue.body(link.endpoint), asks=False),
                 life,
                 is_linked=True,
                 left_alone="its program on the robot brakes by itself",
@@ -170,7 +200,7 @@ class LinkedProgram:
             self._life.fail(error, brake=True)
             raise
 
-    def _look(self, link: ReverseLink, state: RealtimeState) -> None:
+    def _look(self, link: Link, state: RealtimeState) -> None:
         now = self._clock()
         if self._has_ended:
             self._dialogue.step(b"", state, now)
@@ -182,12 +212,12 @@ class LinkedProgram:
         elif self._concluded is not None:
             if now - self._concluded > _END_TIMEOUT:
                 self._life.finish()
-        elif link.is_up or link.poll():
+        elif link.is_up or link.poll(self._life.phase is Phase.RUNNING):
             self._talk(link, state, now)
         elif now - self._sent > CONNECT_TIMEOUT:
             self._life.fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
 
-    def _talk(self, link: ReverseLink, state: RealtimeState, now: float) -> None:
+    def _talk(self, link: Link, state: RealtimeState, now: float) -> None:
         self._on_linked()
         try:
             answer = self._dialogue.step(link.received(), state, now)
@@ -199,7 +229,7 @@ class LinkedProgram:
             self.lose(error)
 
     def _on_text(self, text: str) -> None:
-        error: RemoteError
+        error: LinkError
         if text.startswith(programs.NO_CONNECTION):
             assert self._link is not None
             error = self._link.absence("it says that it was refused, or found no way")

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.arguments import check_wait
+from linkcore.arguments import check_choice, check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion
 
+from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs
 from ..urscript.text import checked
@@ -19,8 +20,8 @@ from ..vectors import JOINTS, FloatArray, six
 from .context import MotionContext
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback
-from .linked import LinkedProgram
-from .path import PathMotion, Rates, Waypoint, check_joints, plan
+from .linked import Link, LinkedProgram
+from .path import PathMotion, Rates, Waypoint, plan
 from .servo import Servo
 from .setpoints import Servoing
 from .speed_limit import largest_speeds
@@ -33,8 +34,13 @@ __all__ = ["Motions"]
 _LEAST, _HOUR = 1e-3, 3600.0
 #: rad/s² and m/s² beyond which a number is a mistake.
 _HARDEST = 100.0
+#: The first releases that have the registers from 24 on (RTDE guide of the vendor).
+_REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
 #: What becomes of a motion that nobody here can follow any more, for messages.
 _MAY_GO_ON = "the arm may still move, to the end of the motion"
+
+#: How set-points get to the robot.
+LinkName = Literal["reverse", "rtde"]
 
 M = TypeVar("M", bound=Motion)
 
@@ -85,7 +91,7 @@ class Motions:
         goal = six(q, "q")
         model = self._context.who.identity.arm
         if model is not None:
-            check_joints(model, goal)
+            model.check_joints(goal)
             checked(speed, "speed", _LEAST, float(model.max_speed.max()))
         body = programs.move_joints(
             goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
@@ -252,6 +258,7 @@ class Motions:
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
+        link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
         """Follow a trajectory from where the arm stands.
@@ -269,11 +276,14 @@ class Motions:
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time: s, 0.03 to 0.2; how far ``servoj`` looks ahead: more is smoother and lags more. Not on CB2.
             gain: 100 to 2000; how stiffly ``servoj`` follows. Not on CB2.
+            link: how set-points get to the robot: "reverse", by a connection that the robot makes to this computer, or
+                "rtde", by input registers of the robot, so that nothing has to reach this computer; needs 3.9, or 5.3.
             wait: see `Motions`.
 
         Raises:
-            LocalError: `low_bandwidth` on a CB2.
+            LocalError: `low_bandwidth` on a CB2 or over "rtde"; "rtde" on a firmware that has not these registers.
             BadAddress: nobody can listen for the robot's connection at this port.
+            InputInUse: another RTDE client, or a fieldbus, holds a register.
         """
         seconds = check_wait(wait)
         if not isinstance(trajectory, Trajectory):
@@ -281,6 +291,9 @@ class Motions:
         context, firmware = self._context, self._context.who.identity.firmware
         if low_bandwidth and firmware.is_cb2:
             raise LocalError(f"firmware {firmware} cannot interpolate by itself: without low_bandwidth only")
+        open_link = self._opener(link)
+        if low_bandwidth and link == "rtde":
+            raise LocalError("a program that asks for its points needs link='reverse', or leave out low_bandwidth")
         tolerances = Tolerances(
             None if path_tolerance is None else checked(path_tolerance, "path_tolerance", 1e-6, 100.0),
             checked(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
@@ -297,7 +310,7 @@ class Motions:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
             following = Follower(trajectory, tolerances, servoing, model)
-        return _waited(self._follow(following, feedback), seconds)
+        return _waited(self._follow(following, feedback, open_link), seconds)
 
     def servo(
         self,
@@ -306,6 +319,7 @@ class Motions:
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
+        link: LinkName = "reverse",
     ) -> Servo:
         """A line to the joints for a loop of your own::
 
@@ -316,12 +330,12 @@ class Motions:
         Args:
             rate: set-points a second that the loop means to send, for the statistics; None for the controller's rate.
             watchdog: seconds without a set-point after which the robot brakes by itself.
-            lookahead_time, gain: see `follow`.
+            lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
         servoing = self._servoing(watchdog, lookahead_time, gain)
         pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
-        return Servo(self._context, pace, servoing)
+        return Servo(self._context, pace, servoing, self._opener(link))
 
     # ----------------------------------------------------------------------------------------------------
 
@@ -364,16 +378,33 @@ class Motions:
             left_alone=f"the arm brakes by itself, {duration:g} s after it began",
         )
 
-    def _follow(self, following: Following, feedback: Callable[[TrajectoryFeedback], object] | None) -> Motion:
+    def _follow(
+        self,
+        following: Following,
+        feedback: Callable[[TrajectoryFeedback], object] | None,
+        open_link: Callable[[], Link],
+    ) -> Motion:
         """A motion whose program is told where to go while it runs."""
         life = self._context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
-        LinkedProgram(life, self._context, following).begin()
+        LinkedProgram(life, self._context, following, open_link).begin()
         if feedback is not None:
             # On a queue and a thread of its own: it may be slow, and it may raise.
             subscription = self._context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
         return motion
+
+    def _opener(self, link: LinkName) -> Callable[[], Link]:
+        """What makes the way to a program."""
+        check_choice(link, "link", get_args(LinkName))
+        if link == "reverse":
+            return self._context.reverse.open
+        firmware = self._context.who.identity.firmware
+        if firmware < (_REGISTERS_E if firmware.is_e_series else _REGISTERS_CB):
+            raise LocalError(
+                f"firmware {firmware} has no input registers for this (3.9 and 5.3 are the first): without link='rtde'"
+            )
+        return self._context.registers.open
 
     def _servoing(self, watchdog: float, lookahead_time: float, gain: float) -> Servoing:
         return Servoing(

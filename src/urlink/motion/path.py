@@ -23,7 +23,6 @@ from linkcore.errors import BadValue
 from linkcore.handle import Lifecycle, Motion
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..models import Model
 from ..urscript import programs
 from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from ..curves import Curve
     from ..kinematics import Arm
 
-__all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "check_joints", "plan"]
+__all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "plan"]
 
 #: m; no arm is longer, so a blend that is has the wrong unit.
 _WIDEST = 2.0
@@ -275,7 +274,7 @@ class _Planner:
 
     def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> Section:
         model = self._arm.model
-        check_joints(model, waypoint.q)
+        model.check_joints(waypoint.q)
         checked(rate.speed, "speed", _SLOWEST, float(model.max_speed.max()))
         start, way = self._q, waypoint.q - self._q
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
@@ -372,12 +371,3 @@ def _check_blends(before: float, after: float, length: float) -> None:
         raise BadValue(
             f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a way of {length:.4g} m"
         )
-
-
-def check_joints(model: Model, q: FloatArray) -> None:
-    """Raise `BadValue` unless joint positions are within the position limits."""
-    for joint, (value, (low, high)) in enumerate(zip(q.tolist(), model.position_limits.tolist(), strict=True)):
-        if not low <= value <= high:
-            raise BadValue(
-                f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; a {model.name} reaches {low:.4f} to {high:.4f} rad"
-            )

@@ -10,7 +10,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, addresses, local_address
 from linkcore.net.transport import TcpTransport
 
-from ..urscript.programs import TOKENS
+from ..urscript.programs import TOKENS, ReverseSocket
 
 __all__ = ["ReverseLink", "ReversePort"]
 
@@ -68,8 +68,7 @@ class ReverseLink:
         where: the robot, and where it finds this computer.
 
     Attributes:
-        address: (host, port) that the program is told.
-        token: that it has to say.
+        endpoint: what the program is told.
 
     Raises:
         BadAddress: the port cannot be listened on.
@@ -81,8 +80,7 @@ class ReverseLink:
         self._peers = addresses(where.robot if where.peer is None else where.peer)
         # An address that was given may be one that something in between translates, so it is not one to listen on.
         self._listener = TcpListener(here if where.host is None else "", where.port)
-        self.address = (here, self._listener.address[1])
-        self.token = random.SystemRandom().randrange(TOKENS)
+        self.endpoint = ReverseSocket(here, self._listener.address[1], random.SystemRandom().randrange(TOKENS))
         self._candidates: list[_Candidate] = []
         self._connection: TcpTransport | None = None
         self._waiting = b""  # what came right behind the token
@@ -93,7 +91,7 @@ class ReverseLink:
         """The program has connected."""
         return self._connection is not None
 
-    def poll(self) -> bool:
+    def poll(self, has_begun: bool = True) -> bool:
         """Take the connection, if it has been made; True once it has. Never waits."""
         while self._connection is None and (connection := self._accepted()) is not None:
             if connection.host not in self._peers:
@@ -126,7 +124,7 @@ class ReverseLink:
             return
         if received is not None:
             said += received[0]
-        token = self.token.to_bytes(_TOKEN_SIZE, "big")
+        token = self.endpoint.token.to_bytes(_TOKEN_SIZE, "big")
         if said[:_TOKEN_SIZE] == token:
             self._waiting = bytes(said[_TOKEN_SIZE:])
             self._connection = connection
@@ -185,7 +183,7 @@ class ReverseLink:
 
     def absence(self, why: str) -> ConnectFailed:
         """What to raise when the program does not connect."""
-        host, port = self.address
+        host, port, _ = self.endpoint
         return ConnectFailed(
             f"the program on the robot could not connect to this computer at {host}:{port}: {why}. Is that an address "
             "by which the robot reaches it (set another with reverse_host), does the firewall let it in (a fixed port "

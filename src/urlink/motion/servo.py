@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
@@ -17,9 +18,10 @@ from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Motion
 
 from ..interfaces.realtime.packets import RealtimeState
+from ..urscript.programs import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, six
 from .context import MotionContext
-from .linked import CONNECT_TIMEOUT, LinkedProgram
+from .linked import CONNECT_TIMEOUT, Link, LinkedProgram
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import SpeedLimit
 
@@ -70,8 +72,8 @@ class _Waiting:
         self.here: list[float] | None = None
         self.has_begun = False
 
-    def body(self, host: str, port: int, token: int) -> list[str]:
-        return self._servoing.body(host, port, token)
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        return self._servoing.body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         if self.has_begun:
@@ -91,7 +93,7 @@ class Servo(Motion):
         rate: set-points a second that are meant to be sent.
     """
 
-    def __init__(self, context: MotionContext, rate: float, servoing: Servoing) -> None:
+    def __init__(self, context: MotionContext, rate: float, servoing: Servoing, open_link: Callable[[], Link]) -> None:
         life = context.programs.life("servo")
         super().__init__(life)
         self.rate = rate
@@ -100,7 +102,7 @@ class Servo(Motion):
         self._is_entered = False
         #: settled once the program has connected, or will not any more
         self._linked: Future[None] = Future()
-        self._program = LinkedProgram(life, context, self._dialogue, on_linked=self._link_up)
+        self._program = LinkedProgram(life, context, self._dialogue, open_link, on_linked=self._link_up)
         self._last: list[float] | None = None
         self._sent_at = 0.0
         self._count = self._late = 0

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
-from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, missable, streaming
+from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable, streaming
 
-__all__ = ["STOP_WORD", "WAIT_WORD", "Servoing", "setpoint"]
+__all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "read_word", "setpoint"]
 
 _WORD = struct.Struct(">7i")
+#: Bytes of a word.
+WORD_SIZE = _WORD.size
 
 #: Brake, and end the program.
 STOP_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, STOP)
@@ -22,6 +24,12 @@ WAIT_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, WAIT)
 def setpoint(q: Sequence[float]) -> bytes:
     """Six joints, rad, as the streaming program reads them."""
     return _WORD.pack(*[round(each * SCALE) for each in q], FOLLOW)
+
+
+def read_word(word: bytes) -> tuple[list[float], int]:
+    """What a word says: six joints, rad, and what to do."""
+    *joints, mode = _WORD.unpack(word)
+    return [joint / SCALE for joint in joints], mode
 
 
 @dataclass(frozen=True)
@@ -46,13 +54,11 @@ class Servoing:
         """Cycles without a set-point after which the robot brakes."""
         return missable(self.watchdog, self.firmware.rate)
 
-    def body(self, host: str, port: int, token: int) -> list[str]:
-        """The lines of the program that connects to `host` and `port` for its set-points."""
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        """The lines of the program that gets its set-points by `link`."""
         return streaming(
             self.firmware,
-            host,
-            port,
-            token,
+            link,
             speeds=self.speeds,
             watchdog=self.watchdog,
             lookahead_time=self.lookahead_time,

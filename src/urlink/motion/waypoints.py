@@ -12,6 +12,7 @@ from ..errors import ProgramStopped
 from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import waypoints
+from ..urscript.programs import InputRegisters, ReverseSocket
 from ..urscript.text import number
 from .following import Following, Tolerances
 from .trajectory import Trajectory
@@ -48,13 +49,12 @@ class WaypointServer(Following):
         #: s that have passed on the trajectory; None before it began
         self._t: float | None = None
 
-    def body(self, host: str, port: int, token: int) -> list[str]:
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program on the robot."""
+        assert isinstance(link, ReverseSocket), "it asks for its points, and registers answer nothing"
         return waypoints.interpolating(
             self._firmware,
-            host,
-            port,
-            token,
+            *link,
             is_quintic=self._trajectory.is_quintic,
             lookahead_time=self._lookahead_time,
             gain=self._gain,
@@ -117,7 +117,6 @@ class WaypointServer(Following):
             self._t = 0.0
         if 0 < request < len(self._trajectory):
             return self._point(request, self._trajectory.q[request].tolist())
-        # All points are handed over: the program may come to its end before its last line was read.
         # All points are handed over: the program may come to its end before its last line was read.
         self.survives_its_program = True
         zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)

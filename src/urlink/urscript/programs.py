@@ -6,7 +6,8 @@ written out element by element, since arithmetic on whole lists came late.
 
 Two of the programs open a socket back to this computer, as those of public drivers do: the one in
 `urlink.urscript.waypoints`, and `streaming`. Both say first which program they are, by a token that only this text
-holds, since whoever else finds the port must not be taken for the robot. `streaming` then reads seven big-endian int32
+holds, since whoever else finds the port must not be taken for the robot. Over registers (`InputRegisters`) it is the
+other way round: the program waits for the token. Over its socket `streaming` then reads seven big-endian int32
 per set-point: six joints in millionths of a rad, and what to do, one of `STOP`, `FOLLOW` and `WAIT`. The answer of
 ``socket_read_binary_integer`` begins with the count that was read; after two seconds without anything, or once the link
 is gone, that is less than seven.
@@ -20,7 +21,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from textwrap import dedent
+from textwrap import dedent, indent
+from typing import NamedTuple
 
 from ..firmware import Firmware
 from .text import checked, integer, number, pose, quoted, vector
@@ -35,6 +37,8 @@ __all__ = [
     "TOKENS",
     "TOO_FAR",
     "WAIT",
+    "InputRegisters",
+    "ReverseSocket",
     "each",
     "introduction",
     "lines",
@@ -63,6 +67,9 @@ LINK_ENDED = "urlink: the link ended"
 STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 _SEGMENT = "urlink: segment "
+
+#: Seconds for which a program waits for the first word in its registers.
+_LINK_TIMEOUT = 5.0
 
 
 # -- one command ---------------------------------------------------------------------------------------
@@ -139,11 +146,54 @@ def stop(acceleration: float) -> list[str]:
 # -- programs that talk back -----------------------------------------------------------------------------
 
 
+class ReverseSocket(NamedTuple):
+    """A connection that the program makes back to this computer.
+
+    Attributes:
+        host, port: where it reaches this computer.
+        token: by which it tells that it is the program that is waited for.
+    """
+
+    host: str
+    port: int
+    token: int
+
+
+class InputRegisters(NamedTuple):
+    """Input registers that this computer writes by RTDE: nothing has to be reached from the robot.
+
+    Set-points are in six floating point registers, as rad. Three integer registers hold the number of the word, by
+    which a new one is known; what to do; and the token. That a program sees all inputs of
+    one RTDE package in the same cycle is what public clients with such programs rely on.
+
+    Attributes:
+        first_float, first_integer: number of the first register of each kind.
+        token: what is in its register as long as this program's words are: registers keep what others wrote.
+    """
+
+    first_float: int
+    first_integer: int
+    token: int
+
+    @property
+    def word(self) -> int:
+        """The register that numbers the words."""
+        return self.first_integer
+
+    @property
+    def mode(self) -> int:
+        """The register that says what to do."""
+        return self.first_integer + 1
+
+    @property
+    def proof(self) -> int:
+        """The register that holds the token."""
+        return self.first_integer + 2
+
+
 def streaming(
     firmware: Firmware,
-    host: str,
-    port: int,
-    token: int,
+    link: ReverseSocket | InputRegisters,
     *,
     speeds: Sequence[float],
     watchdog: float = 0.1,
@@ -151,15 +201,14 @@ def streaming(
     gain: float = 300.0,
     deceleration: float = 4.0,
 ) -> list[str]:
-    """Follow set-points that come over a socket, one per cycle, and brake where they stay away.
+    """Follow set-points, one per cycle, and brake where they stay away.
 
     A late one makes hardly a dent: meanwhile the arm goes on by its last step, less and less of it until the watchdog's
     time is up, when it has come to rest. None is followed faster than the joints can move: where it is further away, it
     is approached at their largest speed. So whatever goes wrong on the way, the arm does not leap.
 
     Args:
-        host: address at which the robot reaches this computer.
-        token: by which it tells that it is the program that is waited for.
+        link: how the set-points come.
         speeds: (6,) rad/s at most of each joint.
         watchdog: seconds without a set-point after which it brakes.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
@@ -168,6 +217,11 @@ def streaming(
     servo = servo_cycle(firmware, lookahead_time, gain)
     most_missed = missable(watchdog, firmware.rate)
     ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
+    if isinstance(link, ReverseSocket):
+        # Reading waits, so a thread of its own moves the arm.
+        kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link)
+    else:
+        kind, shared, take, follow = "def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog)
     text = f"""
         def bounded(aim, here, way):
           if aim > here + way:
@@ -177,11 +231,9 @@ def streaming(
           end
           return aim
         end
-        target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        mode = {WAIT}
-        fresh = False
+{_indented(shared)}
         starved = False
-        thread servo():
+        {kind} servo():
           q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           last = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -189,12 +241,7 @@ def streaming(
           begun = False
           going = True
           while going:
-            enter_critical
-            wanted = mode
-            is_new = fresh
-            fresh = False
-            goal = target
-            exit_critical
+{_indented(take, 12)}
             if wanted == {STOP}:
               going = False
             elif wanted == {WAIT}:
@@ -226,8 +273,32 @@ def streaming(
           end
           stopj({number(deceleration)})
         end
-        if socket_open({quoted(host)}, {integer(port, 1, 65535)}):
-          {introduction(token)}
+{_indented(follow)}
+    """
+    return lines(text)
+
+
+#: What the thread that reads the socket hands over to the one that moves the arm.
+_SHARED = f"""
+    target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    mode = {WAIT}
+    fresh = False
+"""
+_TAKE_SHARED = """
+    enter_critical
+    wanted = mode
+    is_new = fresh
+    fresh = False
+    goal = target
+    exit_critical
+"""
+
+
+def _over_socket(link: ReverseSocket) -> str:
+    """Connect, and hand over what comes until the link ends."""
+    return f"""
+        if socket_open({quoted(link.host)}, {integer(link.port, 1, 65535)}):
+          {introduction(link.token)}
           servo_thread = run servo()
           reading = True
           while reading:
@@ -257,7 +328,48 @@ def streaming(
           textmsg({quoted(NO_CONNECTION)})
         end
     """
-    return lines(text)
+
+
+#: The number of the last word; they are counted from 1, so the one that comes with the token is new.
+_SEEN = "seen = 0"
+
+
+def _take_registers(link: InputRegisters) -> str:
+    """The newest word, and whether it is a new one."""
+    return f"""
+        wanted = read_input_integer_register({link.mode})
+        number = read_input_integer_register({link.word})
+        is_new = number != seen
+        seen = number
+        goal = [{each("read_input_float_register({way})", [str(link.first_float + i) for i in range(6)])}]
+    """
+
+
+def _over_registers(link: InputRegisters, firmware: Firmware, watchdog: float) -> str:
+    """Wait for the token, for a bounded time, and follow what the registers say.
+
+    The controller's own watchdog over the registers ends the program where this one cannot: it is given a second more,
+    in which an arm has braked.
+    """
+    proof = f"read_input_integer_register({link.proof})"
+    variable = quoted(f"input_int_register_{link.word}")
+    return f"""
+        cycles = 0
+        while cycles < {round(_LINK_TIMEOUT * firmware.rate)} and {proof} != {integer(link.token, 1, TOKENS - 1)}:
+          cycles = cycles + 1
+          sync()
+        end
+        if {proof} == {link.token}:
+          rtde_set_watchdog({variable}, {number(1.0 / (watchdog + 1.0))}, "stop")
+          servo()
+        else:
+          textmsg({quoted(NO_CONNECTION)})
+        end
+    """
+
+
+def _indented(text: str, columns: int = 8) -> str:
+    return indent("\n".join(lines(text)), " " * columns)
 
 
 def missable(watchdog: float, rate: int) -> int:

@@ -10,6 +10,7 @@ from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm
 from urlink.models import model
+from urlink.simulator.registers import Registers
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
@@ -67,6 +68,9 @@ class Bench:
         self.texts: list[str] = []
         self.path: list[list[float]] = []
         self.flags = [False] * 32
+        self.registers = Registers()
+        #: (variable, frequency, action) of what it had watched
+        self.watched: list[tuple[str, float, str]] = []
         script = compile_script(program("tried", body, permission).text, firmware)
         self.execution = Execution(script, cast(World, self))
 
@@ -77,6 +81,9 @@ class Bench:
     @property
     def qd_target(self) -> Sequence[float]:
         return self.motion.setpoint.qd
+
+    def set_watchdog(self, variable: str, frequency: float, action: str) -> None:
+        self.watched.append((variable, frequency, action))
 
     def text_message(self, text: str) -> None:
         self.texts.append(text)

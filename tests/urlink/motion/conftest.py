@@ -39,3 +39,9 @@ def rehearsal() -> Iterator[Callable[..., Rehearsal]]:
 def robot(rehearsal: Callable[..., Rehearsal]) -> Rehearsal:
     """An e-Series robot that does what the test says."""
     return rehearsal()
+
+
+@pytest.fixture(params=["reverse", "rtde"])
+def led(request: pytest.FixtureRequest, rehearsal: Callable[..., Rehearsal]) -> Rehearsal:
+    """The same, led over either link."""
+    return rehearsal(link=request.param)

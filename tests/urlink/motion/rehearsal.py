@@ -6,16 +6,20 @@ import math
 import re
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from queue import Empty, SimpleQueue
 from typing import Any
 
+from linkcore.errors import ConnectionLost
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.motion.context import MotionContext
-from urlink.motion.motions import Motions
+from urlink.motion.motions import LinkName, Motions
+from urlink.motion.register_link import NAMES, RegisterPort
 from urlink.motion.reverse import ReversePort
 from urlink.urscript.wrapping import finish_marker, start_marker
 from urlink.vectors import FloatArray
@@ -27,11 +31,28 @@ STOP, FOLLOW, WAIT = 0, 1, 2
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
 
 
+class Inputs:
+    """RTDE inputs that were claimed: the packages of them that were written."""
+
+    def __init__(self) -> None:
+        self.written: SimpleQueue[dict[str, float]] = SimpleQueue()
+        self.is_cut = False
+
+    def _write(self, values: Mapping[str, float]) -> None:
+        if self.is_cut:
+            raise ConnectionLost("cut")
+        self.written.put(dict(values))
+
+
 class Rehearsal(StandIn):
     """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `word`."""
 
-    def __init__(self, firmware: str = "5.11", model: str = "UR5e", port: int = 0, **options: Any) -> None:
+    def __init__(
+        self, firmware: str = "5.11", model: str = "UR5e", port: int = 0, link: LinkName = "reverse", **options: Any
+    ) -> None:
         super().__init__(firmware, model=model, **options)
+        self.has_registers = link == "rtde"
+        self.inputs = Inputs()
         reverse = ReversePort("127.0.0.1", port=port)
         self.motion = Motions(
             MotionContext(
@@ -40,11 +61,15 @@ class Rehearsal(StandIn):
                 self.realtime,
                 self.who,
                 reverse,
+                RegisterPort(self._claim),
                 self.section,
                 # Motions go by the clock of the test: one cycle passes with each state.
                 clock=lambda: self.time,
             )
         )
+        if self.has_registers:
+            self.motion.follow = partial(self.motion.follow, link=link)  # type: ignore[method-assign]
+            self.motion.servo = partial(self.motion.servo, link=link)  # type: ignore[method-assign]
         self.q = list(HOME)
         self.qd = [0.0] * 6
         self.time = 100.0
@@ -86,6 +111,10 @@ class Rehearsal(StandIn):
     def pose(self) -> FloatArray:
         """Of its flange, which is its tool."""
         return _ARM.forward(self.q)
+
+    def _claim(self, names: tuple[str, ...]) -> Inputs:
+        assert names == NAMES
+        return self.inputs
 
     def show(self) -> None:
         """Tick, and wait until that has been heard."""
@@ -143,8 +172,11 @@ class Rehearsal(StandIn):
         return int(re.search(r"socket_send_int\((\d+)\)", self.uploaded)[1]).to_bytes(4, "big")  # type: ignore[index]
 
     def connect(self) -> None:
-        """The program that was sent last begins and connects."""
+        """The program that was sent last begins, and connects or sees its token."""
+        self.inputs.written = SimpleQueue()  # without the last words of the motion before
         self.begin()
+        if self.has_registers:
+            return
         if self.link is not None:
             self.link.close()
         self.link = socket.create_connection(("127.0.0.1", self.port), PATIENCE)
@@ -152,7 +184,20 @@ class Rehearsal(StandIn):
         self._rest = b""
 
     def word(self) -> tuple[list[float], int] | None:
-        """The next word: six joints in rad, and what to do; None where the connection has ended."""
+        """The next word: six joints in rad, and what to do; None where the connection has ended.
+
+        Registers have no end; there it is None once nothing more can come, since no motion is left.
+        """
+        if self.has_registers:
+            until(lambda: self.motion.current is None or not self.inputs.written.empty())
+            try:
+                inputs = self.inputs.written.get(block=False)
+            except Empty:
+                return None
+            assert inputs["input_int_register_47"] == int(
+                re.search(r"input_integer_register\(47\) == (\d+)", self.uploaded)[1]  # type: ignore[index]
+            )
+            return [inputs[f"input_double_register_{42 + i}"] for i in range(6)], int(inputs["input_int_register_46"])
         assert self.link is not None
         while len(self._rest) < 28:
             try:

@@ -67,44 +67,44 @@ def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehea
     assert len(robot.sent) == 1
 
 
-def test_waits_until_the_arm_stands(robot: Rehearsal) -> None:
-    robot.qd = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
-    motion = robot.motion.follow(PATH)
-    robot.connect()
-    assert [robot.obey() for _ in range(3)] == [([0.0] * 6, WAIT)] * 3
-    robot.qd = [0.0] * 6
-    robot.tick()
-    until(lambda: robot.word()[1] == FOLLOW)  # type: ignore[index]
+def test_waits_until_the_arm_stands(led: Rehearsal) -> None:
+    led.qd = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
+    motion = led.motion.follow(PATH)
+    led.connect()
+    assert [led.obey() for _ in range(3)] == [([0.0] * 6, WAIT)] * 3
+    led.qd = [0.0] * 6
+    led.tick()
+    until(lambda: led.word()[1] == FOLLOW)  # type: ignore[index]
     motion.cancel()
 
 
-def test_an_arm_that_does_not_come_to_rest(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_that_does_not_come_to_rest(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.following._REST_TIMEOUT", 0.05)
-    robot.qd = [0.5] * 6
-    motion = robot.motion.follow(PATH)
-    robot.connect()
-    robot.until(lambda: motion.done)
+    led.qd = [0.5] * 6
+    motion = led.motion.follow(PATH)
+    led.connect()
+    led.until(lambda: motion.done)
     with pytest.raises(LinkTimeout, match="did not come to rest"):
         motion.wait(0)
 
 
-def test_what_is_between_the_arm_and_the_first_point_is_faded_out(robot: Rehearsal) -> None:
-    robot.q = turned(0.03)
-    robot.show()
-    motion = robot.motion.follow(PATH)
-    robot.connect()
+def test_what_is_between_the_arm_and_the_first_point_is_faded_out(led: Rehearsal) -> None:
+    led.q = turned(0.03)
+    led.show()
+    motion = led.motion.follow(PATH)
+    led.connect()
     path = []
-    while not motion.done and (word := robot.obey()) is not None and word[1] == FOLLOW:
+    while not motion.done and (word := led.obey()) is not None and word[1] == FOLLOW:
         path.append(word[0][5])
     assert path[0] == pytest.approx(0.03, abs=2e-3)
     assert path[-1] == pytest.approx(0.0, abs=1e-6)
-    steps = np.abs(np.diff(path)) / robot.cycle
+    steps = np.abs(np.diff(path)) / led.cycle
     assert steps.max() < 0.25 + np.abs(PATH.at(np.linspace(0, 0.4, 100))[1]).max() + 0.01
-    robot.finish()
+    led.finish()
     motion.wait(PATIENCE)
 
 
-def test_feedback_may_be_slow_and_may_raise(robot: Rehearsal) -> None:
+def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
     told: list[TrajectoryFeedback] = []
     release = threading.Event()
 
@@ -113,10 +113,11 @@ def test_feedback_may_be_slow_and_may_raise(robot: Rehearsal) -> None:
         release.wait(PATIENCE)
         raise ValueError("of the user's own")
 
-    motion = begun(robot, feedback=feedback)
-    while not motion.done and (word := robot.obey()) is not None and word[1] == FOLLOW:
+    motion = begun(led, feedback=feedback)
+    led.until(lambda: told)
+    while not motion.done and (word := led.obey()) is not None and word[1] == FOLLOW:
         pass
-    robot.finish()
+    led.finish()
     motion.wait(PATIENCE)
     release.set()
     assert len(told) == 1
@@ -128,19 +129,19 @@ def test_feedback_may_be_slow_and_may_raise(robot: Rehearsal) -> None:
 # -- refused before anything is sent -------------------------------------------------------------------
 
 
-def test_what_no_arm_could_follow_is_refused(robot: Rehearsal) -> None:
+def test_what_no_arm_could_follow_is_refused(led: Rehearsal) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(1), turned(1)])
     wild = Trajectory.from_arrays([0, 0.1], [turned(0), turned(1)])
     for trajectory, message in ((far, "too far from where the arm is"), (wild, "limit of a UR5e")):
         with pytest.raises(BadValue, match=message):
-            robot.motion.follow(trajectory)
+            led.motion.follow(trajectory)
     for options in ({"goal_tolerance": -1}, {"path_tolerance": 0}, {"watchdog": 0}, {"gain": 1}, {"lookahead_time": 1}):
         with pytest.raises(BadValue):
-            robot.motion.follow(PATH, **options)  # type: ignore[arg-type]
+            led.motion.follow(PATH, **options)  # type: ignore[arg-type]
     with pytest.raises(BadValue, match="no Trajectory"):
-        robot.motion.follow([turned(0)])  # type: ignore[arg-type]
-    assert robot.sent == []
-    assert robot.motion.current is None
+        led.motion.follow([turned(0)])  # type: ignore[arg-type]
+    assert led.sent == []
+    assert led.motion.current is None
 
 
 def test_a_cb2_cannot_interpolate(rehearsal: Callable[..., Rehearsal]) -> None:
@@ -158,24 +159,24 @@ def test_an_arm_that_is_nobody_knows_which(rehearsal: Callable[..., Rehearsal]) 
 # -- ended before its time -----------------------------------------------------------------------------
 
 
-def test_cancelled_half_way(robot: Rehearsal) -> None:
-    motion = begun(robot)
-    half_way(robot, motion)
+def test_cancelled_half_way(led: Rehearsal) -> None:
+    motion = begun(led)
+    half_way(led, motion)
     motion.cancel()
     motion.cancel()
-    assert robot.word() == ([0.0] * 6, STOP)
-    assert robot.word() is None
+    assert led.word() == ([0.0] * 6, STOP)
+    assert led.word() is None
     for _ in range(5):
-        robot.tick()
+        led.tick()
     with pytest.raises(Cancelled):
         motion.wait(PATIENCE)
     assert motion.phase is Phase.CANCELLED
     assert 0.4 < motion.progress < 0.6
-    assert len(robot.sent) == 1
+    assert len(led.sent) == 1
 
 
-def test_a_block_that_is_left_cancels(robot: Rehearsal) -> None:
-    with begun(robot) as motion:
+def test_a_block_that_is_left_cancels(led: Rehearsal) -> None:
+    with begun(led) as motion:
         assert not motion.done
     assert motion.phase is Phase.CANCELLED
 
@@ -199,15 +200,15 @@ def test_a_stop_half_way(robot: Rehearsal, low_bandwidth: bool) -> None:
     assert len(robot.sent) == 1
 
 
-def test_goes_on_after_a_stop(robot: Rehearsal) -> None:
-    motion = begun(robot)
-    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+def test_goes_on_after_a_stop(led: Rehearsal) -> None:
+    motion = begun(led)
+    led.state(safety=SafetyMode.PROTECTIVE_STOP)
     with pytest.raises(SafetyStop):
         motion.wait(PATIENCE)
-    robot.q = turned(0)
-    robot.until(lambda: robot.safety.is_enabled)
-    robot.show()
-    begun(robot).cancel()
+    led.q = turned(0)
+    led.until(lambda: led.safety.is_enabled)
+    led.show()
+    begun(led).cancel()
 
 
 def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,47 +222,47 @@ def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("word", ["urlink: the link ended", "urlink: nothing to go to"])
-def test_the_program_says_that_the_link_is_gone(robot: Rehearsal, word: str) -> None:
-    motion = begun(robot)
-    robot.text(word)
+def test_the_program_says_that_the_link_is_gone(led: Rehearsal, word: str) -> None:
+    motion = begun(led)
+    led.text(word)
     with pytest.raises(ConnectionLost, match="brakes by itself"):
         motion.wait(PATIENCE)
 
 
-def test_the_program_is_stopped_at_the_pendant(robot: Rehearsal) -> None:
-    motion = begun(robot)
-    robot.vanish()
-    robot.until(lambda: motion.done)
+def test_the_program_is_stopped_at_the_pendant(led: Rehearsal) -> None:
+    motion = begun(led)
+    led.vanish()
+    led.until(lambda: motion.done)
     with pytest.raises(ProgramStopped):
         motion.wait(PATIENCE)
 
 
-def test_no_states_come(robot: Rehearsal) -> None:
-    motion = begun(robot)
-    robot.fast.put(ConnectionLost("pulled"))
+def test_no_states_come(led: Rehearsal) -> None:
+    motion = begun(led)
+    led.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match=r"pulled; its program on the robot brakes by itself"):
         motion.wait(PATIENCE)
-    assert robot.word() is None
+    assert led.word() is None
 
 
-def test_off_its_path(robot: Rehearsal) -> None:
-    motion = begun(robot, path_tolerance=0.05)
-    robot.tick(away=0.07)
+def test_off_its_path(led: Rehearsal) -> None:
+    motion = begun(led, path_tolerance=0.05)
+    led.tick(away=0.07)
     with pytest.raises(ToleranceExceeded, match=r"wrist 3 \(joint 5\) is 0\.0[67]\d+ rad .* tolerance is 0\.05 rad"):
         motion.wait(PATIENCE)
-    while (word := robot.word()) is not None:
+    while (word := led.word()) is not None:
         last = word
     assert last[1] == STOP
 
 
-def test_does_not_arrive(robot: Rehearsal) -> None:
-    motion = begun(robot, goal_time=0.1)
+def test_does_not_arrive(led: Rehearsal) -> None:
+    motion = begun(led, goal_time=0.1)
     while not motion.done:
-        robot.tick(away=0.02)
-        if (word := robot.word()) is None:
+        led.tick(away=0.02)
+        if (word := led.word()) is None:
             break
         if word[1] == FOLLOW:
-            robot.q = word[0]
+            led.q = word[0]
     with pytest.raises(ToleranceExceeded, match=r"0\.1 s after the end of its path; the tolerance is 0\.01"):
         motion.wait(PATIENCE)
 

@@ -24,6 +24,7 @@ from urlink.motion.following import ControllerClock, Tolerances
 from urlink.motion.setpoints import Servoing
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
+from urlink.urscript.programs import ReverseSocket
 
 TOKEN = 7
 LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)
@@ -309,7 +310,7 @@ class Program:
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_the_model_of_the_program(firmware: Firmware) -> None:
-    bench = Bench(servoing(firmware).body("10.0.0.1", 50001, TOKEN), firmware)
+    bench = Bench(servoing(firmware).body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
     modelled = Program(servoing(firmware), list(bench.motion.setpoint.q))
     targets: list[list[float]] = []
     feeding = Feeding(follower(firmware), firmware)
@@ -338,7 +339,7 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
     """
     begin = turned(0.3)
     path = Trajectory.from_arrays([0, 1, 4, 8], [begin, turned(0.0), turned(1.0), turned(0.0)])
-    bench = Bench(servoing(firmware).body("10.0.0.1", 50001, TOKEN), firmware, begin)
+    bench = Bench(servoing(firmware).body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware, begin)
     led = follower(firmware, path, Tolerances(path=0.05, goal=0.01, goal_time=1.0, start=0.05))
     bench.run(2)
     errors = []

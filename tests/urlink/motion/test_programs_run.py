@@ -30,7 +30,10 @@ WAVE = Trajectory.from_arrays(
 
 
 def streaming(firmware: Firmware, **options: float) -> Bench:
-    bench = Bench(programs.streaming(firmware, "10.0.0.1", 50001, TOKEN, speeds=SPEEDS, **options), firmware)
+    bench = Bench(
+        programs.streaming(firmware, programs.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS, **options),
+        firmware,
+    )
     bench.run(3, lambda: bench.sockets.waiting.extend(WAIT_WORD))
     assert bytes(bench.sockets.sent) == TOKEN.to_bytes(4, "big")
     return bench
@@ -140,7 +143,7 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
     for body in (
-        programs.streaming(firmware, "10.0.0.1", 50001, TOKEN, speeds=SPEEDS),
+        programs.streaming(firmware, programs.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS),
         waypoints.interpolating(firmware, "10.0.0.1", 50001, TOKEN, is_quintic=True),
     ):
         bench = Bench(body, firmware)

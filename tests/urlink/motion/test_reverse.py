@@ -23,7 +23,7 @@ def link() -> Iterator[ReverseLink]:
 
 
 def test_listens_on_the_route_to_the_robot_at_a_free_port(link: ReverseLink) -> None:
-    host, port = link.address
+    host, port, _ = link.endpoint
     assert host == "127.0.0.1"
     assert port > 0
     assert not link.poll()
@@ -31,11 +31,11 @@ def test_listens_on_the_route_to_the_robot_at_a_free_port(link: ReverseLink) -> 
 
 
 def token(link: ReverseLink) -> bytes:
-    return link.token.to_bytes(4, "big")
+    return link.endpoint.token.to_bytes(4, "big")
 
 
 def test_takes_one_program(link: ReverseLink) -> None:
-    with socket.create_connection(link.address, PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         assert not link.poll()
         program.sendall(token(link)[:1])
         assert not link.poll()
@@ -48,13 +48,13 @@ def test_takes_one_program(link: ReverseLink) -> None:
         link.send(b"answer")
         assert program.recv(100) == b"answer"
         with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(link.address, PATIENCE)
+            socket.create_connection(link.endpoint[:2], PATIENCE)
 
 
 def test_a_program_that_is_gone(link: ReverseLink) -> None:
     with pytest.raises(ConnectionLost):
         link.send(b"before it came")
-    with socket.create_connection(link.address, PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         program.sendall(token(link))
         until(link.poll)
 
@@ -67,7 +67,7 @@ def test_a_program_that_is_gone(link: ReverseLink) -> None:
 
 
 def test_a_program_that_does_not_read(link: ReverseLink) -> None:
-    with socket.create_connection(link.address, PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         program.sendall(token(link))
         until(link.poll)
 
@@ -84,7 +84,7 @@ def test_a_program_that_does_not_read(link: ReverseLink) -> None:
 
 @pytest.mark.parametrize("is_meant_to_arrive", [True, False])
 def test_what_is_given_up_is_discarded(link: ReverseLink, is_meant_to_arrive: bool) -> None:
-    with socket.create_connection(link.address, PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         program.sendall(token(link))
         until(link.poll)
         link.send(b"farewell")
@@ -116,7 +116,7 @@ def is_refused(stranger: socket.socket) -> bool:
 def serves(link: ReverseLink) -> None:
     """The program itself still finds the port."""
     assert not link.is_up
-    with socket.create_connection(link.address, PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         program.sendall(token(link))
         until(link.poll)
         link.send(b"set-point")
@@ -124,7 +124,7 @@ def serves(link: ReverseLink) -> None:
 
 
 def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
-    with socket.create_connection(link.address, PATIENCE, source_address=("127.0.0.77", 0)) as stranger:
+    with socket.create_connection(link.endpoint[:2], PATIENCE, source_address=("127.0.0.77", 0)) as stranger:
         stranger.sendall(token(link))
         until(lambda: link.poll() or caplog.records)
         assert "127.0.0.77" in caplog.text
@@ -135,7 +135,7 @@ def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.L
 
 @pytest.mark.parametrize("said", [b"\xff\xff\xff\xff", b"0\n", b"GET / HTTP/1.0\r\n\r\n"])
 def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, caplog: pytest.LogCaptureFixture) -> None:
-    with socket.create_connection(link.address, PATIENCE) as stranger:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as stranger:
         stranger.sendall(said)
         until(lambda: link.poll() or caplog.records)
         assert "not the program that is waited for" in caplog.text
@@ -146,7 +146,7 @@ def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, capl
 def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
     strangers = []
     for _ in range(12):
-        strangers.append(socket.create_connection(link.address, PATIENCE))
+        strangers.append(socket.create_connection(link.endpoint[:2], PATIENCE))
         until(lambda: not link.poll())
     assert is_refused(strangers[0])
     serves(link)
@@ -157,13 +157,13 @@ def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
 
 def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink) -> None:
     for _ in range(3):
-        socket.create_connection(link.address, PATIENCE).close()
+        socket.create_connection(link.endpoint[:2], PATIENCE).close()
         link.poll()
     serves(link)
 
 
 def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
-    with socket.create_connection(link.address, PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         link.poll()
         link.close()
         assert is_refused(program)
@@ -172,7 +172,7 @@ def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
 
 def test_another_address_that_programs_come_from() -> None:
     link = ReversePort("127.0.0.1", peer="127.0.0.77").open()
-    with socket.create_connection(link.address, PATIENCE, source_address=("127.0.0.77", 0)) as program:
+    with socket.create_connection(link.endpoint[:2], PATIENCE, source_address=("127.0.0.77", 0)) as program:
         program.sendall(token(link))
         until(link.poll)
     link.close()
@@ -181,8 +181,8 @@ def test_another_address_that_programs_come_from() -> None:
 def test_an_address_that_something_translates() -> None:
     # It belongs to no network card here, so all of them are listened on.
     link = ReversePort("127.0.0.1", "192.0.2.7").open()
-    assert link.address[0] == "192.0.2.7"
-    with socket.create_connection(("127.0.0.1", link.address[1]), PATIENCE) as program:
+    assert link.endpoint[:2][0] == "192.0.2.7"
+    with socket.create_connection(("127.0.0.1", link.endpoint.port), PATIENCE) as program:
         program.sendall(token(link))
         until(link.poll)
     link.close()
@@ -195,9 +195,9 @@ def test_a_fixed_port_waits_for_the_newest_program() -> None:
     where = ReversePort("127.0.0.1", port=port)
     first = where.open()
     second = where.open()
-    assert first.address == second.address == ("127.0.0.1", port)
+    assert first.endpoint[:2] == second.endpoint[:2] == ("127.0.0.1", port)
     # The program of the first, which the controller begins late, is not taken for that of the second.
-    with socket.create_connection(second.address, PATIENCE) as late:
+    with socket.create_connection(second.endpoint[:2], PATIENCE) as late:
         late.sendall(token(first))
         assert not first.poll()
         until(lambda: not second.poll() and is_refused(late))
@@ -209,12 +209,19 @@ def test_a_fixed_port_waits_for_the_newest_program() -> None:
 def test_says_what_to_try(link: ReverseLink) -> None:
     error = link.absence("refused")
     assert isinstance(error, ConnectFailed)
-    for part in (f"127.0.0.1:{link.address[1]}", "refused", "reverse_host", "reverse_port", "reverse_peer", "firewall"):
+    for part in (
+        f"127.0.0.1:{link.endpoint.port}",
+        "refused",
+        "reverse_host",
+        "reverse_port",
+        "reverse_peer",
+        "firewall",
+    ):
         assert part in str(error)
 
 
 def test_where_nobody_can_listen(link: ReverseLink) -> None:
     with pytest.raises(BadAddress):
-        ReversePort("127.0.0.1", None, link.address[1]).open()
+        ReversePort("127.0.0.1", None, link.endpoint.port).open()
     with pytest.raises(ConnectFailed):
         ReversePort("no-such-host.invalid").open()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -41,7 +42,7 @@ class Beside:
 
 
 @contextmanager
-def opened(robot: Rehearsal, **options: float) -> Iterator[Servo]:
+def opened(robot: Rehearsal, **options: Any) -> Iterator[Servo]:
     """A servo that has connected; the program ends when it is told to."""
     servo = robot.motion.servo(**options)
     with Beside(robot):
@@ -81,19 +82,19 @@ def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: s
         servo.__enter__()
 
 
-def test_outside_of_its_block(robot: Rehearsal) -> None:
+def test_outside_of_its_block(led: Rehearsal) -> None:
     with pytest.raises(LocalError, match="within its block"):
-        robot.motion.servo().send(HOME)
-    assert robot.sent == []
+        led.motion.servo().send(HOME)
+    assert led.sent == []
 
 
-def test_statistics(robot: Rehearsal) -> None:
+def test_statistics(led: Rehearsal) -> None:
     """Of a loop that means to send each 2 ms, and is 2 ms late with every tenth set-point."""
-    with opened(robot) as servo:
+    with opened(led) as servo:
         assert servo.stats.count == 0
         for n in range(101):
             servo.send(HOME)
-            robot.time += 0.004 if n % 10 == 9 else 0.002
+            led.time += 0.004 if n % 10 == 9 else 0.002
         stats = servo.stats
     assert (stats.count, stats.late) == (101, 10)
     assert stats.mean == pytest.approx(0.0022)
@@ -102,11 +103,11 @@ def test_statistics(robot: Rehearsal) -> None:
     assert stats.p99 == pytest.approx(0.002)
 
 
-def test_too_fast_is_refused_and_the_loop_can_go_on(robot: Rehearsal) -> None:
-    with opened(robot) as servo:
+def test_too_fast_is_refused_and_the_loop_can_go_on(led: Rehearsal) -> None:
+    with opened(led) as servo:
         for n in range(10):
             servo.send(turned(0.001 * n))
-            robot.time += 0.002
+            led.time += 0.002
         with pytest.raises(BadValue, match=r"q\[5\].*0\.0100 rad from the last set-point; at most 0\.0094 rad"):
             servo.send(turned(0.019))
         servo.send(turned(0.015))
@@ -121,27 +122,27 @@ def test_too_fast_is_refused_and_the_loop_can_go_on(robot: Rehearsal) -> None:
         (turned(0.1), r"0\.1000 rad from where the arm is; at most 0\.0500"),
     ],
 )
-def test_a_first_set_point_that_is_refused(robot: Rehearsal, q: list[float], message: str) -> None:
-    with opened(robot) as servo:
+def test_a_first_set_point_that_is_refused(led: Rehearsal, q: list[float], message: str) -> None:
+    with opened(led) as servo:
         with pytest.raises(BadValue, match=message):
             servo.send(q)
         assert servo.stats.count == 0
         servo.send(HOME)
-        assert next_set_point(robot) == pytest.approx(HOME, abs=1e-6)
+        assert next_set_point(led) == pytest.approx(HOME, abs=1e-6)
 
 
-def test_a_jump_is_refused(robot: Rehearsal) -> None:
-    with opened(robot) as servo:
+def test_a_jump_is_refused(led: Rehearsal) -> None:
+    with opened(led) as servo:
         servo.send(HOME)
         with pytest.raises(BadValue, match=r"q\[5\] \(wrist 3\) is 1\.0000 rad, 1\.0000 rad from the last set-point"):
             servo.send(turned(1.0))
         assert not servo.done
 
 
-def test_a_stop(robot: Rehearsal) -> None:
-    with opened(robot) as servo:
+def test_a_stop(led: Rehearsal) -> None:
+    with opened(led) as servo:
         servo.send(HOME)
-        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        led.state(safety=SafetyMode.PROTECTIVE_STOP)
         until(lambda: servo.done)
         with pytest.raises(SafetyStop, match="protective stop"):
             servo.send(HOME)
@@ -173,19 +174,19 @@ def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch
         servo.cancel()
 
 
-def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
-    with opened(robot) as servo:
-        robot.vanish()
-        robot.until(lambda: servo.done)
+def test_stopped_at_the_pendant(led: Rehearsal) -> None:
+    with opened(led) as servo:
+        led.vanish()
+        led.until(lambda: servo.done)
         with pytest.raises(ProgramStopped):
             servo.send(HOME)
 
 
-def test_superseded(robot: Rehearsal) -> None:
-    with opened(robot) as servo:
+def test_superseded(led: Rehearsal) -> None:
+    with opened(led) as servo:
         servo.send(HOME)
-        motion = robot.motion.move_joints(HOME)
-        robot.begin()
+        motion = led.motion.move_joints(HOME)
+        led.begin()
         until(lambda: servo.done)
         with pytest.raises(Cancelled, match="preempted by move_joints"):
             servo.send(HOME)
@@ -211,21 +212,40 @@ def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> 
     assert robot.motion.current is None
 
 
-def test_a_done_callback_of_one_that_cannot_begin_may_command_and_wait(robot: Rehearsal) -> None:
-    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
-    until(lambda: robot.safety.cause is not None)
+def test_the_registers_cannot_be_written_any_more(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(link="rtde")
+    with opened(robot) as servo:
+        servo.send(HOME)
+        robot.inputs.is_cut = True
+        with pytest.raises(ConnectionLost, match="cut"):
+            servo.send(HOME)
+        servo.cancel()
+    assert servo.done
+
+
+def test_firmware_without_these_registers(rehearsal: Callable[..., Rehearsal]) -> None:
+    for firmware, arm in (("1.8", "UR5"), ("3.8", "UR5"), ("5.2", "UR5e")):
+        robot = rehearsal(firmware, arm)
+        with pytest.raises(LocalError, match=r"has no input registers for this \(3\.9 and 5\.3"):
+            robot.motion.servo(link="rtde")
+        assert robot.sent == []
+
+
+def test_a_done_callback_of_one_that_cannot_begin_may_command_and_wait(led: Rehearsal) -> None:
+    led.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: led.safety.cause is not None)
     seen: list[BaseException] = []
 
     def command(servo: Servo) -> None:
-        for act in (robot.motion.stop, servo.wait, robot.motion.servo().__enter__):
+        for act in (led.motion.stop, servo.wait, led.motion.servo().__enter__):
             try:
                 act()
             except SafetyStop as error:
                 seen.append(error)
 
-    servo = robot.motion.servo()
+    servo = led.motion.servo()
     servo.add_done_callback(command)
     with pytest.raises(SafetyStop), servo:
         pass
     until(lambda: len(seen) == 3)
-    assert robot.sent == []
+    assert led.sent == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +15,22 @@ from linkcore.handle import Motion, Phase
 from tests.waiting import until
 from urlink.errors import SafetyStop
 from urlink.motion import TrajectoryFeedback
+from urlink.motion.register_link import RegisterLink
 from urlink.motion.reverse import ReverseLink
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 
 PATIENCE = 30.0
 
-#: (arm, firmware, low bandwidth): each generation, and both ways to follow.
-WAYS = [("ur5", "1.8", False), ("ur5", "3.4", True), ("ur5e", "5.11", False)]
+#: (arm, firmware, options): each generation, and all ways to follow.
+WAYS: list[tuple[str, str, dict[str, Any]]] = [
+    ("ur5", "1.8", {}),
+    ("ur5", "3.4", {"low_bandwidth": True}),
+    ("ur5", "3.15", {"link": "rtde"}),
+    ("ur5e", "5.4", {"link": "rtde"}),
+    ("ur5e", "5.11", {}),
+    ("ur5e", "5.11", {"link": "rtde"}),
+]
 #: Seconds that set-points may stay away: the machine that runs this may be busy with other things.
 WATCHDOG = 2.0
 
@@ -54,11 +63,11 @@ def tool_path(robot: Robot, seconds: float = 0.8) -> Trajectory:
     return Trajectory.from_arrays([0, seconds / 2, seconds], q)
 
 
-def link_of(motion: Motion) -> ReverseLink:
+def link_of(motion: Motion) -> ReverseLink | RegisterLink:
     """The connection of its program, which nobody but a test has anything to do with."""
     brake = motion._life.brake
     link = brake.__self__._link  # type: ignore[attr-defined]
-    assert isinstance(link, ReverseLink)
+    assert isinstance(link, (ReverseLink, RegisterLink))
     return link
 
 
@@ -71,23 +80,21 @@ def half_way(motion: Motion) -> None:
     assert not motion.done, motion.error
 
 
-def goes_on(robot: Robot, low_bandwidth: bool) -> None:
+def goes_on(robot: Robot, way: dict[str, Any]) -> None:
     """A person can go on: the arm follows another trajectory to its end."""
     until(lambda: stands(robot), PATIENCE)
     path = tool_path(robot, 0.6)
-    robot.motion.follow(path, low_bandwidth=low_bandwidth, watchdog=WATCHDOG, goal_time=20.0).wait(PATIENCE)
+    robot.motion.follow(path, **way, watchdog=WATCHDOG, goal_time=20.0).wait(PATIENCE)
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "low_bandwidth"), WAYS)
-def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: str, low_bandwidth: bool) -> None:
+@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
+def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]) -> None:
     robot = connect(arm, firmware)
     path = tool_path(robot)
     told: list[TrajectoryFeedback] = []
-    motion = robot.motion.follow(
-        path, low_bandwidth=low_bandwidth, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0
-    )
+    motion = robot.motion.follow(path, **way, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0)
     motion.wait(PATIENCE)
     assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
@@ -97,26 +104,26 @@ def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: st
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "low_bandwidth"), WAYS)
+@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
 def test_cancelled_in_the_middle(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, low_bandwidth: bool
+    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
 ) -> None:
     robot = connect(arm, firmware)
-    motion = robot.motion.follow(tool_path(robot), low_bandwidth=low_bandwidth, watchdog=WATCHDOG, goal_time=20.0)
+    motion = robot.motion.follow(tool_path(robot), **way, watchdog=WATCHDOG, goal_time=20.0)
     half_way(motion)
     motion.cancel()
     with pytest.raises(Cancelled):
         motion.wait(PATIENCE)
-    goes_on(robot, low_bandwidth)
+    goes_on(robot, way)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "low_bandwidth"), WAYS)
+@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
 def test_emergency_stop_in_the_middle(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, low_bandwidth: bool
+    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
 ) -> None:
     robot = connect(arm, firmware)
-    motion = robot.motion.follow(tool_path(robot), low_bandwidth=low_bandwidth, watchdog=WATCHDOG, goal_time=20.0)
+    motion = robot.motion.follow(tool_path(robot), **way, watchdog=WATCHDOG, goal_time=20.0)
     half_way(motion)
     said = len(robot.controller.received)
     robot.controller.faults.emergency_stop()
@@ -129,16 +136,16 @@ def test_emergency_stop_in_the_middle(
     robot.controller.faults.clear()
     robot.controller.faults.power_on()
     until(lambda: robot.safety.is_enabled, PATIENCE)
-    goes_on(robot, low_bandwidth)
+    goes_on(robot, way)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "low_bandwidth"), WAYS)
+@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
 def test_link_cut_in_the_middle(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, low_bandwidth: bool
+    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
 ) -> None:
     robot = connect(arm, firmware)
-    motion = robot.motion.follow(tool_path(robot, 2.0), low_bandwidth=low_bandwidth, watchdog=WATCHDOG, goal_time=20.0)
+    motion = robot.motion.follow(tool_path(robot, 2.0), **way, watchdog=WATCHDOG, goal_time=20.0)
     half_way(motion)
     said = len(robot.controller.received)
     link = link_of(motion)
@@ -147,7 +154,7 @@ def test_link_cut_in_the_middle(
         motion.wait(PATIENCE)
     until(lambda: stands(robot), PATIENCE)
     assert len(robot.controller.received) == said
-    goes_on(robot, low_bandwidth)
+    goes_on(robot, way)
 
 
 @pytest.mark.slow
@@ -160,7 +167,7 @@ def test_the_computer_falls_silent(connect: Callable[[str, str], Robot]) -> None
     with pytest.raises(ConnectionLost, match="brakes by itself"):
         motion.wait(PATIENCE)
     until(lambda: stands(robot), PATIENCE)
-    goes_on(robot, False)
+    goes_on(robot, {})
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import pytest
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 from urlink.urscript import programs, waypoints
+from urlink.urscript.programs import ReverseSocket
 
 #: rad/s, of no arm there is.
 SPEEDS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
@@ -25,7 +26,9 @@ PROGRAMS: dict[str, Callable[[Firmware], list[str]]] = {
     "speed_joints": lambda firmware: programs.speed_joints(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.4, 0.5),
     "speed_linear": lambda firmware: programs.speed_linear(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.2, 0.5),
     "stop": lambda firmware: programs.stop(2),
-    "streaming": lambda firmware: programs.streaming(firmware, "192.168.56.1", 50001, 123456789, speeds=SPEEDS),
+    "streaming": lambda firmware: programs.streaming(
+        firmware, ReverseSocket("192.168.56.1", 50001, 123456789), speeds=SPEEDS
+    ),
 }
 WAYPOINTS: dict[str, Callable[[Firmware], list[str]]] = {
     "waypoints_cubic": lambda firmware: waypoints.interpolating(
@@ -80,9 +83,15 @@ def test_speeds_without_a_time(version: str) -> None:
 
 
 def test_the_watchdog_counts_cycles() -> None:
-    assert "elif missed < 50:" in "\n".join(programs.streaming(Firmware(5, 11), "h", 1, 0, speeds=SPEEDS, watchdog=0.1))
-    assert "elif missed < 13:" in "\n".join(programs.streaming(Firmware(3, 4), "h", 1, 0, speeds=SPEEDS, watchdog=0.1))
-    assert "elif missed < 2:" in "\n".join(programs.streaming(Firmware(3, 4), "h", 1, 0, speeds=SPEEDS, watchdog=0.001))
+    assert "elif missed < 50:" in "\n".join(
+        programs.streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
+    )
+    assert "elif missed < 13:" in "\n".join(
+        programs.streaming(Firmware(3, 4), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
+    )
+    assert "elif missed < 2:" in "\n".join(
+        programs.streaming(Firmware(3, 4), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.001)
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,10 +99,10 @@ def test_the_watchdog_counts_cycles() -> None:
     [
         lambda: programs.move_joints([0] * 5, 1, 1),
         lambda: programs.move_linear([float("nan")] * 6, 1, 1),
-        lambda: programs.streaming(Firmware(5, 11), 'h"', 1, 0, speeds=SPEEDS),
-        lambda: programs.streaming(Firmware(5, 11), "h", 0, 0, speeds=SPEEDS),
-        lambda: programs.streaming(Firmware(5, 11), "h", 1, 1 << 31, speeds=SPEEDS),
-        lambda: programs.streaming(Firmware(5, 11), "h", 1, 0, speeds=SPEEDS, gain=5000),
+        lambda: programs.streaming(Firmware(5, 11), ReverseSocket('h"', 1, 0), speeds=SPEEDS),
+        lambda: programs.streaming(Firmware(5, 11), ReverseSocket("h", 0, 0), speeds=SPEEDS),
+        lambda: programs.streaming(Firmware(5, 11), ReverseSocket("h", 1, 1 << 31), speeds=SPEEDS),
+        lambda: programs.streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, gain=5000),
         lambda: waypoints.interpolating(Firmware(5, 11), "h", 1, 0, is_quintic=True, lookahead_time=0.001),
     ],
 )

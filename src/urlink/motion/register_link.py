@@ -1,0 +1,115 @@
+"""Input registers of the robot as the way to a program on it: nothing has to connect to this computer.
+
+What is written is the same words as over a reverse link, one register for each number. They reach the program by RTDE,
+which applies a package as a whole in one cycle.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from linkcore.errors import ConnectFailed, ConnectionLost
+
+from ..urscript.programs import TOKENS, InputRegisters
+from .setpoints import WORD_SIZE, read_word
+
+__all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort"]
+
+#: The first floating point and integer register that are used: the last six and the last three of all, so that those
+#: from 24 on are left to users, and those below that to fieldbuses. 3.9 and 5.3 are the first releases that have them.
+FIRST_FLOAT, FIRST_INTEGER = 42, 45
+#: The RTDE inputs that a link writes: six set-points, the number of the word, what to do, and the token.
+NAMES = tuple(
+    [f"input_double_register_{FIRST_FLOAT + i}" for i in range(6)]
+    + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(3)]
+)
+#: Largest number of a word; after it the count begins anew.
+_MOST = 1 << 30
+
+
+class Inputs(Protocol):
+    """RTDE inputs that have been claimed."""
+
+    def _write(self, values: Mapping[str, float]) -> None:
+        """Write them at once and without waiting; raises `LinkError` where that fails."""
+
+
+class RegisterPort:
+    """Where links come from. The registers are claimed for the first of them, and given back with the robot.
+
+    Args:
+        claim: claims RTDE inputs by their names; may raise `LinkError`.
+    """
+
+    def __init__(self, claim: Callable[[tuple[str, ...]], Inputs]) -> None:
+        self._claim = claim
+        self._inputs: Inputs | None = None
+
+    def open(self) -> RegisterLink:
+        """The link of the next program.
+
+        Raises:
+            InputInUse: another client, or a fieldbus, holds one of the registers.
+            LinkError: RTDE cannot be had.
+        """
+        if self._inputs is None:
+            self._inputs = self._claim(NAMES)
+        return RegisterLink(self._inputs)
+
+
+class RegisterLink:
+    """The registers of one program.
+
+    A program takes no word before its token is in its register, and the token is written once the program has begun and
+    only while its life goes on. So one that the controller begins later finds another token, and ends.
+
+    Args:
+        inputs: that have been claimed.
+
+    Attributes:
+        endpoint: what the program is told.
+        is_up: the program has begun, and is written to.
+    """
+
+    def __init__(self, inputs: Inputs) -> None:
+        # Registers that nobody has written hold 0.
+        self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random.SystemRandom().randrange(1, TOKENS))
+        self.is_up = False
+        self._inputs = inputs
+        self._count = 0
+        self._is_closed = False
+
+    def poll(self, has_begun: bool) -> bool:
+        """The link is up once the program has begun."""
+        self.is_up = has_begun and not self._is_closed
+        return self.is_up
+
+    def send(self, data: bytes) -> None:
+        """Write the last of the words; those before it would be overwritten before they could be read.
+
+        Raises:
+            LinkError: it could not be written.
+        """
+        if self._is_closed:
+            raise ConnectionLost("the registers are not written any more")
+        q, mode = read_word(data[-WORD_SIZE:])
+        self._count = self._count % _MOST + 1
+        self._inputs._write(dict(zip(NAMES, (*q, self._count, mode, self.endpoint.token), strict=True)))
+
+    def received(self) -> bytes:
+        """Nothing: a program answers by `textmsg` only."""
+        return b""
+
+    def absence(self, why: str) -> ConnectFailed:
+        """What to raise when the program does not see what is written."""
+        return ConnectFailed(
+            f"the program on the robot does not see what is written into its input registers: {why}. Does another RTDE "
+            f"client or a fieldbus write one of {', '.join(NAMES)}?"
+        )
+
+    def close(self, *, farewell: bool = False) -> None:
+        """Write nothing more; a program that goes on finds no new word, and brakes. Idempotent."""
+        self._is_closed = True
+        self.is_up = False

@@ -1,0 +1,165 @@
+"""Set-points over input registers: what is written, and what the program on the robot makes of it, cycle by cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+
+from linkcore.errors import ConnectFailed, ConnectionLost
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import HOME, turned
+from urlink.firmware import Firmware
+from urlink.motion.register_link import NAMES, RegisterLink
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
+from urlink.motion.trajectory import Trajectory
+from urlink.simulator.registers import Bank
+from urlink.urscript import programs
+
+FIRMWARES = [Firmware(3, 15), Firmware(5, 11)]
+#: rad/s, of each joint of a UR5.
+SPEEDS = [np.pi] * 6
+PATH = Trajectory.from_arrays([0, 0.5, 1.0], [turned(0), turned(0.2), turned(0)])
+
+
+def write(inputs: Bank, package: Mapping[str, float]) -> None:
+    """As a controller takes a package of RTDE inputs."""
+    for name, value in package.items():
+        _, kind, _, number = name.split("_")
+        if kind == "double":
+            inputs.floats[int(number)] = float(value)
+        else:
+            assert -(1 << 31) <= value < 1 << 31
+            inputs.integers[int(number)] = int(value)
+
+
+class Inputs:
+    """RTDE inputs that were claimed."""
+
+    def __init__(self, take: Callable[[dict[str, float]], object]) -> None:
+        self._take = take
+
+    def _write(self, values: Mapping[str, float]) -> None:
+        self._take(dict(values))
+
+
+class Led(Bench):
+    """A streaming program, and the link that it is led by; what other clients wrote stands in all registers."""
+
+    def __init__(self, firmware: Firmware, **options: float) -> None:
+        self.link = RegisterLink(Inputs(lambda package: write(self.registers.inputs, package)))
+        super().__init__(programs.streaming(firmware, self.link.endpoint, speeds=SPEEDS, **options), firmware)
+        self.registers.inputs.floats = [0.5] * 48
+        self.registers.inputs.integers = [1] * 48  # FOLLOW, if anybody believed it
+
+    def connect(self) -> Led:
+        self.run(3)
+        assert self.link.poll(has_begun=True)
+        self.say(WAIT_WORD, cycles=3)
+        return self
+
+    def say(self, word: bytes, cycles: int = 1) -> None:
+        self.link.send(word)
+        self.run(cycles)
+
+
+def test_what_is_written() -> None:
+    packages: list[dict[str, float]] = []
+    link = RegisterLink(Inputs(packages.append))
+    assert not link.poll(has_begun=False)
+    assert link.poll(has_begun=True)
+    link.send(WAIT_WORD + setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6]))
+    link.send(STOP_WORD)
+    assert [tuple(package) for package in packages] == [NAMES, NAMES]
+    token = link.endpoint.token
+    assert list(packages[0].values()) == pytest.approx([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1, programs.FOLLOW, token])
+    assert list(packages[1].values()) == [0.0] * 6 + [2, programs.STOP, token]
+    assert link.received() == b""
+    link.close()
+    assert [link.is_up, link.poll(has_begun=True)] == [False, False]
+    with pytest.raises(ConnectionLost):
+        link.send(WAIT_WORD)
+    assert isinstance(link.absence("nothing came"), ConnectFailed)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_follows_what_is_written(firmware: Firmware) -> None:
+    bench = Led(firmware, lookahead_time=0.03).connect()
+    times = np.arange(round(PATH.duration * firmware.rate)) * bench.period
+    for t in times:
+        bench.say(setpoint(PATH.sample(float(t))[0]))
+    wanted = PATH.at(times)[0]
+    fastest = np.abs(PATH.at(np.linspace(0, 1, 1000))[1]).max()
+    assert np.abs(np.array(bench.path[-len(times) :]) - wanted).max() < 0.06 * fastest
+    bench.say(STOP_WORD, cycles=200)
+    assert bench.has_finished
+    assert bench.motion.is_standing
+    assert bench.said == []
+    # The controller's own watchdog comes after the program's.
+    ((variable, frequency, action),) = bench.watched
+    assert (variable, action) == ("input_int_register_45", "stop")
+    assert frequency == pytest.approx(1 / 1.1)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_the_first_word_may_be_a_set_point(firmware: Firmware) -> None:
+    """It comes in the same package as the token."""
+    bench = Led(firmware)
+    targets: list[list[float]] = []
+    bench.watch_servoj(targets.append)
+    bench.run(3)
+    for _ in range(5):
+        bench.say(setpoint(HOME))
+    assert np.array(targets) == pytest.approx(np.tile(HOME, (len(targets), 1)), abs=1e-6)
+    assert len(targets) >= 4
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_moves_by_nobody_elses_words(firmware: Firmware) -> None:
+    """Registers keep what was written last: without the token it is not for this program."""
+    bench = Led(firmware)
+    bench.run(5 * firmware.rate - 5)
+    assert not bench.execution.is_over
+    bench.run(20)
+    assert bench.has_finished
+    assert bench.said == [programs.NO_CONNECTION]
+    assert all(q == list(HOME) for q in bench.path)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_brakes_where_nothing_new_is_written(firmware: Firmware) -> None:
+    bench = Led(firmware, watchdog=0.1).connect()
+    for i in range(50):
+        bench.say(setpoint(turned(1.0 * i * bench.period)))
+    bench.run(round(np.ceil(0.1 / bench.period)))
+    assert bench.said == []
+    bench.run(2)
+    assert bench.said == [programs.STARVED]
+    bench.run(round(0.6 / bench.period))
+    assert bench.motion.is_standing
+    assert bench.has_finished
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_a_word_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
+    smooth, gappy = Led(firmware).connect(), Led(firmware).connect()
+    for bench in (smooth, gappy):
+        for i in range(100):
+            if bench is smooth or i % 10:
+                bench.say(setpoint(turned(0.5 * i * bench.period)))
+            else:
+                bench.run()
+    assert np.abs(np.array(smooth.path[-60:]) - gappy.path[-60:]).max() < 0.5 * 0.5 * smooth.period
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_does_not_leap_whatever_is_written(firmware: Firmware) -> None:
+    bench = Led(firmware, watchdog=0.1).connect()
+    targets: list[list[float]] = []
+    bench.watch_servoj(targets.append, is_followed=False)
+    bench.say(setpoint(HOME))
+    for _ in range(firmware.rate // 2):
+        bench.say(setpoint(turned(0.5)))
+    assert np.abs(np.diff(np.array(targets), axis=0)).max() <= np.pi / firmware.rate + 1e-9
+    assert targets[-1] == pytest.approx(turned(0.5), abs=1e-6)
