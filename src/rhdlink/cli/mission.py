@@ -152,6 +152,8 @@ def _view(run: MissionRun) -> str:
         f"x {x:.3f} m  y {y:.3f} m  heading {math.degrees(theta):.1f} deg",
         f"$drivendist {run.system('drivendist'):.3f}  $cmdtime {run.system('cmdtime'):.2f}",
     ]
+    if run.conditions:
+        parts.append(f"conditions {' '.join('true' if each else 'false' for each in run.conditions)}")
     return "  |  ".join(parts)
 
 

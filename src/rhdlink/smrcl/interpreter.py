@@ -322,6 +322,11 @@ class Interpreter:
 
     # -- conditions ---------------------------------------------------------------------------------
 
+    @property
+    def conditions(self) -> tuple[bool, ...]:
+        """The stop conditions of the present line, as they were computed last."""
+        return tuple(value != 0.0 for value in self._found[: self._count])
+
     def begin_command(self) -> None:
         """Set ``$condition`` from the conditions that were computed last, and forget them."""
         self._symbols.pool[self._condition] = float(self._first_true())

@@ -325,6 +325,11 @@ class MissionRun(Handle):
         return max(self.line - 1, 0) / lines if lines else 0.0
 
     @property
+    def conditions(self) -> tuple[bool, ...]:
+        """The stop conditions of that line, as they were computed last: which are true."""
+        return self._execution.controller.interpreter.conditions
+
+    @property
     def cycles(self) -> int:
         """Ticks of the robot so far."""
         return self._execution.cycles

@@ -51,8 +51,36 @@ def test_a_mission_runs_to_its_end() -> None:
     assert run.system("$odox") == run.pose.x
     assert run.cycles > 300
     assert texts == ["done", "1.500000  "]
-    assert (run.line, run.text) == (5, "eval 3*a")
+    assert (run.line, run.text, run.conditions) == (5, "eval 3*a", ())
     assert stands(robot)
+
+
+SPIRAL = (
+    'log "$odox"\n'
+    + "".join(f"d = {0.2 + 0.1 * leg}\nfwd d\nturn 90\n" for leg in range(8))
+    + "turn 45\nfwd 0.5\nstop\n"
+)
+ARC = 'log "$odox"\nfwd 0.3\nturnr 0.5 90\nfwd 0.3\nstop\n'
+
+
+@pytest.mark.parametrize(
+    ("robot", "script", "cycles", "end"),
+    [
+        (Turtle, SPIRAL, 3464, (-0.0490, -0.0489, 764.98)),
+        (Turtle, ARC, 642, (0.7952, 0.8018, 90.31)),
+        (SmrTurtle, SPIRAL, 3455, (-0.0490, -0.0488, 765.01)),
+        (SmrTurtle, ARC, 650, (0.8018, 0.7991, 90.02)),
+    ],
+)
+def test_drives_end_where_the_original_s_ended(
+    robot: type[Turtle | SmrTurtle], script: str, cycles: int, end: tuple[float, float, float]
+) -> None:
+    """m, m and degrees of MRC's own runs in lockstep, which took as many cycles."""
+    world = World(1000.0)
+    run = Mission(script, robot(world), compat="mrc").run()
+    x, y, theta = world.odometry
+    assert (round(x, 4), round(y, 4), round(math.degrees(theta), 2)) == end
+    assert run.cycles == cycles
 
 
 def test_a_mission_can_be_run_again_from_its_beginning() -> None:
@@ -303,6 +331,13 @@ def test_a_started_mission_can_be_awaited() -> None:
         return good.phase, bad.phase
 
     assert asyncio.run(two()) == (Phase.DONE, Phase.FAILED)
+
+
+def test_a_run_says_which_conditions_are_true() -> None:
+    robot = turtle()
+    with Mission("drive : ($drivendist > 900) | ($odox < 0)\n", robot).start() as run:
+        until(lambda: run.conditions == (False, False))
+        assert run.line == 1
 
 
 def test_a_cancelled_mission_stands() -> None:
