@@ -7,7 +7,7 @@ import itertools
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, RemoteError
@@ -21,6 +21,7 @@ from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
+from ..rtde import OUTPUTS
 from .options import Subparsers, add_address, add_command, seconds
 from .tap import Tap
 
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
             print(strict_json(finding._asdict()), flush=True)
         else:
             remedy = f"; {finding.remedy}" if finding.remedy else ""
-            print(f"{finding.state:4}  {finding.topic:12}  {printable(finding.seen + remedy)}", flush=True)
+            print(f"{finding.state:4}  {finding.topic:13}  {printable(finding.seen + remedy)}", flush=True)
         worst = "BAD" if finding.state == "BAD" else worst
     return 1 if worst == "BAD" else 0
 
@@ -100,21 +101,35 @@ def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding
     if isinstance(place, SimulatorAddress):
         with connect(address, timeout=timeout) as robot:
             ports = dict(robot.controller.ports)
-            yield from _ports(RobotAddress(robot.controller.host, ports), timeout)
+            yield from _expected(_ports(RobotAddress(robot.controller.host, ports), timeout), robot)
             yield from _of_robot(robot, duration)
         return
     open_ports = list(_ports(place, timeout))
-    yield from open_ports
     try:
         robot = connect(address, timeout=timeout)
     except RemoteError as error:
+        yield from open_ports
         remedy = "is the controller on, and is this its address?"
         if any(finding.state == "ok" for finding in open_ports):
             remedy = "the primary or secondary interface has to be open: it says which controller this is"
         yield Finding("BAD", "controller", str(error), remedy)
         return
     with robot:
+        yield from _expected(open_ports, robot)
         yield from _of_robot(robot, duration)
+
+
+def _expected(ports: Iterable[Finding], robot: Robot) -> Iterator[Finding]:
+    """What was found of the ports, without blame for one that this generation does not have."""
+    for finding in ports:
+        if finding.state == "BAD" and finding.seen.startswith("rtde") and not _has_rtde(robot):
+            yield Finding("ok", finding.topic, "rtde: closed; controllers before 3.3 have none")
+        else:
+            yield finding
+
+
+def _has_rtde(robot: Robot) -> bool:
+    return OUTPUTS["timestamp"].is_in(robot.firmware)
 
 
 def _of_robot(robot: Robot, duration: float) -> Iterator[Finding]:
@@ -222,6 +237,8 @@ def _remote_control(robot: Robot) -> Iterator[Finding]:
 
 
 def _inputs(robot: Robot) -> Iterator[Finding]:
+    if not _has_rtde(robot):
+        return
     held = sorted(name for name, why in robot.rtde.who_holds().items() if why == "in use")
     if held:
         remedy = "another RTDE client, a URCap or a fieldbus: it has to let go before they can be written from here"

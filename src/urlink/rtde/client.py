@@ -40,6 +40,9 @@ Missing = Literal["error", "leave_out"]
 
 T = TypeVar("T", bound=Outputs)
 
+#: The vendor says 3.4, a test program 3.3, and the vendor's Python client asks for a late 3.2: what is older has none.
+_FIRST = Firmware(3, 2)
+
 #: Packages a second on a connection that is there for its inputs: they say that the controller is alive.
 _HEARTBEAT = 10.0
 
@@ -104,6 +107,7 @@ class Rtde:
         Raises:
             BadValue: a name that cannot be one, one that comes twice, more than 2048 bytes of names, or a frequency
                 that the controller does not have.
+            LocalError: the firmware has no RTDE.
             BadRecording: the recording holds no RTDE, or not these variables.
             Closed: the robot was closed.
         """
@@ -148,8 +152,19 @@ class Rtde:
         self._keep(stream)
         return stream
 
+    def _check_there(self) -> Firmware:
+        """The firmware, if it has RTDE.
+
+        Raises:
+            LocalError: it has none.
+        """
+        firmware = self._firmware()
+        if firmware < _FIRST:
+            raise LocalError(f"firmware {firmware} has no RTDE, which came with 3.3; robot.realtime has states too")
+        return firmware
+
     def _check_frequency(self, frequency: float | None) -> None:
-        most = self._firmware().rate
+        most = self._check_there().rate
         if frequency is not None and not _LEAST_FREQUENCY <= frequency <= most:
             raise BadValue(f"frequency={frequency!r}; this controller sends 1 to {most} packages a second")
 
@@ -230,6 +245,7 @@ class Rtde:
         """
         if self.is_recorded:
             raise BadValue(f"{self._name} is a recording; it has what was recorded: {', '.join(self.outputs().names)}")
+        self._check_there()
         parts: list[list[str]] = [[]]
         for name in OUTPUTS:
             if len(join_names([*parts[-1], name])) > LONGEST_NAMES:
@@ -281,6 +297,7 @@ class Rtde:
     def _check_writable(self) -> None:
         if self._refusal:
             raise LocalError(self._refusal)
+        self._check_there()
 
     # -- connections -------------------------------------------------------------------------------------
 
