@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 
 from tests.waiting import until
+from urlink.dynamics import Dynamics
 from urlink.interfaces.rtde.variables import OUTPUTS
 from urlink.poses import compose
 from urlink.simulator import HOME, Controller, Still
@@ -31,6 +32,7 @@ pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s in
 
 #: ur_rtde has the standard ports built in; an address for each process of the tests keeps them apart.
 HOST = f"127.30.0.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
+FLAG_UPLOAD_SCRIPT, FLAG_UPPER_RANGE_REGISTERS = 1, 8
 FIRMWARES = ["3.15", "5.4", "5.11", "5.25"]
 NEAR = [0.1, -1.4, 1.3, -1.5, -1.5, 0.2]
 
@@ -382,12 +384,47 @@ def test_tool_payload_and_questions(controller: Controller, control: Interface) 
         eventually(partial(control.getActualJointPositionsHistory, 0), HOME, 1e-3)
         until(lambda: not control.toolContact([0, 0, 1, 0, 0, 0]))
     if controller.firmware >= (5, 23):
+        dynamics = Dynamics(controller.arm.kinematics, payload=1.5, payload_cog=[0, 0, 0.05])
+        # It takes matrices column by column.
         wanted = controller.arm.kinematics.jacobian(list(HOME), controller.arm.tcp)
-        eventually(lambda: np.reshape(control.getJacobian(), (6, 6)).T, wanted, 1e-3)
+        eventually(control.getJacobian, wanted.T.ravel(), 1e-3)
+        eventually(control.getMassMatrix, dynamics.mass_matrix(list(HOME)).T.ravel(), 1e-3)
+        eventually(control.getCoriolisAndCentrifugalTorques, [0.0] * 6)
+        eventually(control.getJacobianTimeDerivative, [0.0] * 36)
+
+
+def test_more_of_force_and_payload(controller: Controller, rtde: Rtde, control: Interface) -> None:
+    control.triggerProtectiveStop()  # is not told that it is done, since the program waits
+    until(lambda: controller.modes.safety_mode.name == "PROTECTIVE_STOP")
+    controller.faults.clear()
+    controller.call(controller.pendant.play)
+    until(control.isProgramRunning)
+    assert control.servoC(controller.arm.sample.pose_target, 0.1, 0.5, 0.0)
+    assert control.servoStop(2.0)
+    is_new = controller.firmware >= (5, 9)
+    enable = control.ftRtdeInputEnable if is_new else control.enableExternalFtSensor
+    assert enable(True, 0.5, [0.0, 0.0, 0.0], [0.0, 0.0, 0.05])
+    # Its package is too short for its recipe, so nothing comes of it; nor does it end the connection.
+    assert control.setExternalForceTorque([1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
+    until(lambda: controller.counters.ignored_packages == 1)
+    until(lambda: near(controller.arm.sample.force, [0.0] * 6))
+    if controller.firmware >= (5, 10):
+        assert control.setTargetPayload(2.0, [0.0, 0.0, 0.1], [0.01, 0.02, 0.03, 0.0, 0.0, 0.0])
+        until(lambda: near(controller.arm.payload_inertia, [0.01, 0.02, 0.03, 0, 0, 0]))
+    assert control.isConnected()
+
+
+def test_the_control_interface_in_the_upper_range(rtde: Rtde) -> None:
+    with Controller("UR5e", "5.11", host=HOST, ports="standard", motion=Still()) as controller:
+        control = rtde.make("control", -1.0, FLAG_UPLOAD_SCRIPT | FLAG_UPPER_RANGE_REGISTERS)
+        assert control.moveJ(NEAR, 2.0, 4.0)
+        assert near(controller.arm.setpoint.q, NEAR)
+        until(lambda: controller.registers.outputs.integers[24] == 1)
+        assert controller.registers.outputs.integers[0] == 0
 
 
 def test_the_watchdog_stops_the_program(controller: Controller, control: Interface) -> None:
-    assert control.setWatchdog(10.0)
+    assert control.setWatchdog(2.0)
     for _ in range(10):
         assert control.kickWatchdog()
         time.sleep(0.05)

@@ -12,6 +12,7 @@ import pytest
 import urlink
 from linkcore.errors import BadValue
 from tests.urlink.simulator.rtde_peer import Peer, package, step, types_of
+from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
 from urlink.simulator import Controller, Still
@@ -755,3 +756,38 @@ def test_a_reboot_in_the_middle_of_a_handshake() -> None:
     assert (was_up, sim.is_up) == (False, True)
     assert Peer(sim).inputs("input_int_register_0")[0] == 1
     assert sim.registers.inputs.integers[0] == 0
+
+
+# -- dynamics ------------------------------------------------------------------------------------------
+
+DYNAMICS = """def dynamics():
+  q = [0.1, -1.4, 1.3, -1.5, -1.2, 0.2]
+  qd = [0.5, -0.4, 0.3, 0.2, 0.1, 0.6]
+  mass = get_mass_matrix(q)
+  change = get_jacobian_time_derivative(q, qd)
+  torque = get_coriolis_and_centrifugal_torques(q, qd)
+  row = 0
+  while row < 6:
+    write_output_float_register(row, mass[row, 1])
+    write_output_float_register(row + 6, change[row, 2])
+    write_output_float_register(row + 12, torque[row])
+    row = row + 1
+  end
+end
+"""
+
+
+def test_programs_compute_the_dynamics_of_the_library() -> None:
+    q = np.array([0.1, -1.4, 1.3, -1.5, -1.2, 0.2])
+    qd = np.array([0.5, -0.4, 0.3, 0.2, 0.1, 0.6])
+    sim = controller("5.25")
+    sim.arm.payload, sim.arm.payload_cog, sim.arm.tcp = 2.0, (0.0, 0.02, 0.1), [0, 0, 0.1, 0, 0, 0]
+    sim.take(DYNAMICS)
+    step(sim, 2)
+    floats = sim.registers.outputs.floats
+    arm = sim.arm.kinematics
+    dynamics = Dynamics(arm, payload=2.0, payload_cog=[0, 0.02, 0.1])
+    assert floats[:6] == pytest.approx(dynamics.mass_matrix(q)[:, 1].tolist())
+    assert floats[12:18] == pytest.approx(dynamics.coriolis_torque(q, qd).tolist())
+    change = (arm.jacobian(q + 1e-4 * qd, sim.arm.tcp) - arm.jacobian(q - 1e-4 * qd, sim.arm.tcp)) / 2e-4
+    assert floats[6:12] == pytest.approx(change[:, 2].tolist(), abs=1e-6)

@@ -425,3 +425,59 @@ def test_programs_do_not_notice_a_hiccup(connect: Connect) -> None:
     (slow, there), (fast, same) = ends(0.0020001), ends(0.1)
     assert there == same
     assert slow <= fast <= slow + 50
+
+
+# -- RTDE ----------------------------------------------------------------------------------------------
+
+
+def rtde_package(link: Any) -> tuple[str, bytes]:
+    head = link.exactly(3)
+    return chr(head[2]), link.exactly(int.from_bytes(head[:2], "big") - 3)
+
+
+def started(link: Any, names: bytes = b"timestamp") -> None:
+    """Go through the handshake, everything in one piece."""
+    link.send(b"\0\5V\0\2" + struct.pack(">HBd", 11 + len(names), ord("O"), 500.0) + names + b"\0\3S")
+    assert [rtde_package(link)[0] for _ in range(3)] == ["V", "O", "S"]
+
+
+def test_rtde_clients_are_sent_every_cycle_each(connect: Connect) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        links = [connect(controller, "rtde") for _ in range(3)]
+        for link in links:
+            started(link)
+        for link in links:
+            packages = [rtde_package(link) for _ in range(100)]
+            assert {kind for kind, _ in packages} == {"U"}
+            stamps = [struct.unpack(">d", payload[1:])[0] for _, payload in packages]
+            gaps = [after - before for before, after in itertools.pairwise(stamps)]
+            assert max(gaps) == pytest.approx(0.002, abs=1e-9)
+
+
+def test_a_reboot_ends_rtde_connections_and_frees_their_inputs(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5e", "5.11") as controller:
+        link = connect(controller, "rtde")
+        link.send(b"\0\x14Ispeed_slider_mask")
+        assert rtde_package(link) == ("I", b"\1UINT32")
+        controller.faults.reboot(downtime=0.05)
+        assert link.is_ended()
+        eventually(lambda: controller.is_up and not controller.rtde.sessions)
+        again = connect(controller, "rtde")
+        again.send(b"\0\x14Ispeed_slider_mask")
+        assert rtde_package(again) == ("I", b"\1UINT32")
+
+
+def test_firmware_without_rtde_refuses_connections(connect: Connect, eventually: Eventually) -> None:
+    with Controller("UR5", "1.8") as controller:
+        with pytest.raises(ConnectionRefusedError):
+            connect(controller, "rtde")
+        controller.faults.reboot("3.15", downtime=0.05)
+
+        def is_there() -> bool:
+            try:
+                started(connect(controller, "rtde"))
+            except ConnectionRefusedError:
+                return False
+            return True
+
+        eventually(is_there)

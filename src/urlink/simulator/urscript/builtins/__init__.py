@@ -5,6 +5,7 @@ from __future__ import annotations
 from urlink.firmware import Firmware
 
 from . import (
+    dynamics,
     force,
     inputs_outputs,
     lists_and_strings,
@@ -31,6 +32,7 @@ FAMILIES: tuple[Family, ...] = (
     registers.FAMILY,
     sockets.FAMILY,
     queries.FAMILY,
+    dynamics.FAMILY,
     force.FAMILY,
     unmodelled.FAMILY,
 )

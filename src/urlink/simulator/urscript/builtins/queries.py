@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import Fault
 from ..machine import ScriptThread
 from ..values import Pose
-from .declaration import Family, integer, joints, number, pose, vector
+from .declaration import Family, integer, number, pose, vector
 
 __all__ = ["FAMILY"]
 
@@ -87,19 +87,6 @@ def get_target_waypoint(thread: ScriptThread) -> Pose:
     """Where the present path move ends; without one, the target pose of the TCP (a guess)."""
     waypoint = thread.world.motion.waypoint
     return Pose(_floats(thread.world.pose_target if waypoint is None else waypoint))
-
-
-@FAMILY.declare(since="5.23")
-def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> tuple[_List, ...]:
-    """Six rows: joint speeds to the velocity of the TCP in the base frame; of the actual joint positions by default.
-
-    That its arguments are those of `get_forward_kin` is a guess.
-    """
-    thread.machine.spend(_LOOK)
-    world = thread.world
-    at = list(world.q_actual) if q is None else joints(q, "get_jacobian: q")
-    tool = list(world.tcp) if isinstance(tcp, str) else _pose(tcp, "get_jacobian: tcp")
-    return tuple(map(_floats, world.kinematics.jacobian(at, tool).tolist()))
 
 
 @FAMILY.declare()

@@ -30,7 +30,6 @@ _FORCE = [
     "teach_mode",
 ]
 _PATHS = ["optimovej", "optimovel"]
-_DYNAMICS = ["get_coriolis_and_centrifugal_torques", "get_jacobian_time_derivative", "get_mass_matrix"]
 _NETWORK = [
     "eip_reader_factory",
     "eip_writer_factory",
@@ -63,7 +62,6 @@ def _unmodelled(name: str, what: str) -> Callable[..., Any]:
 for _names, _what in (
     (_FORCE, "force control is"),
     (_PATHS, "optimised paths are"),
-    (_DYNAMICS, "this is"),
     (_NETWORK, "XML-RPC, Modbus and EtherNet/IP are"),
     (_CONVEYOR, "conveyors are"),
 ):

@@ -1,0 +1,89 @@
+"""Functions of the arm's Jacobian and dynamics, with the payload that it carries, as the library computes them.
+
+ur_rtde uses them on 5.23 and later, all without arguments. Guesses: their arguments, of which the joint positions and
+speeds come first; that without them the actual ones count; that a matrix is a list of its rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from urlink.dynamics import Dynamics
+
+from ..machine import ScriptThread
+from .declaration import Family, joints, pose
+
+__all__ = ["FAMILY"]
+
+FAMILY = Family()
+
+# What each costs, in elements of a list.
+_COST = 400
+# s over which the Jacobian is compared with itself, to both sides: rounding and curvature cost about the same.
+_MOMENT = 1e-5
+
+_Rows = tuple[tuple[float, ...], ...]
+
+
+def _rows(matrix: Any) -> _Rows:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def _positions(thread: ScriptThread, q: Any, what: str) -> Sequence[float]:
+    return list(thread.world.q_actual) if q is None else joints(q, f"{what}: q")
+
+
+def _speeds(thread: ScriptThread, qd: Any, what: str) -> Sequence[float]:
+    return list(thread.world.qd_actual) if qd is None else joints(qd, f"{what}: qd")
+
+
+def _tool(thread: ScriptThread, tcp: Any, what: str) -> Sequence[float]:
+    return list(thread.world.tcp) if isinstance(tcp, str) else pose(tcp, f"{what}: tcp")
+
+
+def _dynamics(thread: ScriptThread) -> Dynamics:
+    world = thread.world
+    return Dynamics(
+        world.kinematics,
+        payload=world.payload,
+        payload_cog=list(world.payload_cog),
+        payload_inertia=list(world.payload_inertia),
+    )
+
+
+@FAMILY.declare(since="5.23")
+def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
+    """Joint speeds to the velocity of the TCP in the base frame."""
+    thread.machine.spend(_COST)
+    at, tool = _positions(thread, q, "get_jacobian"), _tool(thread, tcp, "get_jacobian")
+    return _rows(thread.world.kinematics.jacobian(at, tool))
+
+
+@FAMILY.declare(since="5.23")
+def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
+    """How the Jacobian changes at these joint speeds, per second."""
+    thread.machine.spend(2 * _COST)
+    what = "get_jacobian_time_derivative"
+    at, speeds, tool = _positions(thread, q, what), _speeds(thread, qd, what), _tool(thread, tcp, what)
+    before, after = (
+        thread.world.kinematics.jacobian([p + t * v for p, v in zip(at, speeds, strict=True)], tool)
+        for t in (-_MOMENT, _MOMENT)
+    )
+    return _rows((after - before) / (2.0 * _MOMENT))
+
+
+@FAMILY.declare(since="5.23")
+def get_mass_matrix(thread: ScriptThread, q: Any = None) -> _Rows:
+    """Joint accelerations to the torques that they take, kg m²."""
+    thread.machine.spend(_COST)
+    return _rows(_dynamics(thread).mass_matrix(_positions(thread, q, "get_mass_matrix")))
+
+
+@FAMILY.declare(since="5.23")
+def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
+    """What constant joint speeds take, weight left out, Nm."""
+    thread.machine.spend(_COST)
+    what = "get_coriolis_and_centrifugal_torques"
+    at, speeds = _positions(thread, q, what), _speeds(thread, qd, what)
+    return tuple(_dynamics(thread).coriolis_torque(at, speeds).tolist())
