@@ -192,7 +192,6 @@ def _serve(args: argparse.Namespace) -> int:
         compat=args.profile,
         conf=args.conf,
         log_folder=args.log_folder,
-        waits=False,
     )
     if args.profile == "mrc":
         server.on_said(_print_as_mrc)
