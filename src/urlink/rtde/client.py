@@ -67,7 +67,7 @@ class Rtde:
         self._source = source
         self._firmware = firmware
         self._refusal = refusal
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant, since a signal handler may close the robot
         self._open: list[OutputStream[Any] | Inputs | Claims] = []
         self._claims: Claims | None = None
         self._is_closed = False

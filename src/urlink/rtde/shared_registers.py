@@ -63,24 +63,34 @@ class Claims:
             RemoteError, Closed: there is no connection, or nothing was answered in time.
         """
         self._connection.start()
-        with self._lock:
-            dialogue = self._transport.dialogue
-            if dialogue is None:
-                raise ConnectionLost(f"{self._connection.name} is not connected")
-            if (name,) in self._plan.inputs:
-                recipe = dialogue.claims[self._plan.inputs.index((name,))]
-            else:
-                recipe = self._claim(name)
-                if self._transport.dialogue is not dialogue:
-                    raise ConnectionLost(f"{self._connection.name}: the connection was lost while {name} was claimed")
-                dialogue.claims.append(recipe)
-                self._plan.inputs.append((name,))
+        # With a deadline: a signal handler may come here while the main thread, which it keeps, waits for a reply.
+        if not self._lock.acquire(timeout=self._timeout):
+            raise LinkTimeout(f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s")
+        try:
+            recipe = self._recipe(name)
+        finally:
+            self._lock.release()
         self._connection.send(recipe.encode({name: checked(name, recipe.types[0], value)}), self._timeout)
+
+    def _recipe(self, name: str) -> Recipe:
+        """What was claimed for one input; claims it where that has not been done."""
+        dialogue = self._transport.dialogue
+        if dialogue is None:
+            raise ConnectionLost(f"{self._connection.name} is not connected")
+        if (name,) in self._plan.inputs:
+            return dialogue.claims[self._plan.inputs.index((name,))]
+        recipe = self._claim(name)
+        if self._transport.dialogue is not dialogue:
+            raise ConnectionLost(f"{self._connection.name}: the connection was lost while {name} was claimed")
+        dialogue.claims.append(recipe)
+        self._plan.inputs.append((name,))
+        return recipe
 
     def _claim(self, name: str) -> Recipe:
         until = time.monotonic() + self._timeout
         connection = self._connection
         queue = connection.open_queue(InputsReply, block)
+        reply = None
         try:
             # Data is paused meanwhile, as the vendor asks for before a recipe is changed.
             requests = (PauseRequest(), InputsRequest(names=name), StartRequest())
@@ -88,6 +98,8 @@ class Claims:
             reply = queue.next(max(until - time.monotonic(), 0.0))
         finally:
             connection.close_queue(queue)
+            if reply is None:
+                connection.abort()  # a reply that comes late would be taken for that to the next claim
         if reply is None:
             raise LinkTimeout(f"{connection.name}: the claim of {name} was not answered within {self._timeout:g} s")
         return claim_of((name,), reply)
@@ -118,7 +130,7 @@ class Registers:
         self._timeout = timeout
         self._lower = lower
         self._streams: dict[str, OutputStream[Any]] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant, for signal handlers
 
     # -- what a program on the controller reads --------------------------------------------------------
 

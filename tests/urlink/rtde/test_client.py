@@ -11,16 +11,23 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore.errors import BadValue, Closed, ConnectionLost, LocalError
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionState
-from linkcore.wire.packet import Vector
+from linkcore.wire.packet import State, Vector
 from tests.urlink.rtde import names_module
 from tests.urlink.rtde.desk import Desk
 from tests.waiting import until
 from urlink.firmware import Firmware
 from urlink.identity import Identity
-from urlink.interfaces.rtde.packets import InputsReply, InputsRequest, MessageLevel, OutputsRequest, RtdeMessage
+from urlink.interfaces.rtde.packets import (
+    InputsReply,
+    InputsRequest,
+    MessageLevel,
+    OutputsRequest,
+    RtdeMessage,
+    StartRequest,
+)
 from urlink.rtde import InputInUse, NoSuchVariable, Outputs, Rtde
 from urlink.source import Source
 
@@ -411,6 +418,55 @@ def test_a_claim_that_is_not_answered() -> None:
     desk.answers[InputsRequest] = lambda request: [InputsReply(recipe=0, types="INT32")]
     with rtde_of(desk) as rtde, pytest.raises(urlink.rtde.RtdeRefused, match="refused the inputs"):
         rtde.registers().write_integer(24, 1)
+
+
+def test_a_signal_handler_that_writes_a_register_during_a_claim_does_not_hang() -> None:
+    """The main thread that it interrupts waits for a reply, and cannot go on before the handler has returned."""
+    desk = Desk()
+    with rtde_of(desk) as rtde:
+        rtde._source = rtde._source._replace(timeout=0.2)
+        registers = rtde.registers()
+        failures: list[Exception] = []
+
+        def handler(request: Any) -> list[State]:
+            with pytest.raises(LinkTimeout, match="another claim is not answered yet") as caught:
+                registers.write_integer(25, 1)
+            failures.append(caught.value)
+            return desk.usual(request)
+
+        desk.answers[InputsRequest] = handler  # is called in the thread that claims, as a handler would be
+        with pytest.raises(LinkTimeout, match="input_int_register_24 was not answered"):
+            registers.write_integer(24, 1)
+        assert len(failures) == 1
+
+
+def test_a_reply_that_comes_late_is_not_taken_for_that_to_the_next_claim() -> None:
+    desk = Desk()
+    late: list[State] = []
+
+    def keep(request: Any) -> list[State]:
+        late.extend(desk.usual(request))
+        return []
+
+    with rtde_of(desk) as rtde:
+        rtde._source = rtde._source._replace(timeout=0.2)
+        registers = rtde.registers()
+        desk.answers[InputsRequest] = keep
+        with pytest.raises(LinkTimeout, match="input_int_register_24 was not answered"):
+            registers.write_integer(24, 1)
+        desk.answers.clear()
+        until(lambda: desk.opened == 2 and len(desk.asked) and type(desk.asked[-1]) is StartRequest)
+        desk.put(b"".join(map(bytes, late)))
+
+        def is_written() -> bool:
+            try:
+                registers.write_integer(25, 2)
+            except (ConnectionLost, LinkTimeout):
+                return False
+            return True
+
+        until(is_written)
+        assert desk.written == {"input_int_register_25": 2}
 
 
 def test_output_registers_are_read() -> None:
