@@ -73,7 +73,8 @@ class RealtimeBoundary:
         for offset, byte in enumerate(self._size_bytes):
             if not count or buffer[offset:end:size].count(byte) != count:
                 return []
-        frames = [bytes(buffer[at : at + size]) for at in range(0, end, size)]
+        packets = bytes(buffer)
+        frames = [packets[at : at + size] for at in range(0, end, size)]
         self._last = frames[-1]
         return frames
 
