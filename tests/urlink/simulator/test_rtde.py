@@ -96,6 +96,74 @@ def test_as_many_names_as_fit() -> None:
     assert peer.ask("O", struct.pack(">d", 125.0) + names).count(b"DOUBLE") == MOST_NAMES // 10
 
 
+# What the UR Client Library asks for: it drops the names that are not there, and asks again.
+DRIVER_OUTPUTS = [
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "speed_scaling",
+    "target_speed_fraction",
+    "runtime_state",
+    "actual_TCP_force",
+    "actual_TCP_pose",
+    "actual_digital_input_bits",
+    "actual_digital_output_bits",
+    "standard_analog_input0",
+    "standard_analog_input1",
+    "standard_analog_output0",
+    "standard_analog_output1",
+    "analog_io_types",
+    "tool_mode",
+    "tool_analog_input_types",
+    "tool_analog_input0",
+    "tool_analog_input1",
+    "tool_output_voltage",
+    "tool_output_current",
+    "tool_temperature",
+    "robot_mode",
+    "safety_mode",
+    "robot_status_bits",
+    "safety_status_bits",
+    "actual_current",
+    "tcp_offset",
+]
+DRIVER_INPUTS = [
+    "speed_slider_mask",
+    "speed_slider_fraction",
+    "standard_digital_output_mask",
+    "standard_digital_output",
+    "configurable_digital_output_mask",
+    "configurable_digital_output",
+    "tool_digital_output_mask",
+    "tool_digital_output",
+    "standard_analog_output_mask",
+    "standard_analog_output_type",
+    "standard_analog_output_0",
+    "standard_analog_output_1",
+    "external_force_torque",
+]
+
+
+@pytest.mark.parametrize("firmware", ["3.9", "3.15", "5.4", "5.11", "5.25", "10.12"])
+def test_a_driver_sets_up_its_recipes(firmware: str) -> None:
+    sim = controller(firmware)
+    peer = Peer(sim)
+    number, types = peer.outputs(*DRIVER_OUTPUTS)
+    missing = [name for name, kind in zip(DRIVER_OUTPUTS, types, strict=True) if kind == "NOT_FOUND"]
+    assert missing == (["tcp_offset"] if firmware in ("3.9", "5.4") else [])
+    if missing:
+        assert number == 0
+        number, _ = peer.outputs(*(name for name in DRIVER_OUTPUTS if name not in missing))
+    assert number == 1
+    # It starts, looks at the time stamp, pauses, and claims its inputs only then.
+    assert peer.start()
+    step(sim)
+    assert peer.data()[0]["timestamp"] > 40
+    assert peer.ask("P") == b"\1"
+    assert peer.inputs(*DRIVER_INPUTS)[0] == 1
+    assert peer.start()
+
+
 def test_a_name_may_come_twice() -> None:
     sim = controller()
     peer = Peer(sim)
@@ -306,12 +374,13 @@ def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: st
     peer = Peer(sim)
     names = [name for name, variable in OUTPUTS.items() if variable.is_in(sim.firmware)]
     here = [name for name in names if "_register" not in name]
-    assert peer.outputs(*here) == (1, types_of(here))
+    # Every 12th or 50th cycle, which are among those that are looked at.
+    assert peer.outputs(*here, frequency=10) == (1, types_of(here))
     assert peer.start()
     sim.signals.set_digital_input(3, True)
     sim.signals.set_digital_output(9, True)
     sim.arm.payload, sim.arm.tcp = 1.5, [0, 0, 0.1, 0, 0, 0]
-    for cycles, event in ((300, None), (700, sim.faults.protective_stop), (700, sim.faults.emergency_stop)):
+    for cycles, event in ((300, None), (600, sim.faults.protective_stop), (600, sim.faults.emergency_stop)):
         if event is not None:
             event()
         step(sim, cycles)

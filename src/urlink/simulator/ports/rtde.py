@@ -113,13 +113,13 @@ class RtdePort:
     """
 
     def __init__(self, state: ControllerState, on_text: Callable[[str], object]) -> None:
-        self.state = state
+        self._state = state
         self.disturbance = Disturbance()
         self.sessions: list[RtdeSession] = []
-        self.on_text = on_text
+        self._on_text = on_text
 
     def is_offered(self) -> bool:
-        return self.state.firmware in SINCE
+        return self._state.firmware in SINCE
 
     def greeting(self) -> list[bytes]:
         hello = self.disturbance.hello
@@ -183,7 +183,7 @@ class RtdeSession:
         self.unread = 0
         self.ignored = 0
         self._port = port
-        self._state = port.state
+        self._state = port._state
         self._client = client
         self._buffer = bytearray()
         self._outputs: _Outputs | None = None
@@ -329,7 +329,7 @@ class RtdeSession:
 
     def _listen(self, message: RtdeMessage) -> None:
         source = f"{message.source}: " if message.source else ""
-        self._port.on_text(f"{source}{message.message}")
+        self._port._on_text(f"{source}{message.message}")
 
     def _write(self, package: DataPackage) -> None:
         recipe = self._inputs.get(package.recipe or 0)
