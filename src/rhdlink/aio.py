@@ -46,7 +46,8 @@ class AsyncRobot(Generic[R]):
     async def sync(self, timeout: float | None = None) -> None:
         """As `Variables.sync`. Several at once wait for each other.
 
-        Who gives up waiting does not end it: it goes on to its answer or its deadline, and the next one comes after it.
+        Cancelling it does not end the exchange, which goes on to its answer or its deadline; the next sync comes after
+        it.
 
         Raises:
             as `Variables.sync`.

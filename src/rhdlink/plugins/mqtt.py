@@ -206,7 +206,7 @@ class _Broker:
         if reason.is_failure:
             _log.warning("the MQTT broker at %s:%d refuses: %s", *self._place, reason)
             return
-        # Anew after each loss: the broker forgets who subscribed.
+        # Anew after each loss: the session is clean, so the broker keeps no subscriptions.
         client.subscribe([(name, 0) for name in self._topics])
 
     def _on_message(self, client: Client, userdata: Any, message: MQTTMessage) -> None:
@@ -358,7 +358,7 @@ class MqttRobot(VelocityBridge):
         if self._broker is None:
             return
         if self._clock() - self._seen > self._timeout:
-            twist = Twist(0.0, 0.0)  # nobody knows where it is
+            twist = Twist(0.0, 0.0)  # the pose is too old to be driven by
         self._broker.send(self._topics.command, twist._asdict())
 
     def terminate(self) -> None:
@@ -404,7 +404,7 @@ class MqttTurtle(Plugin):
 
     @property
     def has_master(self) -> bool:
-        """Somebody keeps it moving."""
+        """Whether an alive message has come within the last 2 s."""
         return self._master is not None
 
     def init(self, config: Element) -> None:

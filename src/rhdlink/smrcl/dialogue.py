@@ -136,7 +136,7 @@ class Session:
             self._waiting = int(max(-(2.0**31), min(2.0**31, seconds * 100)))
 
     def end_cycle(self) -> None:
-        """Answer who waits for an event, or say that none came."""
+        """Answer a `getevent` that waits: with the oldest event, or when its time is up with `eventtimeout`."""
         if self._waiting is None:
             return
         if self._events:

@@ -51,7 +51,7 @@ _WRITTEN = {"hakomanual": "hakomanual", "hakoenginespeed": "enginespeedref"}
 
 
 class Client(Protocol):
-    """Who is told what a script says to its client: the one that sent the command, or nobody."""
+    """Receives what a script says to its client: the session of the client that sent the command, or an outbox."""
 
     @property
     def can_answer(self) -> bool:
@@ -108,7 +108,7 @@ class MissionEffects:
         vehicle: what moves.
         interpreter: whose lines they are.
         output: is told what MRC prints.
-        client: who is told the rest.
+        client: receives texts, events, streams and logs.
         hooks: what fulfils commands that need hardware, by the name of the command.
 
     Attributes:
@@ -521,7 +521,7 @@ class MissionEffects:
             self._interpreter.default_end = never
             return Outcome.WAIT
         if not self.client.can_answer:
-            raise Fault('read needs somebody to ask: give the mission a function for it, mission.on("read", function)')
+            raise Fault('read needs an answer: give the mission a function for it, mission.on("read", function)')
         self.is_reading = True
         self._interpreter.default_end = lambda: not self.is_reading
         return Outcome.WAIT

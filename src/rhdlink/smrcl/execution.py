@@ -37,8 +37,8 @@ class Callbacks:
 
     Attributes:
         hooks: what fulfils commands that need hardware, by the name of the command.
-        observers: who is told, by what: "line", "values", "message", "text", "event".
-        readers: who is told everything.
+        observers: functions that are called with texts, by kind: "line", "values", "message", "text", "event".
+        readers: functions that are called with everything that is said.
         providers: of sensors and system variables, by name.
         functions: for expressions, by name.
     """
@@ -72,7 +72,7 @@ class Callbacks:
             raise BadValue(f"a mission has no {name!r}; expected one of {names}")
 
     def tell(self, said: Said) -> None:
-        """Tell who wants to know. What is raised is logged, and disturbs neither the mission nor others."""
+        """Call the readers, and the observers of this kind. What one raises is logged; the others are called."""
         for reader in self.readers:
             self._call(reader, said)
         for observer in self.observers.get(said.kind.value, ()):

@@ -143,8 +143,8 @@ class Mission:
         "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
         ``{"vis0": 1.0}``. The one for "read" returns the text that was asked for.
 
-        Who wants to know what the mission says is told each "line" that is executed, the "values" of `eval`, the "text"
-        of `print`, each "event" and "message".
+        For "line" the function is called with each line that is executed, for "values" with the values of `eval`, for
+        "text" with the text of `print`, for "event" and "message" with each of these.
 
         All of it is called between two ticks of the robot and has to be quick.
 

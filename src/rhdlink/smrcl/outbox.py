@@ -91,7 +91,7 @@ class Outbox:
 
     @property
     def can_answer(self) -> bool:
-        """There is nobody."""
+        """There is no client."""
         return False
 
     def text(self, text: str) -> None:
@@ -111,10 +111,10 @@ class Outbox:
         self._add(SaidKind.EVENT, text)
 
     def set_xml(self, is_on: bool) -> None:
-        """Nobody reads xml."""
+        """Without effect: there is no client to send XML to."""
 
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
-        """Nobody reads a stream; MRC prints that it was asked for."""
+        """Not sent, since there is no client; MRC prints each variable that was asked for."""
         for each in variables:
             self._streamed += 1
             self.message(f"streamvar {each[0]} {self._streamed} \n")

@@ -67,7 +67,7 @@ FUNCTIONS: Mapping[str, int] = {
 #: Names that a variable cannot have.
 RESERVED = KEYWORDS | COMMANDS.keys() | FUNCTIONS.keys()
 
-#: Brackets within brackets. A line of 255 characters can have 125, but nobody writes more than a few.
+#: Brackets within brackets. A line of 255 characters has room for 125; scripts use a few.
 DEEPEST = 60
 
 

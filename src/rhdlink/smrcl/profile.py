@@ -85,7 +85,7 @@ class Profile:
     )
     sees_without_ir: bool = _fixed(
         "an SMR without infrared sensors has an obstacle at 0 m and never moves",
-        "who has no such sensors knows of no obstacle",
+        "a robot without such sensors has no obstacles",
     )
 
     # -- the language

@@ -128,7 +128,7 @@ class PluginLink:
 
     Attributes:
         period: of a tick, s.
-        writers: who may write: 1 until it is closed.
+        writers: how many clients may write, for plugins: 1 until the link is closed.
         database: the variables.
         tick: exchanges so far.
     """
@@ -189,7 +189,7 @@ class PluginLink:
             plugin.periodic(self.tick)
 
     def close(self) -> None:
-        """Tell the plugins that nobody may write any more, and terminate them."""
+        """Call the plugins once more with no writer left, so that they stop the robot, and terminate them."""
         if self._is_closed:
             return
         self._is_closed = True

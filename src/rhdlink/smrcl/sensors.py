@@ -124,7 +124,7 @@ class LineSensor:
         self._darkest = self._brightest = 0.0
         self._brightest_place = 0
         self._halves = (True, True, False, False)
-        # Computed when somebody asks, until the next cycle. Without a sensor they stay 0.
+        # Computed when asked for, and kept until the next cycle. Without a sensor they stay 0.
         self._positions: dict[LineKind, float] = dict.fromkeys(LineKind, 0.0)
         self._black_crossing = _Crossing()
         self._white_crossing = _Crossing()

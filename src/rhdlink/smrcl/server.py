@@ -91,7 +91,7 @@ class MissionServer:
         self._callbacks = Callbacks()
         self._loop: SelectorLoop | None = None
         self._dialogue: Dialogue | None = None
-        # Who came before there was a robot.
+        # Clients that came before the robot was connected.
         self._early: list[_ClientHandler] = []
         self._handlers: list[_ClientHandler] = []
         self._link: RobotLink | None = None
@@ -237,7 +237,7 @@ class MissionServer:
         self._ended.set()
 
     def _connect(self) -> Execution:
-        """Connect to the robot, and hand over to its dialogue who has come already."""
+        """Connect to the robot, and hand over to its dialogue the clients that have come already."""
         if isinstance(self._robot, Plugin):
             link: RobotLink = PluginLink([self._robot], is_realtime=True)
             self._owns = True

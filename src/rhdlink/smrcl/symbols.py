@@ -84,7 +84,7 @@ class Symbols:
         """The system variable of a name, from now on kept up to date; None if there is none."""
         symbol = self.system.get(name)
         if symbol is not None and name not in self._live and self.inputs.get(name) is symbol:
-            # A robot may have thousands of variables. Those that nobody looks at are not converted.
+            # A robot may have thousands of variables. Only those that a script uses are converted in each cycle.
             self._live[name] = symbol
             self._refresh(symbol)
         return symbol
