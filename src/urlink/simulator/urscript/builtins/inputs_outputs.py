@@ -218,6 +218,13 @@ def set_tool_communication(
 # without effect: no input has an action here, and there is one set of limits.
 
 
+@FAMILY.declare()
+def set_analog_inputrange(thread: ScriptThread, port: Any, range: Any) -> None:
+    """Of the older controllers: 0 and 1 of the control box have four ranges; the values here are in V anyway."""
+    integer(port, "set_analog_inputrange: port", 0, 3)
+    integer(range, "set_analog_inputrange: range", 0, 3)
+
+
 @FAMILY.declare(since="3.0")
 def set_input_actions_to_default(thread: ScriptThread) -> None:
     return None

@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from urlink import poses
 from urlink.kinematics import Unreachable
 
@@ -36,6 +38,20 @@ def pose_trans(thread: ScriptThread, p_from: Any, p_from_to: Any) -> Pose:
 @FAMILY.declare()
 def pose_inv(thread: ScriptThread, p_from: Any) -> Pose:
     return _inverse(thread, pose(p_from, "pose_inv: p_from"))
+
+
+@FAMILY.declare(since="3.0")
+def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[float, ...]:
+    """A wrench of the first frame, as it is felt in the second: the torque is about the origin of the second.
+
+    That a wrench is six numbers, force before torque, is a guess.
+    """
+    there = pose(T_from_to, "wrench_trans: T_from_to")
+    wrench = vector(w_from, "wrench_trans: w_from", 6)
+    thread.machine.spend(_TRANSFORMATION)
+    turn = poses.rotvec_to_matrix(there[3:]).T
+    torque = np.subtract(wrench[3:], np.cross(there[:3], wrench[:3]))
+    return (*(turn @ wrench[:3]).tolist(), *(turn @ torque).tolist())
 
 
 @FAMILY.declare()

@@ -30,6 +30,7 @@ _FORCE = [
     "teach_mode",
 ]
 _PATHS = ["optimovej", "optimovel"]
+_LABELS = ["jump_to_label"]
 _NETWORK = [
     "eip_reader_factory",
     "eip_writer_factory",
@@ -64,6 +65,7 @@ for _names, _what in (
     (_PATHS, "optimised paths are"),
     (_NETWORK, "XML-RPC, Modbus and EtherNet/IP are"),
     (_CONVEYOR, "conveyors are"),
+    (_LABELS, "jumping is"),
 ):
     for _name in _names:
         FAMILY.declare(name=_name, since="1.0" if _name in ("force_mode", "end_force_mode") else "3.0")(
