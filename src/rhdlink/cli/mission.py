@@ -176,6 +176,11 @@ def _print_as_mrc(said: Said) -> None:
     print(said.printed, end="", flush=True)
 
 
+def _print_what_clients_said(said: Said) -> None:
+    # Lines from the network: made safe for a terminal, line by line.
+    print("\n".join(map(printable, said.printed.split("\n"))), end="", flush=True)
+
+
 def _trace(said: Said) -> None:
     if said.line:
         tell(f"line {said.line}: {said.text.strip()}")
@@ -194,7 +199,7 @@ def _serve(args: argparse.Namespace) -> int:
         log_folder=args.log_folder,
     )
     if args.profile == "mrc":
-        server.on_said(_print_as_mrc)
+        server.on_said(_print_what_clients_said)
     try:
         with Interruption() as interruption:
             with server:

@@ -131,6 +131,20 @@ def test_a_script_runs_on_a_robot(spawn: Spawn, script: Path) -> None:
         until(lambda: robot.cmdtransvel == robot.cmdrotvel == 0)
 
 
+def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
+    process = spawn("mission", "--serve", "--turtle", "--port", "0", "--profile", "mrc")
+    assert process.stdout is not None
+    host, _, port = process.stdout.readline().strip().rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=20) as client, client.makefile("r") as lines:
+        client.sendall(b'stringcat "\x1b[2J"\nexit\n')
+        assert lines.readline() == "ID1 queued\n"
+        assert lines.readline() == "ok\n"
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "\x1b" not in out + err
+    assert "stringcat" in out
+
+
 def test_clients_of_mrc_are_served(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0")
     assert process.stdout is not None
