@@ -9,11 +9,13 @@ jumps in acceleration at the points, as in every cubic.
 
 from __future__ import annotations
 
+import math
 import os
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +24,11 @@ from linkcore.errors import BadValue
 
 from ..models import Model
 from ..vectors import JOINTS, FloatArray, numbers, six
+from .retiming import retime
 from .trajectory_csv import read_points, write_points
+
+if TYPE_CHECKING:
+    from ..kinematics import Arm
 
 __all__ = ["Trajectory", "TrajectoryPoint"]
 
@@ -37,6 +43,8 @@ _PLACES = 17
 _SLACK = 1e-6
 #: rad/s below which an arm counts as standing, where a trajectory begins and ends.
 _STANDING = 0.05
+#: rad; between two poses no joint turns further, unless they lead through a singularity.
+_LEAP = 1.5
 
 _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
 
@@ -120,6 +128,37 @@ class Trajectory:
             None if qdd is None else numbers(qdd, "qdd"),
         )
         return trajectory
+
+    @classmethod
+    def from_poses(
+        cls, time: ArrayLike, poses: ArrayLike, arm: Arm, near: ArrayLike, tcp: ArrayLike | None = None
+    ) -> Trajectory:
+        """From poses of the tool: the joint positions along them, each closest to the ones before.
+
+        Between the poses the joints go on smoothly; the tool is where it was wanted in each pose, and nearly so between
+        them, the closer the more of them there are.
+
+        Args:
+            time: (n,) s.
+            poses: (n, 6) in the base frame, m, and rotation vectors in rad.
+            arm: whose tool it is: ``robot.kinematics``, or an `urlink.kinematics.Arm`.
+            near: (6,) joint positions at the beginning, rad.
+            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+
+        Raises:
+            BadValue: see `Trajectory`; or a joint would have to leap between two poses, as in a singularity.
+            Unreachable: a pose is out of reach; the message says which.
+        """
+        q = arm.inverse_path(poses, near, tcp)
+        leaps = np.abs(np.diff(q, axis=0)) > _LEAP
+        if leaps.any():
+            point, joint = (int(index) for index in np.argwhere(leaps)[0])
+            raise BadValue(
+                f"between points {point} and {point + 1} {JOINTS[joint]} (joint {joint}) leaps from "
+                f"{q[point, joint]:.4f} to {q[point + 1, joint]:.4f} rad: the poses lead through a singularity, or are "
+                "too far apart"
+            )
+        return cls.from_arrays(time, q)
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -257,6 +296,34 @@ class Trajectory:
             q[outside] = np.where((t < 0.0)[outside][..., None], self.q[0], self.q[-1])
         return q, qd, qdd
 
+    # -- time --------------------------------------------------------------------------------------
+
+    def retimed(self, speed: ArrayLike, acceleration: ArrayLike) -> Trajectory:
+        """The same path in the shortest time within limits, from rest to rest.
+
+        Where all joints rest in this trajectory, they rest in the other one too. The times of the points do not matter,
+        and neither do the limits of an arm, for which `check` looks. Accelerations change at once: jerk is not limited.
+        It takes about a millisecond of processor time a point.
+
+        Args:
+            speed: rad/s at most, of all joints or (6,) of each.
+            acceleration: rad/s² at most, of all joints or (6,) of each.
+
+        Returns:
+            a trajectory with velocities, of 3 to 200 points for each step of this one and a few hundred at least.
+
+        Raises:
+            BadValue: a limit that is not positive, or a trajectory that stays where it is.
+        """
+        limits = _limits(speed, "speed"), _limits(acceleration, "acceleration")
+        segments = len(self) - 1
+        places = min(max(math.ceil(200 / segments), 20), max(math.ceil(2000 / segments), 3))
+        # Closer to each other beside the points, where the curve bends most.
+        parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, math.pi, places + 1)[:-1])
+        times = np.append((self.time[:-1, None] + np.diff(self.time)[:, None] * parts).ravel(), self.duration)
+        q, qd, _ = self._curve(times)
+        return Trajectory.from_arrays(*retime(q, qd, *limits, closest=2.0 * _CLOSEST))
+
     # -- limits ------------------------------------------------------------------------------------
 
     def check(self, model: Model | None = None, near: ArrayLike | None = None, *, within: float = 0.05) -> None:
@@ -331,6 +398,15 @@ class Trajectory:
             f"{values[segment, place, joint]:.4f} {unit}; the limit of a {model.name} is "
             f"{limits[segment, place, joint]:.4f} {unit}"
         )
+
+
+def _limits(values: ArrayLike, name: str) -> FloatArray:
+    """One limit for each joint."""
+    given = numbers(values, name)
+    limits = six(np.full(6, given) if given.ndim == 0 else given, name)
+    if not (limits > 0.0).all():
+        raise BadValue(f"{name} is {limits.tolist()}; expected positive limits")
+    return limits
 
 
 def _no_time(time: object) -> float:
