@@ -349,7 +349,8 @@ class Arm:
         Raises:
             BadValue: not joint positions.
         """
-        found: FloatArray = np.abs(np.linalg.det(self.jacobian(q)))
+        with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns of some singular matrices, and gives 0
+            found: FloatArray = np.abs(np.linalg.det(self.jacobian(q)))
         return found
 
     # --- within ---
