@@ -173,6 +173,16 @@ def test_what_was_sent_before_a_silence_is_discarded() -> None:
         assert robot.slow.opened == 2
 
 
+def test_a_silence_before_anything_was_sent_leaves_the_connection(caplog: pytest.LogCaptureFixture) -> None:
+    with StandIn(stale_after=0.1) as robot:
+        robot.clear()
+        until(lambda: "said nothing" in str(robot.safety.refusal))
+        robot.state()
+        robot.safety.wait_until_clear(5)
+        assert robot.slow.opened == 1
+    assert "raised" not in caplog.text
+
+
 def test_an_old_word_is_not_believed_while_this_program_is_held_up() -> None:
     """A callback that is called inline keeps the reader, which cannot tell whether the robot is silent."""
     with StandIn(stale_after=1.0) as robot:
@@ -244,7 +254,9 @@ def test_policies_over_the_streams() -> None:
         robot.state()
         robot.safety.wait_until_clear(5)
         assert not robot.safety.is_enabled
+        assert robot.safety.policy == "always"
         robot.safety.policy = "never"
+        assert robot.safety.policy == "never"
         robot.safety.wait_enabled(0)
         with pytest.raises(BadValue):
             robot.safety.policy = "no"  # type: ignore[assignment]

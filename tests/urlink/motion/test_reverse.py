@@ -66,6 +66,11 @@ def test_a_program_that_is_gone(link: ReverseLink) -> None:
         until(look)
 
 
+def read_all(program: socket.socket) -> None:
+    while program.recv(1 << 20):
+        pass
+
+
 def test_a_program_that_does_not_read(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
         program.sendall(token(link))
@@ -80,6 +85,9 @@ def test_a_program_that_does_not_read(link: ReverseLink) -> None:
         # What comes next would be read as the rest of what went before.
         with pytest.raises(ConnectionLost):
             link.send(b"answer")
+        # So the connection has ended for the program too, instead of going on once it reads again.
+        with pytest.raises(ConnectionResetError):
+            read_all(program)
 
 
 @pytest.mark.parametrize("is_meant_to_arrive", [True, False])

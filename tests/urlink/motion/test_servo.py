@@ -114,6 +114,16 @@ def test_too_fast_is_refused_and_the_loop_can_go_on(led: Rehearsal) -> None:
         assert servo.stats.count == 11
 
 
+def test_small_steps_without_time_between_them_are_too_fast_as_well(led: Rehearsal) -> None:
+    with opened(led) as servo:
+        for n in range(3):  # at 3.14 rad/s, for the 2 ms of a cycle and the millisecond that a set-point may be early
+            servo.send(turned(0.004 * n))
+        with pytest.raises(BadValue, match=r"0\.0040 rad from the last set-point; at most"):
+            servo.send(turned(0.012))
+        led.time += 0.002
+        servo.send(turned(0.012))
+
+
 @pytest.mark.parametrize(
     ("q", "message"),
     [

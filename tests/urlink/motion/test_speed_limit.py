@@ -84,6 +84,12 @@ def test_a_hiccup_that_is_too_long_is_not_made_up_for_at_once() -> None:
     assert any(refused)
 
 
+def test_lateness_counts_from_when_a_set_point_was_due() -> None:
+    """One that comes after two periods is one period late."""
+    assert Loop().step(TOP * (0.004 + EARLY) * 1.01, 0.004) is not None
+    assert Loop().step(TOP * (0.004 + EARLY) * 0.99, 0.004) is None
+
+
 def test_lateness_that_nobody_made_up_for_is_given_up() -> None:
     """Otherwise a loop could save it up, and leap at full speed."""
     loop = Loop()
