@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
@@ -16,6 +16,8 @@ from urlink.models import MODELS, Model, model
 from urlink.poses import compose, invert, to_matrix
 
 EVERY = pytest.mark.parametrize("name", MODELS)
+#: Of each arm; ten thousand in the session of `nox -s fuzz`.
+POSES = min(40 * settings().max_examples, 10_000)
 READY = (0.2, -1.4, 1.8, -1.9, -1.5, 0.3)
 
 
@@ -100,10 +102,11 @@ def test_what_is_no_table_is_refused(bad: tuple[float, ...]) -> None:
 # --- inverse ---
 
 
+@pytest.mark.property
 @EVERY
-def test_ten_thousand_random_poses(name: str) -> None:
+def test_random_poses(name: str) -> None:
     arm = calibrated(name, 2)
-    q = np.random.default_rng(10).uniform(-2.0 * math.pi, 2.0 * math.pi, (10_000, 6))
+    q = np.random.default_rng(10).uniform(-2.0 * math.pi, 2.0 * math.pi, (POSES, 6))
     there = arm.forward(q)
     found = arm.inverse(there, q)
     assert missed(arm, found, there) < 1e-12
