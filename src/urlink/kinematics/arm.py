@@ -271,12 +271,16 @@ class Arm:
         given = rigid.rows(poses, (6,), "poses").reshape(-1, 6)
         before = _one(near)
         targets = _target(rigid.from_poses(given), tcp)
-        found_ways, singular = branches_of_rows(self._geometry, targets)
-        path = []
-        for i, (rows, is_singular) in enumerate(zip(found_ways.tolist(), singular.tolist(), strict=True)):
+        ways: list[list[list[float]]] = [[] for _ in given]
+        if not self.is_calibrated:
+            found_ways, singular = branches_of_rows(self._geometry, targets)
             # In a singularity it matters which joint positions were before.
-            candidates = [row for row in rows if row[0] == row[0]] if not is_singular else []
-            found = min(candidates, key=lambda q: distance(q, before), default=None)
+            ways = [[] if at else rows for rows, at in zip(found_ways.tolist(), singular.tolist(), strict=True)]
+        path = []
+        for i, rows in enumerate(ways):
+            # Of a calibrated arm there are none: to search from the joint positions before costs less than all eight.
+            candidates = [row for row in rows if row[0] == row[0]]
+            found: Sequence[float] | None = min(candidates, key=lambda q: distance(q, before), default=None)
             if found is None:
                 target = rigid.row(targets, i)
                 found = closest(self._geometry, target, before)
