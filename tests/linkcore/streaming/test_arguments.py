@@ -136,7 +136,8 @@ def public(held: object) -> set[str]:
 def test_completion_shows_what_users_should_touch(stream: Stream[Count], transport: ScriptedTransport) -> None:
     feed = {"history", "iterate", "latest", "subscribe", "wait", "wait_until"}
     assert public(stream.of(Count)) == feed
-    assert public(stream) == feed | {"close", "connection", "failure", "join", "name", "of", "start", "stats"}
+    whole = {"close", "connection", "description", "failure", "join", "name", "of", "start", "stats"}
+    assert public(stream) == feed | whole
     assert public(stream.subscribe(print)) == {"close", "finish", "join", "name", "stats"}
     with stream.history(1.0) as history:
         assert public(history) == {"array", "close"}
