@@ -12,16 +12,19 @@ import sys
 from importlib import import_module
 from typing import Any
 
-rtde_control = import_module("rtde_control")
-CLASSES = {
-    "control": rtde_control.RTDEControlInterface,
-    "io": import_module("rtde_io").RTDEIOInterface,
-    "receive": import_module("rtde_receive").RTDEReceiveInterface,
-}
+
+def classes() -> dict[str, Any]:
+    """The interfaces by name. Not imported with this module, which those who have no ur_rtde collect tests from too."""
+    return {
+        "control": import_module("rtde_control").RTDEControlInterface,
+        "io": import_module("rtde_io").RTDEIOInterface,
+        "receive": import_module("rtde_receive").RTDEReceiveInterface,
+    }
 
 
 def path_of(entries: list[list[Any]]) -> Any:
     """`[[kind of move, "joints" or "tool", parameters], ...]`"""
+    rtde_control = import_module("rtde_control")
     path = rtde_control.Path()
     for kind, where, parameters in entries:
         path.addEntry(
@@ -36,11 +39,12 @@ def path_of(entries: list[list[Any]]) -> Any:
 
 def main() -> None:
     made: dict[str, Any] = {}
+    interfaces = classes()
     for line in sys.stdin:
         name, method, arguments = json.loads(line)
         try:
             if not method:
-                made[name] = value = CLASSES[name](*arguments)
+                made[name] = value = interfaces[name](*arguments)
                 value = True
             elif method == "movePath":
                 value = made[name].movePath(path_of(arguments[0]), *arguments[1:])

@@ -133,7 +133,8 @@ def test_an_angle_is_brought_within_half_a_turn(angle: float) -> None:
     normal = normalize_angle(angle)
     assert -math.pi <= normal <= math.pi
     if abs(angle) < 1e5:
-        assert math.isclose(math.cos(normal), math.cos(angle), abs_tol=1e-9 + 1e-12 * abs(angle))  # each turn taken off rounds
+        # Each turn that is taken off rounds.
+        assert math.isclose(math.cos(normal), math.cos(angle), abs_tol=1e-9 + 1e-12 * abs(angle))
 
 
 @pytest.mark.property

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import itertools
 import random
 import socket
@@ -462,7 +463,15 @@ def test_a_reboot_ends_rtde_connections_and_frees_their_inputs(connect: Connect,
         controller.faults.reboot(downtime=0.05)
         assert link.is_ended()
         eventually(lambda: controller.is_up and not controller.rtde.sessions)
-        again = connect(controller, "rtde")
+        made: list[Any] = []
+
+        def is_there() -> bool:  # it listens again a moment after it is up
+            with contextlib.suppress(ConnectionRefusedError):
+                made.append(connect(controller, "rtde"))
+            return bool(made)
+
+        eventually(is_there)
+        (again,) = made
         again.send(b"\0\x14Ispeed_slider_mask")
         assert rtde_package(again) == ("I", b"\1UINT32")
 
