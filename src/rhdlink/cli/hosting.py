@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 import time
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,6 +19,7 @@ from ..host.config import read_config
 from ..host.host import Host
 from ..host.service import Resend
 from ..plugins.turtle import SmrTurtle, Turtle
+from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
 from .options import add_world, port, tell, world
 
@@ -105,12 +107,32 @@ def _add_service(parser: argparse.ArgumentParser, default: str) -> None:
         metavar="S",
         help=f"seconds without a request after which a reader may lose its slot ({default}10)",
     )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        type=_limit,
+        metavar="NAME=N",
+        help=f"the most that a client may ask for: {', '.join(_LIMITS)} (in bytes); can be given again",
+    )
 
 
-def _service(args: argparse.Namespace) -> dict[str, Any]:
-    """What was said on the command line, which has the last word."""
+_LIMITS = tuple(field.name for field in fields(Limits))
+
+
+def _limit(text: str) -> tuple[str, int]:
+    """One of the limits, as it is given on the command line."""
+    name, _, number = text.partition("=")
+    if name not in _LIMITS or not number.isdecimal() or int(number) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected NAME=N, NAME being one of {', '.join(_LIMITS)}")
+    return name, int(number)
+
+
+def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
+    """What was said on the command line, which has the last word; `limits` hold where it says nothing of them."""
     names = ("width", "resend", "client_timeout", "inactivity_timeout")
-    return {name: value for name in names if (value := getattr(args, name)) is not None}
+    said = {name: value for name in names if (value := getattr(args, name)) is not None}
+    return {**said, "limits": replace(limits, **dict(args.limit))}
 
 
 def _serve(args: argparse.Namespace) -> int:
@@ -126,7 +148,7 @@ def _serve(args: argparse.Namespace) -> int:
     sys.path.append(folder)
     try:
         place = {name: value for name, value in (("port", args.port), ("address", args.listen)) if value is not None}
-        host = Host.from_config(config, **place, **_service(args))
+        host = Host.from_config(config, **place, **_service(args, config.limits))
         names = ", ".join(plugin.name for plugin in host.plugins) or "no plugin"
         ended = _serve_until_told(host, f"{args.config}: {names}", args.duration)
     finally:
@@ -150,7 +172,7 @@ def _turtle(args: argparse.Namespace) -> int:
         period=args.period,
         port=args.port,
         pacing="lockstep" if args.lockstep else "period",
-        **_service(args),
+        **_service(args, Limits()),
     )
     ended = _serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
     pose = robot.world.pose

@@ -5,10 +5,12 @@ from __future__ import annotations
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import rhdlink
+from linkcore.errors import BadValue
 
 from .conftest import Run, Spawn
 
@@ -170,3 +172,20 @@ def test_the_width_of_the_file_and_the_last_word_over_it(run: Run, tmp_path: Pat
     status, _, err = run("serve", str(path), "--width", "3")
     assert status == 2
     assert "--width" in err
+
+
+def test_limits_of_the_command_line_are_those_of_the_host(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[dict[str, Any]] = []
+
+    def host(plugins: object, **options: Any) -> None:
+        made.append(options)
+        raise BadValue("made by the test")
+
+    monkeypatch.setattr("rhdlink.cli.hosting.Host", host)
+    run("turtle", "--port", "0", "--limit", "words=1000", "--limit", "batch=5000")
+    (options,) = made
+    assert options["limits"] == rhdlink.Limits(words=1000, batch=5000)
+    for wrong in ("words=0", "words", "words=many", "speed=3"):
+        status, _, err = run("turtle", "--port", "0", "--limit", wrong)
+        assert status == 2
+        assert "expected NAME=N" in err
