@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import urlink
+from urlink.simulator.ports.rtde_variables import UPTIME
 
 HOST, FIRMWARE, RATE = "127.0.7.2", "5.11", 500
 HOME = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
@@ -83,7 +84,8 @@ def with_ur_rtde(robot: urlink.Robot, seconds: float) -> float:
     done = subprocess.run(
         [sys.executable, "-c", UR_RTDE, HOST, *numbers], stdout=subprocess.PIPE, text=True, check=True
     )
-    return float(done.stdout.split()[-1])
+    # What RTDE calls `timestamp` counts from when the simulated computer was started, not the controller.
+    return float(done.stdout.split()[-1]) - UPTIME
 
 
 def delays(targets: Targets, begun: float, seconds: float) -> list[float]:
