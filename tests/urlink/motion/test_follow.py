@@ -348,7 +348,7 @@ def test_a_stranger_on_the_robot_does_not_get_the_set_points(robot: Rehearsal) -
         robot.connect()
         while not (word := robot.obey()) or word[1] != FOLLOW:
             assert word is not None
-        assert motion.phase is Phase.RUNNING
+        until(lambda: motion.phase is Phase.RUNNING)
         stranger.settimeout(PATIENCE)
         with contextlib.suppress(ConnectionError):
             assert stranger.recv(100) == b""
