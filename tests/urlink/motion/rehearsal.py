@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from linkcore.errors import ConnectionLost
+from linkcore.handle import Phase
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
@@ -176,6 +177,8 @@ class Rehearsal(StandIn):
         self.inputs.written = SimpleQueue()  # without the last words of the motion before
         self.begin()
         if self.has_registers:
+            # It is told on another connection than the states, at which it is written to.
+            until(lambda: (motion := self.motion.current) is None or motion.phase is Phase.RUNNING)
             return
         if self.link is not None:
             self.link.close()
