@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import Closed, LocalError
@@ -18,6 +19,7 @@ from .commanding.programs import Programs
 from .commanding.safety import Safety
 from .commanding.scripts import Scripts
 from .commanding.section import Section
+from .commanding.setting_channel import CommandsVia, SettingChannel
 from .commanding.settings import Settings
 from .firmware import Firmware
 from .identity import KnownIdentity
@@ -26,8 +28,11 @@ from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .motion.context import MotionContext
 from .motion.motions import Motions
-from .motion.register_link import Inputs, RegisterPort
+from .motion.register_link import RegisterPort
 from .motion.reverse import ReversePort
+
+if TYPE_CHECKING:
+    from .rtde import Rtde
 
 __all__ = ["Control", "Options"]
 
@@ -48,6 +53,7 @@ class Options:
     reverse_host: str | None
     reverse_port: int
     reverse_peer: str | None
+    commands_via: CommandsVia
 
 
 class Control:
@@ -62,7 +68,7 @@ class Control:
         who: tells who the controller is.
         options: of the user.
         timeout: seconds for a connection to the dashboard.
-        claim: claims RTDE inputs by their names.
+        rtde: gives the robot's RTDE.
 
     Attributes:
         safety, script, io, motion, settings: what users hold.
@@ -78,7 +84,7 @@ class Control:
         who: KnownIdentity,
         options: Options,
         timeout: float,
-        claim: Callable[[tuple[str, ...]], Inputs],
+        rtde: Callable[[], Rtde],
     ) -> None:
         self._host = host
         self._dashboard_port = dashboard_port
@@ -106,10 +112,12 @@ class Control:
         )
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
-        self.settings = Settings(channel, slow, fast, who, section, self._is_remote, options.start_flag)
+        inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
+        setting_channel = SettingChannel(channel, slow, section, inputs)
+        self.settings = Settings(setting_channel, slow, fast, who, section, self._is_remote, options.start_flag)
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
-        registers = RegisterPort(claim)
+        registers = RegisterPort(lambda names: rtde().inputs(*names))
         self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, section))
 
     @property

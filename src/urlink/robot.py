@@ -9,6 +9,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
+from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
@@ -19,6 +20,7 @@ from .commanding.interlock import STALE_AFTER, Policy
 from .commanding.io import IO
 from .commanding.safety import Safety
 from .commanding.scripts import Scripts
+from .commanding.setting_channel import CommandsVia
 from .control import Control, Options
 from .firmware import Firmware
 from .identity import Identity, KnownIdentity
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 
     from .interfaces.dashboard.client import Dashboard
     from .kinematics import Arm
-    from .rtde import Inputs, OutputStream, Registers, Rtde
+    from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
 
 __all__ = ["Robot", "connect"]
@@ -56,6 +58,7 @@ def connect(
     reverse_host: str | None = None,
     reverse_port: int = 0,
     reverse_peer: str | None = None,
+    commands_via: CommandsVia = "auto",
 ) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
@@ -82,6 +85,8 @@ def connect(
         reverse_port: port that it finds there; 0 for a free one.
         reverse_peer: address that the robot's connections come from; None for the one that it was connected by. A
             simulator in a container may come from another.
+        commands_via: how outputs and the speed slider are set: "auto" over RTDE where the controller has it and nobody
+            else holds the inputs, and by script otherwise; "script" never claims an input of RTDE.
 
     Raises:
         BadAddress: nobody can read the address.
@@ -101,7 +106,9 @@ def connect(
         _host(reverse_host, "reverse_host"),
         int(integer(reverse_port, 0, 65535, "reverse_port")),
         _host(reverse_peer, "reverse_peer"),
+        commands_via,
     )
+    check_choice(commands_via, "commands_via", get_args(CommandsVia))
     if require_enable not in get_args(Policy):
         raise BadValue(f"require_enable={require_enable!r}; expected one of {', '.join(get_args(Policy))}")
     if backoff is not None and not isinstance(backoff, Backoff):
@@ -132,7 +139,7 @@ def connect(
             robot._who,
             options,
             timeout,
-            _claimer(robot),
+            _rtde_of(robot),
         )
         return robot
     except BaseException:
@@ -404,17 +411,17 @@ def _described(identity: Identity) -> dict[str, Any]:
     return said
 
 
-def _claimer(robot: Robot) -> Callable[[tuple[str, ...]], Inputs]:
-    """What claims RTDE inputs of a robot, and does not keep it alive."""
+def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
+    """What gives the RTDE of a robot, and does not keep it alive."""
     held = weakref.ref(robot)
 
-    def claim(names: tuple[str, ...]) -> Inputs:
+    def rtde() -> Rtde:
         alive = held()
         if alive is None:
             raise Closed("the robot was closed")
-        return alive.rtde.inputs(*names)
+        return alive.rtde
 
-    return claim
+    return rtde
 
 
 def _host(host: str | None, name: str) -> str | None:

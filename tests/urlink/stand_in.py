@@ -18,6 +18,7 @@ from urlink.commanding.programs import Programs
 from urlink.commanding.safety import Safety
 from urlink.commanding.scripts import Scripts
 from urlink.commanding.section import Section
+from urlink.commanding.setting_channel import BriefInputs, SettingChannel
 from urlink.commanding.settings import Settings
 from urlink.firmware import Firmware
 from urlink.identity import Identity, KnownIdentity
@@ -45,6 +46,7 @@ class StandIn:
         start_timeout: float = 5.0,
         start_flag: int | None = 31,
         is_remote: bool | None = None,
+        inputs: BriefInputs | None = None,
     ) -> None:
         self.firmware = Firmware.parse(firmware)
         self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
@@ -72,7 +74,7 @@ class StandIn:
         self.safety = Safety(self.monitor)
         self.script = Scripts(self.programs, self.channel, self.callbacks)
         self.settings = Settings(
-            self.channel,
+            SettingChannel(self.channel, slow, self.section, None if inputs is None else lambda: inputs),
             slow,
             fast,
             self.who,

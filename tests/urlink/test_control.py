@@ -50,14 +50,18 @@ def lines(controller: Controller, count: int) -> list[str]:
         (lambda robot: robot.io.set_digital_out(1, True), "  set_standard_digital_out(1, True)"),
     ],
 )
-def test_commands(controller: Controller, robot: urlink.Robot, act: Callable[[urlink.Robot], None], text: str) -> None:
-    act(robot)
-    assert lines(controller, 3) == ["sec urlink_command():", text, "end"]
+def test_commands(controller: Controller, act: Callable[[urlink.Robot], None], text: str) -> None:
+    controller.received.clear()
+    with urlink.connect(controller.address, commands_via="script") as robot:
+        act(robot)
+        assert lines(controller, 3) == ["sec urlink_command():", text, "end"]
 
 
-def test_speed_slider(controller: Controller, robot: urlink.Robot) -> None:
-    robot.set_speed_slider(0.42)
-    assert lines(controller, 1) == ["set speed 0.42"]
+def test_speed_slider(controller: Controller) -> None:
+    controller.received.clear()
+    with urlink.connect(controller.address, commands_via="script") as robot:
+        robot.set_speed_slider(0.42)
+        assert lines(controller, 1) == ["set speed 0.42"]
 
 
 def test_each_part_is_one(robot: urlink.Robot) -> None:
@@ -156,6 +160,7 @@ def test_bad_arguments() -> None:
         {"start_flag": 32},
         {"start_flag": True},
         {"backoff": 2.0},
+        {"commands_via": "rtde"},
     ],
     ids=str,
 )

@@ -105,6 +105,27 @@ class CommandChannel:
         self._monitor.await_news(moves=False)
         self._send(text, self._monitor.require_running, SEND_TIMEOUT)
 
+    def check_running(self) -> None:
+        """Raise what a command would be refused with now; waits for what is not known yet of the robot.
+
+        Raises:
+            NotRunning: the robot does not run, or nothing is known of it.
+        """
+        self._monitor.listen()
+        self._monitor.await_news(moves=False)
+        self._monitor.require_running()
+
+    def beside(self, send: Callable[[], object]) -> None:
+        """Let `send` send a command, which moves nothing, over another connection; it must not wait.
+
+        Raises:
+            NotRunning: the robot does not run; `send` was not called.
+            Exception: whatever `send` raises.
+        """
+        with self._section:
+            self._monitor.require_running()
+            send()
+
     def setpoint(self, send: Callable[[], object], *, is_stop: bool = False) -> None:
         """Let `send` send something that moves the arm, or that stops it, over another connection; it must not wait.
 

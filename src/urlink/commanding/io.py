@@ -1,7 +1,8 @@
 """`robot.io`: the inputs and outputs of control box and tool.
 
-Outputs are set by programs that run beside the one that moves the arm, and read back from the robot state, which comes
-ten times a second: a new value shows after a tenth of a second or so, and is waited for.
+Outputs are set over RTDE, or by programs that run beside the one that moves the arm
+(`urlink.commanding.setting_channel`). They are read back from the robot state, which comes ten times a second: a new
+value shows after a tenth of a second or so, and is waited for.
 """
 
 from __future__ import annotations
@@ -86,8 +87,20 @@ class IO:
             value, domain = _analog_out(board, number)
             return value / 10.0 if domain == AnalogDomain.VOLTAGE else (value - 0.004) / 0.016
 
+        def inputs() -> dict[str, float] | None:
+            board = self._primary.of(MasterboardData).latest
+            if board is None:
+                return None
+            # RTDE sets what an output drives along with it: that stays as it is.
+            types = int(board.analog_output_domain_0) | int(board.analog_output_domain_1) << 1
+            return {
+                "standard_analog_output_mask": 1 << number,
+                "standard_analog_output_type": types,
+                f"standard_analog_output_{number}": fraction,
+            }
+
         echo = Echo(MasterboardData, shown, lambda value: abs(value - fraction) <= _ANALOG)
-        self._settings.apply(text, f"analogue output {number}", echo, confirm)
+        self._settings.apply(text, f"analogue output {number}", echo, confirm, inputs)
 
     def set_tool_voltage(self, volts: int, *, confirm: float | None = 1.0) -> None:
         """Supply the tool with 0, 12 or 24 V."""
@@ -172,7 +185,10 @@ class IO:
         bit = bank.bit(firmware, number, "output")
         echo = Echo(MasterboardData, lambda board: _bit(board.digital_output_bits, bit), lambda value: value == on)
         is_sure = not (firmware.is_cb2 and bank is TOOL)
-        self._settings.apply(text, f"{bank.name} digital output {number}", echo if is_sure else None, confirm)
+        inputs = {f"{bank.name}_digital_output_mask": 1 << number, f"{bank.name}_digital_output": on << number}
+        self._settings.apply(
+            text, f"{bank.name} digital output {number}", echo if is_sure else None, confirm, lambda: inputs
+        )
 
     def _digital_in(self, bank: DigitalBank, number: int) -> bool:
         bit = bank.bit(self._settings.firmware, number, "input")

@@ -26,8 +26,8 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..models import indistinguishable
 from ..urscript import commands
 from ..urscript.text import checked
-from .channel import CommandChannel
 from .section import Section
+from .setting_channel import SettingChannel, Values
 
 __all__ = ["Echo", "Settings"]
 
@@ -73,7 +73,7 @@ class Settings:
 
     def __init__(
         self,
-        channel: CommandChannel,
+        channel: SettingChannel,
         primary: Connection,
         realtime: Connection,
         who: KnownIdentity,
@@ -142,11 +142,12 @@ class Settings:
             RobotModeData, lambda mode: mode.target_speed_fraction, lambda value: abs(value - fraction) <= _SLIDER
         )
         text = commands.speed_slider(fraction)
-        self.apply(text, "the speed slider", echo if self.firmware >= _SHOWS_SLIDER else None, confirm)
+        inputs = {"speed_slider_mask": 1, "speed_slider_fraction": fraction}
+        self.apply(text, "the speed slider", echo if self.firmware >= _SHOWS_SLIDER else None, confirm, lambda: inputs)
 
     def popup(self, text: str, title: str, warning: bool, error: bool) -> None:
         """See `Robot.popup`."""
-        self._channel.command(commands.secondary(commands.popup(text, title, warning, error)))
+        self._channel.send(commands.secondary(commands.popup(text, title, warning, error)))
 
     def flag(self, number: int, on: bool) -> None:
         """See `IO.set_flag`."""
@@ -155,9 +156,11 @@ class Settings:
             raise BadValue(
                 f"flag {number} lets uploaded programs begin; another one is set with connect(start_flag=...)"
             )
-        self._channel.command(commands.secondary(statement))
+        self._channel.send(commands.secondary(statement))
 
-    def apply(self, text: str, what: str, echo: Echo[T] | None, confirm: float | None) -> None:
+    def apply(
+        self, text: str, what: str, echo: Echo[T] | None, confirm: float | None, values: Values | None = None
+    ) -> None:
         """Send a setting, and wait until the robot shows it.
 
         Args:
@@ -165,6 +168,7 @@ class Settings:
             what: it sets, for messages.
             echo: where it shows; None if nowhere.
             confirm: seconds to wait; None not to wait.
+            values: the same as RTDE inputs; None where there are none.
 
         Raises:
             BadValue: `confirm` is no number of seconds.
@@ -175,7 +179,7 @@ class Settings:
         """
         timeout = None if confirm is None else checked(confirm, "confirm", 1e-3)
         if timeout is None or echo is None:
-            self._channel.command(text)
+            self._channel.send(text, values, wait=timeout is not None)
             return
         self._section.check_waiting()
         shown: list[Any] = [None]
@@ -190,11 +194,12 @@ class Settings:
 
         connection = self._realtime if echo.kind is RealtimeState else self._primary
         with connection.subscribe_inline(echo.kind, look):
-            self._channel.command(text)
+            self._channel.send(text, values)
             try:
                 with self._section.waiting():
                     is_shown.get(timeout=timeout)
             except Empty:
+                self._channel.doubt()
                 raise self._not_confirmed(what, shown[0], timeout) from None
 
     def _not_confirmed(self, what: str, shown: Any, timeout: float) -> NotConfirmed:

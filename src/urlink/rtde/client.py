@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
 
 from ..firmware import Firmware
@@ -26,6 +27,7 @@ from ..interfaces.rtde.recipes import Outputs
 from ..interfaces.rtde.transport import RtdeTransport
 from ..interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
 from ..source import Source
+from .brief_claims import CLAIM_TIMEOUT, BriefClaims
 from .inputs import Inputs, with_masks
 from .outputs import OutputStream, connection_of, declared, recorded_plan
 from .shared_registers import Claims, Registers
@@ -70,6 +72,7 @@ class Rtde:
         self._lock = threading.RLock()  # re-entrant, since a signal handler may close the robot
         self._open: list[OutputStream[Any] | Inputs | Claims] = []
         self._claims: Claims | None = None
+        self._brief = BriefClaims(self._connect_briefly)
         self._is_closed = False
 
     @property
@@ -186,6 +189,7 @@ class Rtde:
         """
         self._check_writable()
         wanted = with_masks(names)
+        self._brief.give_back()  # a setting of this very robot may have one of them
         plan = Plan(("timestamp",), _HEARTBEAT, inputs=[wanted])
         connection, transport = self._connection(plan, "rtde inputs")
         inputs = Inputs(connection, transport, wanted, self._source.timeout)
@@ -218,6 +222,19 @@ class Rtde:
                 self._keep(made)
         return claims
 
+    def _brief_claims(self) -> BriefClaims:
+        """For the settings of this robot.
+
+        Raises:
+            LocalError: nothing can be written, or the firmware has no RTDE.
+        """
+        self._check_writable()
+        return self._brief
+
+    def _connect_briefly(self, plan: Plan) -> tuple[Connection, Claims]:
+        connection, transport = self._connection(plan, "rtde settings", timeout=CLAIM_TIMEOUT, backoff=Backoff(tries=0))
+        return connection, Claims(connection, transport, plan, CLAIM_TIMEOUT)
+
     def who_holds(self) -> dict[str, str]:
         """Try each input, and say of those that cannot be had why.
 
@@ -232,6 +249,7 @@ class Rtde:
             LocalError: a recording, or a connection that was made with ``read_only=True``.
         """
         self._check_writable()
+        self._brief.give_back()
         said = {IN_USE: "in use", NOT_FOUND: "not there"}
         types = self._types([InputsRequest(names=name) for name in INPUTS])
         return {name: said[type] for name, type in zip(INPUTS, types, strict=True) if type in said}
@@ -301,15 +319,17 @@ class Rtde:
 
     # -- connections -------------------------------------------------------------------------------------
 
-    def _connection(self, plan: Plan, what: str) -> tuple[Connection, RtdeTransport]:
+    def _connection(
+        self, plan: Plan, what: str, *, timeout: float | None = None, backoff: Backoff | None = None
+    ) -> tuple[Connection, RtdeTransport]:
         source = self._source
         transport = RtdeTransport(source.transport("rtde"), plan)
         connection = connection_of(
             f"{self._name} {what}",
             transport,
             plan,
-            backoff=source.backoff,
-            timeout=source.timeout,
+            backoff=backoff or source.backoff,
+            timeout=timeout or source.timeout,
             silence=source.silence,
         )
         return connection, transport
@@ -333,6 +353,7 @@ class Rtde:
         with self._lock:
             self._is_closed = True
             opened, self._open = self._open, []
+        self._brief.close(timeout)
         for each in opened:
             each.close(max(until - time.monotonic(), 0.0))
 

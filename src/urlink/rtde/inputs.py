@@ -17,7 +17,7 @@ from ..interfaces.rtde.protocol import check_names
 from ..interfaces.rtde.recipes import Recipe
 from ..interfaces.rtde.transport import RtdeTransport
 
-__all__ = ["Inputs", "checked", "with_masks"]
+__all__ = ["Inputs", "checked", "put_whole", "with_masks"]
 
 
 class _Masked(NamedTuple):
@@ -149,13 +149,9 @@ class Inputs:
 
         Raises:
             BadValue: a value that its type cannot hold; nothing was sent.
-            ConnectionLost: there is no connection, or the controller does not read; it is given up then, since what
-                follows would be read as the rest of the package.
+            ConnectionLost, Closed: as `put_whole`.
         """
-        package = self._recipe().encode(values)
-        if self._connection.send_some(package) < len(package):
-            self._connection.abort()
-            raise ConnectionLost(f"{self._connection.name}: the controller does not read what is written")
+        put_whole(self._connection, self._recipe().encode(values))
 
     def _recipe(self) -> Recipe:
         """What was claimed on the present connection, or on the one before if there is none."""
@@ -200,6 +196,19 @@ class Inputs:
 
     def __repr__(self) -> str:
         return f"<Inputs {join_names(self.names)} of {self._connection.name}: {self.connection.value}>"
+
+
+def put_whole(connection: Connection, package: bytes) -> None:
+    """Hand a package to the kernel at once, whole.
+
+    Raises:
+        ConnectionLost: there is no connection, or the controller does not read; it is given up then, since what follows
+            would be read as the rest of the package.
+        Closed: it was closed.
+    """
+    if connection.send_some(package) < len(package):
+        connection.abort()
+        raise ConnectionLost(f"{connection.name}: the controller does not read what is written")
 
 
 def _bits(name: str, value: Any, all: int) -> tuple[int, int]:

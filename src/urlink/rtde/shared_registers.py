@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from linkcore.arguments import check_whole
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
+from linkcore.streaming.events import ConnectionState
 from linkcore.streaming.policy import block
 
-from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest
-from ..interfaces.rtde.protocol import Plan, claim_of
+from ..interfaces.rtde.packets import InputsReply, InputsRequest, PauseRequest, StartRequest, join_names
+from ..interfaces.rtde.protocol import Plan, RtdeProtocol, claim_of
 from ..interfaces.rtde.recipes import Recipe
 from ..interfaces.rtde.transport import RtdeTransport
-from .inputs import checked
+from .inputs import checked, put_whole
 from .outputs import OutputStream
 
 __all__ = ["Claims", "Registers"]
@@ -33,7 +34,7 @@ _FREQUENCY = 125.0
 
 
 class Claims:
-    """A connection on which single inputs are claimed as they are needed.
+    """A connection on which sets of inputs are claimed as they are needed.
 
     Args:
         connection: of the plan, which it gives whoever reads it.
@@ -54,46 +55,74 @@ class Claims:
         """It was closed."""
         return self._connection.is_over
 
-    def write(self, name: str, value: Any) -> None:
-        """Write one input, and claim it first where that has not been done.
+    def write(self, values: Mapping[str, Any]) -> None:
+        """Write a set of inputs in one package, and claim it first where that has not been done.
 
         Raises:
-            BadValue: the variable cannot have this value; nothing was sent.
-            InputInUse, NoSuchVariable: another client has it, or the controller lacks it.
+            BadValue: a variable cannot have this value; nothing was sent.
+            InputInUse, NoSuchVariable: another client has one, or the controller lacks it.
             RemoteError, Closed: there is no connection, or nothing was answered in time.
+        """
+        self.claim(tuple(values))
+        self._connection.send(self._package(values), self._timeout)
+
+    def put(self, values: Mapping[str, Any]) -> None:
+        """Write a set that has been claimed, without waiting.
+
+        Raises:
+            BadValue: a variable cannot have this value; nothing was sent.
+            ConnectionLost: there is no connection, or the controller does not read; it is given up then.
+            Closed: it was closed.
+        """
+        put_whole(self._connection, self._package(values))
+
+    def has(self, names: tuple[str, ...]) -> bool:
+        """This set is claimed on the present connection."""
+        return self._connection.state is ConnectionState.CONNECTED and names in self._plan.inputs
+
+    def claim(self, names: tuple[str, ...]) -> None:
+        """Claim a set of inputs where that has not been done.
+
+        Raises:
+            InputInUse, NoSuchVariable, RemoteError, Closed: as `write`.
         """
         self._connection.start()
         # With a deadline: a signal handler may come here while the main thread, which it keeps, waits for a reply.
         if not self._lock.acquire(timeout=self._timeout):
             raise LinkTimeout(f"{self._connection.name}: another claim is not answered yet, after {self._timeout:g} s")
         try:
-            recipe = self._recipe(name)
+            dialogue = self._dialogue()
+            if names in self._plan.inputs:
+                return
+            recipe = self._claim(names)
+            if self._transport.dialogue is not dialogue:
+                raise ConnectionLost(f"{self._connection.name}: the connection was lost while {names} were claimed")
+            dialogue.claims.append(recipe)
+            self._plan.inputs.append(names)
         finally:
             self._lock.release()
-        self._connection.send(recipe.encode({name: checked(name, recipe.types[0], value)}), self._timeout)
 
-    def _recipe(self, name: str) -> Recipe:
-        """What was claimed for one input; claims it where that has not been done."""
+    def _dialogue(self) -> RtdeProtocol:
+        """What was said on the present connection, or on the one before if there is none."""
         dialogue = self._transport.dialogue
         if dialogue is None:
             raise ConnectionLost(f"{self._connection.name} is not connected")
-        if (name,) in self._plan.inputs:
-            return dialogue.claims[self._plan.inputs.index((name,))]
-        recipe = self._claim(name)
-        if self._transport.dialogue is not dialogue:
-            raise ConnectionLost(f"{self._connection.name}: the connection was lost while {name} was claimed")
-        dialogue.claims.append(recipe)
-        self._plan.inputs.append((name,))
-        return recipe
+        return dialogue
 
-    def _claim(self, name: str) -> Recipe:
+    def _package(self, values: Mapping[str, Any]) -> bytes:
+        recipe = self._dialogue().claims[self._plan.inputs.index(tuple(values))]
+        return recipe.encode(
+            {name: checked(name, type, values[name]) for name, type in zip(recipe.names, recipe.types, strict=True)}
+        )
+
+    def _claim(self, names: tuple[str, ...]) -> Recipe:
         until = time.monotonic() + self._timeout
         connection = self._connection
         queue = connection.open_queue(InputsReply, block)
         reply = None
         try:
             # Data is paused meanwhile, as the vendor asks for before a recipe is changed.
-            requests = (PauseRequest(), InputsRequest(names=name), StartRequest())
+            requests = (PauseRequest(), InputsRequest(names=join_names(names)), StartRequest())
             connection.send(b"".join(map(bytes, requests)), self._timeout)
             reply = queue.next(max(until - time.monotonic(), 0.0))
         finally:
@@ -101,8 +130,10 @@ class Claims:
             if reply is None:
                 connection.abort()  # a reply that comes late would be taken for that to the next claim
         if reply is None:
-            raise LinkTimeout(f"{connection.name}: the claim of {name} was not answered within {self._timeout:g} s")
-        return claim_of((name,), reply)
+            raise LinkTimeout(
+                f"{connection.name}: the claim of {', '.join(names)} was not answered within {self._timeout:g} s"
+            )
+        return claim_of(names, reply)
 
     def close(self, timeout: float) -> None:
         """Disconnect, which releases the inputs. Idempotent."""
@@ -143,15 +174,15 @@ class Registers:
             RemoteError, Closed: the controller cannot be reached.
         """
         check_whole(number, "number", 64, 127)
-        self._claims().write(f"input_bit_register_{number}", value)
+        self._claims().write({f"input_bit_register_{number}": value})
 
     def write_integer(self, number: int, value: int) -> None:
         """Write an input integer of 32 bits; see `write_bit`."""
-        self._claims().write(f"input_int_register_{self._checked(number, 'int')}", value)
+        self._claims().write({f"input_int_register_{self._checked(number, 'int')}": value})
 
     def write_float(self, number: int, value: float) -> None:
         """Write an input float; see `write_bit`."""
-        self._claims().write(f"input_double_register_{self._checked(number, 'double')}", value)
+        self._claims().write({f"input_double_register_{self._checked(number, 'double')}": value})
 
     # -- what a program on the controller writes -------------------------------------------------------
 

@@ -199,10 +199,15 @@ def write_inputs(state: ControllerState, values: Mapping[str, Any]) -> None:
     All inputs keep their last value. An output of the controller changes when a package contains anything of its group,
     by the mask and the values that hold then; that these may come in different recipes is a guess. The speed slider
     moves once for each package that holds its mask with the value 1. What is not a number changes nothing.
+
+    In local control an e-Series takes registers, and no outputs and no slider: a guess on the careful side. It is known
+    that it takes no URScript then.
     """
+    is_local = state.firmware.is_e_series and not state.remote_control
     state.rtde_inputs.update(values)
     for change in dict.fromkeys(_CHANGES[name] for name in values):
-        change(state, values)
+        if not is_local or change is _input_registers:
+            change(state, values)
 
 
 def _slider(state: ControllerState, values: Mapping[str, Any]) -> None:

@@ -1,0 +1,232 @@
+"""Settings over RTDE inputs where they can be had, by script otherwise: which way, and when that is decided."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import pytest
+
+import urlink
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
+from tests.urlink.stand_in import StandIn
+from tests.waiting import until
+from urlink.commanding import setting_channel
+from urlink.errors import NotConfirmed, NotRunning
+from urlink.interfaces.enums import RobotMode
+from urlink.rtde import InputInUse, brief_claims
+from urlink.simulator import Controller
+
+# -- against a controller that says what the test says -------------------------------------------------
+
+
+class Inputs:
+    """RTDE inputs that can be had, but for those that are `held`; `error` refuses all of them."""
+
+    def __init__(self) -> None:
+        self.held: set[str] = set()
+        self.error: LinkError | None = None
+        self.lost = False
+        self.asked: list[tuple[tuple[str, ...], bool]] = []
+        self.written: list[Mapping[str, Any]] = []
+        self.aborted = 0
+
+    def claim(self, names: tuple[str, ...], *, wait: bool) -> Callable[[Mapping[str, Any]], None] | None:
+        self.asked.append((names, wait))
+        if self.error is not None:
+            raise self.error
+        if self.held & set(names):
+            raise InputInUse("in use", names)
+        return self._write if wait else None
+
+    def _write(self, values: Mapping[str, Any]) -> None:
+        if self.lost:
+            raise ConnectionLost("cut")
+        self.written.append(values)
+
+    def abort(self) -> None:
+        self.aborted += 1
+
+
+@pytest.fixture
+def inputs() -> Inputs:
+    return Inputs()
+
+
+@pytest.fixture
+def robot(inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
+    monkeypatch.setattr(setting_channel, "_SETTLED", 0.0)
+    with StandIn(inputs=inputs) as robot:
+        robot.clear()
+        yield robot
+
+
+def test_masks_and_values_of_each_setting(robot: StandIn, inputs: Inputs) -> None:
+    robot.state(board={"analog_output_domain_1": 1})
+    acts: list[Callable[[], object]] = [
+        lambda: robot.io.set_digital_out(3, True, confirm=0.01),
+        lambda: robot.io.set_configurable_digital_out(7, False, confirm=0.01),
+        lambda: robot.io.set_tool_digital_out(1, True, confirm=0.01),
+        lambda: robot.io.set_analog_out(1, 0.5, confirm=0.01),
+        lambda: robot.settings.speed_slider(0.25, 0.01),
+    ]
+    for act in acts:
+        with pytest.raises(NotConfirmed):
+            act()
+        robot.settings._channel._refused.clear()  # after one that was not confirmed text is sent
+    assert inputs.written == [
+        {"standard_digital_output_mask": 8, "standard_digital_output": 8},
+        {"configurable_digital_output_mask": 128, "configurable_digital_output": 0},
+        {"tool_digital_output_mask": 2, "tool_digital_output": 2},
+        {
+            "standard_analog_output_mask": 2,
+            "standard_analog_output_type": 2,  # what an output drives stays as it is
+            "standard_analog_output_1": 0.5,
+        },
+        {"speed_slider_mask": 1, "speed_slider_fraction": 0.25},
+    ]
+    assert robot.sent == []
+    robot.settings.flag(3, True)
+    assert len(robot.sent) == 1
+
+
+def test_what_does_not_show_is_discarded_and_the_next_goes_by_script(robot: StandIn, inputs: Inputs) -> None:
+    for _ in range(2):
+        with pytest.raises(NotConfirmed):
+            robot.io.set_digital_out(0, True, confirm=0.01)
+    assert (len(inputs.written), inputs.aborted, len(robot.sent)) == (1, 1, 1)
+
+
+def test_without_waiting_nothing_is_claimed(robot: StandIn, inputs: Inputs) -> None:
+    robot.io.set_digital_out(0, True, confirm=None)
+    assert inputs.asked == [(("standard_digital_output_mask", "standard_digital_output"), False)]
+    assert len(robot.sent) == 1
+
+
+def test_no_package_overtakes_a_text(robot: StandIn, inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setting_channel, "_SETTLED", 60.0)
+    robot.io.set_digital_out(0, True, confirm=None)
+    robot.io.set_digital_out(0, False, confirm=None)
+    assert (len(inputs.asked), len(robot.sent)) == (1, 2)
+
+
+@pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
+def test_where_there_is_no_rtde_it_is_tried_once_for_each_connection(
+    robot: StandIn, inputs: Inputs, error: LinkError
+) -> None:
+    inputs.error = error
+    acts: list[Callable[[], object]] = [
+        lambda: robot.io.set_digital_out(0, True, confirm=0.01),
+        lambda: robot.io.set_digital_out(0, True, confirm=0.01),
+        lambda: robot.settings.speed_slider(0.5, 0.01),
+    ]
+    for act in acts:
+        with pytest.raises(NotConfirmed):
+            act()
+    assert (len(inputs.asked), len(robot.sent)) == (1, 3)
+    inputs.error = None
+    robot.slow.put(ConnectionLost("cut"))
+    until(lambda: robot.slow.opened == 2)
+    robot.clear()
+    with pytest.raises(NotConfirmed):
+        robot.io.set_digital_out(0, True, confirm=0.01)
+    assert (len(inputs.written), len(robot.sent)) == (1, 3)
+
+
+def test_an_input_in_use_is_refused_by_itself(robot: StandIn, inputs: Inputs) -> None:
+    inputs.held = {"speed_slider_mask"}
+    with pytest.raises(NotConfirmed):
+        robot.settings.speed_slider(0.5, 0.01)
+    assert (len(inputs.written), len(robot.sent)) == (0, 1)
+    assert robot.settings._channel._is_refused(("speed_slider_mask", "speed_slider_fraction"))
+
+
+def test_what_could_not_be_written_goes_by_script(robot: StandIn, inputs: Inputs) -> None:
+    inputs.lost = True
+    with pytest.raises(NotConfirmed):
+        robot.io.set_digital_out(0, True, confirm=0.01)
+    assert len(robot.sent) == 1
+
+
+def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: StandIn, inputs: Inputs) -> None:
+    robot.state(RobotMode.POWER_OFF)
+    until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
+    with pytest.raises(NotRunning):
+        robot.io.set_digital_out(0, True)
+    assert (inputs.asked, robot.sent) == ([], [])
+
+
+# -- against the simulator -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+
+
+def set_all(robot: urlink.Robot, on: bool) -> None:
+    """Each of them is confirmed, or raises."""
+    robot.io.set_digital_out(3, on)
+    robot.io.set_configurable_digital_out(7, on)
+    robot.io.set_tool_digital_out(1, on)
+    robot.io.set_analog_out(1, 0.5 if on else 0.25)
+    robot.set_speed_slider(0.5 if on else 1.0)
+
+
+def texts(controller: Controller) -> list[str]:
+    return [line for _, line in controller.received]
+
+
+def test_settings_go_over_rtde_and_nothing_stays_claimed(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(brief_claims, "HOLD", 0.1)
+    controller.received.clear()
+    with urlink.connect(controller.address) as robot, urlink.connect(controller.address) as other:
+        set_all(robot, True)
+        until(lambda: not other.rtde.who_holds())
+        set_all(robot, False)
+        until(lambda: not other.rtde.who_holds())
+        monkeypatch.setattr(brief_claims, "HOLD", 60.0)
+        robot.io.set_digital_out(3, True)
+        assert other.rtde.who_holds()
+        with robot.rtde.inputs("standard_digital_output") as inputs:  # asked for by the same robot
+            inputs.send(standard_digital_output={3: False})
+            until(lambda: not robot.io.digital_out(3))
+        robot.io.set_digital_out(3, True)
+        robot.rtde._brief._standing[0].abort()  # type: ignore[index]
+        until(lambda: robot.rtde._brief._standing[0].failure is not None)  # type: ignore[index]
+        robot.io.set_digital_out(3, False)
+    assert texts(controller) == []
+
+
+def test_what_another_client_holds_goes_by_script(controller: Controller) -> None:
+    controller.received.clear()
+    with urlink.connect(controller.address) as robot, urlink.connect(controller.address) as other:
+        with other.rtde.inputs("speed_slider_fraction"):
+            set_all(robot, True)
+            assert texts(controller) == ["set speed 0.5"]
+            robot.set_speed_slider(0.75)
+        robot.set_speed_slider(1.0)  # nobody asks again on the same connection
+        assert texts(controller) == [f"set speed {each}" for each in (0.5, 0.75, 1.0)]
+        controller.faults.cut("primary")
+        until(lambda: robot.primary.stats.reconnects)
+        robot.safety.wait_until_clear(5)
+        time.sleep(setting_channel._SETTLED)
+        robot.set_speed_slider(0.9)
+        assert len(texts(controller)) == 3
+
+
+def test_a_port_that_is_closed_costs_nothing_but_one_try(controller: Controller) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        closed = server.getsockname()[1]
+    served = dict(controller.ports) | {"rtde": closed}
+    address = f"ur://{controller.host}?" + "&".join(f"{name}={port}" for name, port in served.items())
+    controller.received.clear()
+    with urlink.connect(address) as robot:
+        set_all(robot, True)
+        set_all(robot, False)
+        assert len(texts(controller)) == 2 * (4 * 3 + 1)
