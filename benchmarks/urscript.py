@@ -55,6 +55,10 @@ def joint_path(t: float) -> list[float]:
     return [*READY[:5], 0.5 - 0.5 * math.cos(t)]
 
 
+def joint_speeds(t: float) -> list[float]:
+    return [0.0] * 5 + [0.5 * math.sin(t)]
+
+
 def run(controller: Controller, body: Sequence[str]) -> None:
     controller.take(wrapping.program("measured", body).text)
 
@@ -102,7 +106,7 @@ def streaming(model: str, firmware: str) -> float:
         )
         with closing(connected(controller, listener)) as link:
             cycles = round(SECONDS * rate)
-            words = [setpoint(joint_path(n / rate)) for n in range(cycles)]
+            words = [setpoint(joint_path(n / rate), joint_speeds(n / rate)) for n in range(cycles)]
             began = time.process_time()
             for word in words:
                 link.send(word)

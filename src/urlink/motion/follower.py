@@ -4,12 +4,13 @@ Each real-time state that arrives is answered with the set-point for its own tim
 clock paces the stream, so it does not matter how this computer's clock runs.
 
 A set-point is never further away than it may be, whatever happened before it. While set-points stay away, the program
-on the robot goes on by its last step, less and less of it (`urlink.urscript.programs.streaming`). The follower knows
-how far that is. It goes on from there, fades out what lies between that place and the trajectory, and follows the
-trajectory a tenth faster until it has caught up. What is sent since the last set-point is held against the speeds of
-the joints (`urlink.motion.speed_limit`): a state that says that many cycles have passed is believed only where this
-computer's own clock knows of them too. Where nothing that may be sent leads on, it ends with an error. Should all that
-be wrong all the same, the program on the robot itself approaches no set-point faster than the joints can move.
+on the robot goes on at the speed that came with the last one, ever slower (`urlink.urscript.programs.streaming`). The
+follower knows how far that is. It goes on from there, fades out what lies between that place and the trajectory, and
+follows the trajectory a tenth faster until it has caught up. What is sent since the last set-point is held against the
+speeds of the joints (`urlink.motion.speed_limit`): a state that says that many cycles have passed is believed only
+where this computer's own clock knows of them too. Where nothing that may be sent leads on, it ends with an error.
+Should all that be wrong all the same, the program on the robot itself approaches no set-point faster than the joints
+can move.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ _FADE_LEAST = 0.2
 #: Factor by which a trajectory may be followed faster to catch up. Chosen: a second makes up for a tenth, and the jump
 #: in speed is no more than an arm takes from point to point of a coarse trajectory.
 _CATCHING_UP = 1.1
+#: Seconds over which a program that gets no set-point is to close what is left to the trajectory, in place and in time.
+#: Chosen: longer than set-points stay away on a busy computer, so that it does not run past.
+_SETTLING = 0.1
 
 
 class _Fade:
@@ -65,17 +69,19 @@ class _Gap:
     Args:
         offset: (6,) rad, at first.
         begin: s on the trajectory.
+        least: s that this takes at least.
     """
 
-    def __init__(self, offset: Sequence[float], begin: float) -> None:
+    def __init__(self, offset: Sequence[float], begin: float, least: float) -> None:
         self._offset = list(offset)
         self._begin = begin
-        self._seconds = max(max(map(abs, offset)) / _FADE_SPEED, 1e-9)
+        self._seconds = max(max(map(abs, offset)) / _FADE_SPEED, least)
 
-    def at(self, t: float) -> list[float]:
-        """What is left of it at a time, rad."""
-        share = 1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0)
-        return [share * each for each in self._offset]
+    def at(self, t: float) -> tuple[list[float], list[float]]:
+        """What is left of it at a time, rad, and its speed, rad/s."""
+        rest = 1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0)
+        speed = -1.0 / self._seconds if rest > 0.0 else 0.0
+        return [rest * each for each in self._offset], [speed * each for each in self._offset]
 
 
 class Follower(Following):
@@ -96,7 +102,7 @@ class Follower(Following):
         # The program on the robot goes on by itself for as long as its watchdog lets it.
         self._limit = SpeedLimit(model, self._cycle, late=servoing.watchdog)
         #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
-        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0)
+        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0, _SETTLING)
         #: s that have passed on the trajectory, by the controller's clock; None before it began
         self._t: float | None = None
         #: s since the last set-point, by the controller's clock
@@ -104,10 +110,9 @@ class Follower(Following):
         #: the last set-point, rad, and its time on the trajectory, s
         self._q = [0.0] * 6
         self._s = 0.0
-        #: what the program on the robot makes of the last two: by how much it goes on in a cycle, in rad and in s
+        #: by how much the program on the robot goes on in a cycle without another one, in rad and in s
         self._step = [0.0] * 6
         self._pace = 0.0
-        self._is_led = False
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program on the robot."""
@@ -145,33 +150,41 @@ class Follower(Following):
 
     def _next(self, wanted: float, now: float) -> bytes:
         """The next set-point: for the time `wanted` on the trajectory, or as near to that as may be."""
-        told = max(round(self._since / self._cycle) - 1, 0) if self._is_led else 0
+        told = max(round(self._since / self._cycle) - 1, 0)
         excess = None
         # Where that many cycles cannot have passed, by this computer's clock, none was missed.
         for missed in (told, 0):
             coasted = self._coasting(missed)
             here = _sum(self._q, [coasted * each for each in self._step])
             s = self._s + self._pace * coasted
-            gap = _Gap(_difference(here, self.desired(s)[0]), s) if missed else self._gap
+            gap = self._gap
+            if missed:
+                # Twice as long as none came just now: with so few it would else be past the trajectory before the next.
+                settling = max(_SETTLING, 2.0 * missed * self._cycle)
+                gap = _Gap(_difference(here, self.desired(s)[0]), s, settling)
             most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
             for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
-                q = _sum(self.desired(s + ahead)[0], gap.at(s + ahead))
+                q = _sum(self.desired(s + ahead)[0], gap.at(s + ahead)[0])
                 excess = self._limit.excess(self._q, q, now)
                 if excess is None:
-                    return self._lead(q, s + ahead, missed, gap, now)
+                    self._gap = gap
+                    return self._lead(q, s + ahead, wanted, now)
         raise ToleranceExceeded(f"the arm would have to leap to go on with its trajectory: {excess}")
 
-    def _lead(self, q: list[float], s: float, missed: int, gap: _Gap, now: float) -> bytes:
+    def _lead(self, q: list[float], s: float, wanted: float, now: float) -> bytes:
+        """Send a set-point, and the speed with which the program goes on from there: along the trajectory, and a little
+        faster or slower than it, to where it is wanted."""
         self._limit.take(self._q, q, now)
-        if self._is_led:  # the first set-point gives the program no step to go on by
-            self._step = [each / (missed + 1) for each in _difference(q, self._q)]
-            self._pace = (s - self._s) / (missed + 1)
-        self._is_led = True
-        self._q, self._s, self._gap, self._since = q, s, gap, 0.0
-        return setpoint(q)
+        most = _CATCHING_UP - 1.0
+        pace = 1.0 + min(max((wanted - s) / _SETTLING, -most), most)
+        closing = self._gap.at(s)[1]
+        qd = [pace * along + across for along, across in zip(self.desired(s)[1], closing, strict=True)]
+        self._step, self._pace = [self._cycle * each for each in qd], self._cycle * pace
+        self._q, self._s, self._since = q, s, 0.0
+        return setpoint(q, qd)
 
     def _coasting(self, missed: int) -> float:
-        """How many of its last steps the program on the robot goes on in so many cycles without a set-point."""
+        """How many steps the program on the robot goes on in so many cycles without a set-point."""
         missable = self._servoing.missable
         n = min(missed, missable)
         return n - n * (n + 1) / (2.0 * missable)

@@ -17,12 +17,13 @@ from .setpoints import WORD_SIZE, read_word
 
 __all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort"]
 
-#: The first floating point and integer register that are used: the last six and the last three of all, so that those
+#: The first floating point and integer register that are used: the last twelve and the last three of all, so that those
 #: from 24 on are left to users, and those below that to fieldbuses. 3.9 and 5.3 are the first releases that have them.
-FIRST_FLOAT, FIRST_INTEGER = 42, 45
-#: The RTDE inputs that a link writes: six set-points, the number of the word, what to do, and the token.
+FIRST_FLOAT, FIRST_INTEGER = 36, 45
+#: The RTDE inputs that a link writes: positions and speeds of a set-point, the number of the word, what to do, and the
+#: token.
 NAMES = tuple(
-    [f"input_double_register_{FIRST_FLOAT + i}" for i in range(6)]
+    [f"input_double_register_{FIRST_FLOAT + i}" for i in range(12)]
     + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(3)]
 )
 #: Largest number of a word; after it the count begins anew.
@@ -94,9 +95,9 @@ class RegisterLink:
         """
         if self._is_closed:
             raise ConnectionLost("the registers are not written any more")
-        q, mode = read_word(data[-WORD_SIZE:])
+        q, qd, mode = read_word(data[-WORD_SIZE:])
         self._count = self._count % _MOST + 1
-        self._inputs._write(dict(zip(NAMES, (*q, self._count, mode, self.endpoint.token), strict=True)))
+        self._inputs._write(dict(zip(NAMES, (*q, *qd, self._count, mode, self.endpoint.token), strict=True)))
 
     def received(self) -> bytes:
         """Nothing: a program answers by `textmsg` only."""

@@ -111,6 +111,7 @@ class Servo(Motion):
         model = context.who.identity.arm
         self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()
         self._limit = SpeedLimit(model, 1.0 / rate)
+        self._cycle = 1.0 / servoing.firmware.rate
 
     def __enter__(self) -> Self:
         """Upload the program and wait until it has connected.
@@ -172,7 +173,7 @@ class Servo(Motion):
         now = self._context.clock()
         values = self._checked(q, now)
         try:
-            self._program.say(setpoint(values))
+            self._program.say(setpoint(values, self._speeds(values, now)))
         except LinkError as error:
             raise self._reason(error) from error
         self._limit.take(self._last or values, values, now)
@@ -197,6 +198,14 @@ class Servo(Motion):
         p50, p99 = np.percentile(deviations, (50, 99)).tolist()
         mean = (self._sent_at - self._began) / (self._count - 1)
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
+
+    def _speeds(self, values: list[float], now: float) -> list[float]:
+        """(6,) rad/s since the last set-point: with these the program goes on where the next one is late."""
+        if self._last is None:
+            return [0.0] * 6
+        # Two that are sent at once are for two cycles all the same.
+        seconds = max(now - self._sent_at, self._cycle)
+        return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
 
     def _checked(self, q: ArrayLike, now: float) -> list[float]:
         values: list[float] = six(q, "q").tolist()

@@ -11,25 +11,31 @@ from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, InputRegisters, Rever
 
 __all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "read_word", "setpoint"]
 
-_WORD = struct.Struct(">7i")
+_WORD = struct.Struct(">13i")
 #: Bytes of a word.
 WORD_SIZE = _WORD.size
 
 #: Brake, and end the program.
-STOP_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, STOP)
-#: There is nothing to do yet, but somebody is there.
-WAIT_WORD = _WORD.pack(0, 0, 0, 0, 0, 0, WAIT)
+STOP_WORD = _WORD.pack(*[0] * 12, STOP)
+#: There is nothing to do yet, but the client is there.
+WAIT_WORD = _WORD.pack(*[0] * 12, WAIT)
 
 
-def setpoint(q: Sequence[float]) -> bytes:
-    """Six joints, rad, as the streaming program reads them."""
-    return _WORD.pack(*[round(each * SCALE) for each in q], FOLLOW)
+def setpoint(q: Sequence[float], qd: Sequence[float]) -> bytes:
+    """A set-point as the streaming program reads it.
+
+    Args:
+        q: (6,) rad.
+        qd: (6,) rad/s with which the program goes on from there until the next one comes.
+    """
+    return _WORD.pack(*[round(each * SCALE) for each in (*q, *qd)], FOLLOW)
 
 
-def read_word(word: bytes) -> tuple[list[float], int]:
-    """What a word says: six joints, rad, and what to do."""
-    *joints, mode = _WORD.unpack(word)
-    return [joint / SCALE for joint in joints], mode
+def read_word(word: bytes) -> tuple[list[float], list[float], int]:
+    """What a word says: positions of the joints, rad, their speeds, rad/s, and what to do."""
+    *numbers, mode = _WORD.unpack(word)
+    values = [each / SCALE for each in numbers]
+    return values[:6], values[6:], mode
 
 
 @dataclass(frozen=True)

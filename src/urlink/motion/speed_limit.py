@@ -6,7 +6,7 @@ second that passes adds one, up to a ceiling:
 
 - one period of the set-points and `EARLY`, as long as they leave evenly;
 - after a late one, its lateness in addition (`LATE` at most, where nothing else is said), for the set-points that
-  follow it at once. Meanwhile the program on the robot goes on by its last step
+  follow it at once. Meanwhile the program on the robot goes on at its last speed
   (`urlink.urscript.programs.streaming`), so to catch up is no leap. The first set-point that is on time again gives up
   the rest.
 """

@@ -7,10 +7,10 @@ written out element by element, since arithmetic on whole lists came late.
 Two of the programs open a socket back to this computer, as those of public drivers do: the one in
 `urlink.urscript.waypoints`, and `streaming`. Both say first which program they are, by a token that only this text
 holds, since whoever else finds the port must not be taken for the robot. Over registers (`InputRegisters`) it is the
-other way round: the program waits for the token. Over its socket `streaming` then reads seven big-endian int32
-per set-point: six joints in millionths of a rad, and what to do, one of `STOP`, `FOLLOW` and `WAIT`. The answer of
-``socket_read_binary_integer`` begins with the count that was read; after two seconds without anything, or once the link
-is gone, that is less than seven.
+other way round: the program waits for the token. Over its socket `streaming` then reads thirteen big-endian int32
+per set-point: positions of the six joints in millionths of a rad, their speeds in millionths of a rad/s, and what to
+do, one of `STOP`, `FOLLOW` and `WAIT`. The answer of ``socket_read_binary_integer`` begins with the count that was
+read; after two seconds without anything, or once the link is gone, that is less than thirteen.
 
 What ends such a program before its time it says with a ``textmsg``: `NO_CONNECTION`, `LINK_ENDED`, `STARVED`,
 `TOO_FAR`.
@@ -59,7 +59,7 @@ __all__ = [
 TOKENS = 1 << 31
 #: What a set-point is multiplied by.
 SCALE = 1_000_000
-#: The last of the seven numbers: brake and end, go to this set-point, or do nothing yet.
+#: The last of the thirteen numbers: brake and end, go to this set-point, or do nothing yet.
 STOP, FOLLOW, WAIT = 0, 1, 2
 
 NO_CONNECTION = "urlink: cannot connect"
@@ -162,8 +162,8 @@ class ReverseSocket(NamedTuple):
 class InputRegisters(NamedTuple):
     """Input registers that this computer writes by RTDE: nothing has to be reached from the robot.
 
-    Set-points are in six floating point registers, as rad. Three integer registers hold the number of the word, by
-    which a new one is known; what to do; and the token. That a program sees all inputs of
+    Set-points are in twelve floating point registers: positions, rad, and speeds, rad/s. Three integer registers hold
+    the number of the word, by which a new one is known; what to do; and the token. That a program sees all inputs of
     one RTDE package in the same cycle is what public clients with such programs rely on.
 
     Attributes:
@@ -203,9 +203,12 @@ def streaming(
 ) -> list[str]:
     """Follow set-points, one per cycle, and brake where they stay away.
 
-    A late one makes hardly a dent: meanwhile the arm goes on by its last step, less and less of it until the watchdog's
-    time is up, when it has come to rest. None is followed faster than the joints can move: where it is further away, it
-    is approached at their largest speed. So whatever goes wrong on the way, the arm does not leap.
+    While one is late the arm goes on at the speed that came with the last, ever slower, until it has come to rest when
+    the watchdog's time is up. The speed is told, and not derived from the last two positions: where set-points come
+    only every tenth cycle, a difference between positions holds mostly what the program itself went on by, and so it
+    would go on in a direction that is not wanted any more. No set-point is followed faster than the joints can move:
+    where it is further away, it is approached at their largest speed. So whatever goes wrong on the way, the arm does
+    not leap.
 
     Args:
         link: how the set-points come.
@@ -216,6 +219,7 @@ def streaming(
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     most_missed = missable(watchdog, firmware.rate)
+    cycle = number(1.0 / firmware.rate)
     ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
     if isinstance(link, ReverseSocket):
         # Reading waits, so a thread of its own moves the arm.
@@ -235,7 +239,6 @@ def streaming(
         starved = False
         {kind} servo():
           q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-          last = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           missed = 0
           begun = False
@@ -247,10 +250,7 @@ def streaming(
             elif wanted == {WAIT}:
               sync()
             elif is_new:
-              if begun:
-                share = 1.0 / (missed + 1)
-                step = [{each("(goal[{i}] - last[{i}]) * share")}]
-              end
+              step = [{each("speed[{i}] * " + cycle)}]
               if begun:
                 q = [{each("bounded(goal[{i}], q[{i}], {way})", ways)}]
               else:
@@ -258,7 +258,6 @@ def streaming(
               end
               begun = True
               missed = 0
-              last = goal
               {servo}
             elif missed < {most_missed}:
               missed = missed + 1
@@ -281,6 +280,7 @@ def streaming(
 #: What the thread that reads the socket hands over to the one that moves the arm.
 _SHARED = f"""
     target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    target_speed = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     mode = {WAIT}
     fresh = False
 """
@@ -290,6 +290,7 @@ _TAKE_SHARED = """
     is_new = fresh
     fresh = False
     goal = target
+    speed = target_speed
     exit_critical
 """
 
@@ -302,22 +303,24 @@ def _over_socket(link: ReverseSocket) -> str:
           servo_thread = run servo()
           reading = True
           while reading:
-            word = socket_read_binary_integer(7)
-            if word[0] < 7:
+            word = socket_read_binary_integer(13)
+            if word[0] < 13:
               if not starved:
                 textmsg({quoted(LINK_ENDED)})
               end
               reading = False
             elif starved:
               reading = False
-            elif word[7] == {FOLLOW}:
+            elif word[13] == {FOLLOW}:
               goal_read = [{each("word[{n}] / " + number(SCALE))}]
+              speed_read = [{each("word[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
               enter_critical
               target = goal_read
+              target_speed = speed_read
               fresh = True
               mode = {FOLLOW}
               exit_critical
-            elif word[7] == {STOP}:
+            elif word[13] == {STOP}:
               reading = False
             end
           end
@@ -342,6 +345,7 @@ def _take_registers(link: InputRegisters) -> str:
         is_new = number != seen
         seen = number
         goal = [{each("read_input_float_register({way})", [str(link.first_float + i) for i in range(6)])}]
+        speed = [{each("read_input_float_register({way})", [str(link.first_float + 6 + i) for i in range(6)])}]
     """
 
 

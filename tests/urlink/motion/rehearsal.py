@@ -22,6 +22,7 @@ from urlink.motion.context import MotionContext
 from urlink.motion.motions import LinkName, Motions
 from urlink.motion.register_link import NAMES, RegisterPort
 from urlink.motion.reverse import ReversePort
+from urlink.motion.setpoints import WORD_SIZE
 from urlink.urscript.wrapping import finish_marker, start_marker
 from urlink.vectors import FloatArray
 
@@ -200,9 +201,9 @@ class Rehearsal(StandIn):
             assert inputs["input_int_register_47"] == int(
                 re.search(r"input_integer_register\(47\) == (\d+)", self.uploaded)[1]  # type: ignore[index]
             )
-            return [inputs[f"input_double_register_{42 + i}"] for i in range(6)], int(inputs["input_int_register_46"])
+            return [inputs[f"input_double_register_{36 + i}"] for i in range(6)], int(inputs["input_int_register_46"])
         assert self.link is not None
-        while len(self._rest) < 28:
+        while len(self._rest) < WORD_SIZE:
             try:
                 data = self.link.recv(4096)
             except ConnectionError:
@@ -210,9 +211,9 @@ class Rehearsal(StandIn):
             if not data:
                 return None
             self._rest += data
-        numbers = struct.unpack(">7i", self._rest[:28])
-        self._rest = self._rest[28:]
-        return [each / 1e6 for each in numbers[:6]], numbers[6]
+        numbers = struct.unpack(">13i", self._rest[:WORD_SIZE])
+        self._rest = self._rest[WORD_SIZE:]
+        return [each / 1e6 for each in numbers[:6]], numbers[12]
 
     def obey(self) -> tuple[list[float], int] | None:
         """One tick, and the word that answers it; the arm goes there."""

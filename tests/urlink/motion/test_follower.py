@@ -21,7 +21,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import Model, model
 from urlink.motion.follower import Follower
 from urlink.motion.following import ControllerClock, Tolerances
-from urlink.motion.setpoints import Servoing
+from urlink.motion.setpoints import WORD_SIZE, Servoing
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
 from urlink.urscript.programs import ReverseSocket
@@ -58,8 +58,13 @@ def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
 
 
 def word(data: bytes) -> tuple[list[float], int]:
-    numbers = struct.unpack(">7i", data)
-    return [each / 1e6 for each in numbers[:6]], numbers[6]
+    """Positions, and what to do."""
+    numbers = struct.unpack(">13i", data)
+    return [each / 1e6 for each in numbers[:6]], numbers[12]
+
+
+def speeds(data: bytes) -> list[float]:
+    return [each / 1e6 for each in struct.unpack(">13i", data)[6:12]]
 
 
 class Feeding:
@@ -72,6 +77,8 @@ class Feeding:
         self.time, self.now = 50.0, 1000.0
         self.q = list(turned(0.0))
         self.sent: list[list[float]] = []
+        #: of the last joint, rad/s
+        self.speeds: list[float] = []
 
     def state(self, cycles: float = 1, *, own: float | None = None, told: float | None = None) -> bytes:
         """So many cycles later; `own` s by this computer's clock, and with the time `told` in the state."""
@@ -81,6 +88,7 @@ class Feeding:
         if data and word(data)[1] == FOLLOW:
             self.q = word(data)[0]
             self.sent.append(self.q)
+            self.speeds.append(speeds(data)[5])
         return data
 
 
@@ -168,9 +176,9 @@ def test_what_was_missed_is_caught_up_with_a_tenth_faster(missed: int) -> None:
     for _ in range(600):
         feeding.state()
     sent = np.array(feeding.sent)[:, 5]
-    # Of the last step the program on the robot does n - n (n + 1) / 100 in n cycles without a set-point.
+    # In n cycles without a set-point the program on the robot goes on by n - n (n + 1) / 100 cycles' worth.
     coasted = missed - missed * (missed + 1) / 100
-    last_step = sent[before - 1] - sent[before - 2]
+    last_step = feeding.speeds[before - 1] * feeding.cycle
     here = sent[before - 1] + coasted * last_step
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert abs(sent[before] - here) <= 1.1 * fastest + 1e-6
@@ -277,8 +285,8 @@ class Program:
     def __init__(self, servoing: Servoing, q: list[float]) -> None:
         self.q = list(q)
         self.is_over = False
-        self._last = list(q)
         self._step = [0.0] * 6
+        self._cycle = 1.0 / servoing.firmware.rate
         self._missed = 0
         self._missable = servoing.missable
         self._ways = [speed / servoing.firmware.rate for speed in servoing.speeds]
@@ -286,15 +294,14 @@ class Program:
 
     def cycle(self, words: bytes) -> list[float]:
         """One cycle in which these words have come; what ``servoj`` is told."""
-        last_word = words[-28:]
+        last_word = words[-WORD_SIZE:]
         if self.is_over or (not last_word and not self._has_begun) or (last_word and word(last_word)[1] == WAIT):
             return self.q
         if last_word:
             goal = word(last_word)[0]
-            if self._has_begun:
-                self._step = [(b - a) / (self._missed + 1) for a, b in zip(self._last, goal, strict=True)]
+            self._step = [self._cycle * each for each in speeds(last_word)]
             self.q = self._bounded(goal) if self._has_begun else goal
-            self._has_begun, self._missed, self._last = True, 0, goal
+            self._has_begun, self._missed = True, 0
         elif self._missed < self._missable:
             self._missed += 1
             share = 1.0 - self._missed / self._missable
@@ -328,6 +335,34 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
     assert len(targets) > 24 + servoing(firmware).missable
     assert modelled.is_over
+
+
+@pytest.mark.parametrize("late", [0.012, 0.2, 0.4], ids=lambda each: f"{1000 * each:.0f} ms")
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_set_points_that_come_seldom_lead_along_the_trajectory(firmware: Firmware, late: float) -> None:
+    """As from a computer that is too busy: the program goes on by itself for most of the time, and by the right speed.
+
+    With the speed taken from the last two set-points it went on past the end, by 0.2 rad.
+    """
+    path = Trajectory.from_arrays([0.0, 0.5, 1.0], [turned(0.2), turned(0.0), turned(0.2)])
+    led = follower(firmware, path, Tolerances(path=None, goal=0.01, goal_time=3.0, start=0.05), watchdog=5.0)
+    feeding = Feeding(led, firmware)
+    feeding.q = turned(0.2)
+    program = Program(servoing(firmware, watchdog=5.0), feeding.q)
+    every = max(round(late * firmware.rate), 1)
+    places = [program.cycle(feeding.state())[5]]
+    while not led.is_over:
+        for _ in range(every - 1):
+            places.append(program.cycle(b"")[5])
+        feeding.q = program.q
+        places.append(program.cycle(feeding.state(every))[5])
+        feeding.q = program.q
+    times = np.arange(2, len(places) + 2) * feeding.cycle
+    error = np.abs(np.array(places) - path.at(times)[0][:, 5])
+    fastest = np.abs(path.at(np.linspace(0, 1, 1000))[1]).max()
+    assert error.max() < late * fastest
+    assert max(places) < 0.2 + 0.05
+    assert times[-1] < 1.0 + 3.0 + 2 * late
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)

@@ -29,6 +29,14 @@ WAVE = Trajectory.from_arrays(
 )
 
 
+STILL = [0.0] * 6
+
+
+def spinning(speed: float) -> list[float]:
+    """Of the last joint, rad/s."""
+    return [*STILL[:5], speed]
+
+
 def streaming(firmware: Firmware, **options: float) -> Bench:
     bench = Bench(
         programs.streaming(firmware, programs.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS, **options),
@@ -44,12 +52,12 @@ def test_follows_what_is_streamed(firmware: Firmware) -> None:
     bench = streaming(firmware, lookahead_time=0.03)
     cycles = round(WAVE.duration / bench.period)
     times = iter(np.arange(cycles) * bench.period)
-    bench.run(cycles, lambda: bench.sockets.waiting.extend(setpoint(WAVE.sample(next(times))[0])))
+    bench.run(cycles, lambda: bench.sockets.waiting.extend(setpoint(*WAVE.sample(next(times))[:2])))
     wanted = WAVE.at(np.arange(cycles) * bench.period)[0]
     # Whatever the arm trails by, it is never further away than it gets in 60 ms.
     fastest = np.abs(WAVE.at(np.linspace(0, 1.5, 1000))[1]).max()
     assert np.abs(np.array(bench.path[3:]) - wanted).max() < 0.06 * fastest
-    bench.sockets.waiting.extend(setpoint(HOME) + STOP_WORD)
+    bench.sockets.waiting.extend(setpoint(HOME, STILL) + STOP_WORD)
     bench.run(200)
     assert bench.has_finished
     assert bench.motion.is_standing
@@ -63,31 +71,32 @@ def test_a_set_point_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
     for bench in (smooth, gappy):
         for i in range(100):
             if bench is smooth or i % 10:
-                bench.sockets.waiting.extend(setpoint(turned(0.5 * i * bench.period)))
+                bench.sockets.waiting.extend(setpoint(turned(0.5 * i * bench.period), spinning(0.5)))
             bench.run()
     assert np.abs(np.array(smooth.path[-60:]) - gappy.path[-60:]).max() < 0.5 * 0.5 * smooth.period
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_goes_on_by_its_last_step_ever_slower(firmware: Firmware) -> None:
+def test_goes_on_at_the_speed_that_it_was_told_ever_slower(firmware: Firmware) -> None:
     bench = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
+    speed = spinning(0.004 * firmware.rate)
     for i in (0, 1, 2):
-        bench.sockets.waiting.extend(setpoint(turned(0.004 * i)))
+        bench.sockets.waiting.extend(setpoint(turned(0.004 * i), speed))
         bench.run()
     most = programs.missable(0.1, firmware.rate)
     bench.run(most)
     steps = np.diff([q[5] for q in targets])[1:]
     assert np.allclose(steps, [0.004, *(0.004 * (1 - n / most) for n in range(1, most + 1))], rtol=0, atol=1e-9)
-    # Two cycles without one: what comes then is the way of three.
+    # Wherever the last two were: what is told counts.
     late = streaming(firmware, watchdog=0.1)
     targets = []
     late.watch_servoj(targets.append)
     for step in (0, 1, None, None, 4, None):
-        late.sockets.waiting.extend(b"" if step is None else setpoint(turned(0.004 * step)))
+        late.sockets.waiting.extend(b"" if step is None else setpoint(turned(0.004 * step), spinning(-0.2)))
         late.run()
-    assert targets[-1][5] - targets[-2][5] == pytest.approx(0.004 * (1 - 1 / most), abs=1e-9)
+    assert targets[-1][5] - targets[-2][5] == pytest.approx(-0.2 / firmware.rate * (1 - 1 / most), abs=1e-9)
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
@@ -98,7 +107,7 @@ def test_does_not_leap_whatever_it_is_told(firmware: Firmware) -> None:
     bench.watch_servoj(targets.append, is_followed=False)
     away = [0.3, HOME[1] - 0.3, HOME[2] + 0.2, HOME[3] - 0.1, HOME[4] + 0.05, 0.5]
     for aim in (HOME, *[away] * round(0.5 * firmware.rate)):
-        bench.sockets.waiting.extend(setpoint(aim))
+        bench.sockets.waiting.extend(setpoint(aim, STILL))
         bench.run()
     steps = np.abs(np.diff(np.array(targets), axis=0))
     assert steps.max() <= np.pi / firmware.rate + 1e-9
@@ -110,7 +119,7 @@ def test_does_not_leap_whatever_it_is_told(firmware: Firmware) -> None:
 def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
     bench = streaming(firmware, watchdog=0.1)
     for i in range(50):
-        bench.sockets.waiting.extend(setpoint(turned(1.0 * i * bench.period)))
+        bench.sockets.waiting.extend(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
         bench.run()
     watchdog = round(np.ceil(0.1 / bench.period))
     bench.run(watchdog)
@@ -121,7 +130,7 @@ def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
     assert bench.motion.is_standing
     assert not bench.execution.is_over
     # What comes now comes too late.
-    bench.sockets.waiting.extend(setpoint(turned(0)))
+    bench.sockets.waiting.extend(setpoint(turned(0), STILL))
     bench.run(10)
     assert bench.has_finished
     assert bench.motion.is_standing
@@ -131,7 +140,7 @@ def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
 def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
     bench = streaming(firmware)
     for i in range(50):
-        bench.sockets.waiting.extend(setpoint(turned(1.0 * i * bench.period)))
+        bench.sockets.waiting.extend(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
         bench.run()
     bench.sockets.is_open = False
     bench.run(round(0.6 / bench.period))

@@ -20,6 +20,7 @@ from urlink.urscript import programs
 FIRMWARES = [Firmware(3, 15), Firmware(5, 11)]
 #: rad/s, of each joint of a UR5.
 SPEEDS = [np.pi] * 6
+STILL = [0.0] * 6
 PATH = Trajectory.from_arrays([0, 0.5, 1.0], [turned(0), turned(0.2), turned(0)])
 
 
@@ -69,12 +70,14 @@ def test_what_is_written() -> None:
     link = RegisterLink(Inputs(packages.append))
     assert not link.poll(has_begun=False)
     assert link.poll(has_begun=True)
-    link.send(WAIT_WORD + setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6]))
+    link.send(WAIT_WORD + setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6], [1.1, -1.2, 1.3, -1.4, 1.5, -1.6]))
     link.send(STOP_WORD)
     assert [tuple(package) for package in packages] == [NAMES, NAMES]
     token = link.endpoint.token
-    assert list(packages[0].values()) == pytest.approx([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1, programs.FOLLOW, token])
-    assert list(packages[1].values()) == [0.0] * 6 + [2, programs.STOP, token]
+    assert list(packages[0].values()) == pytest.approx(
+        [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1.1, -1.2, 1.3, -1.4, 1.5, -1.6, 1, programs.FOLLOW, token]
+    )
+    assert list(packages[1].values()) == [0.0] * 12 + [2, programs.STOP, token]
     assert link.received() == b""
     link.close()
     assert [link.is_up, link.poll(has_begun=True)] == [False, False]
@@ -88,7 +91,7 @@ def test_follows_what_is_written(firmware: Firmware) -> None:
     bench = Led(firmware, lookahead_time=0.03).connect()
     times = np.arange(round(PATH.duration * firmware.rate)) * bench.period
     for t in times:
-        bench.say(setpoint(PATH.sample(float(t))[0]))
+        bench.say(setpoint(*PATH.sample(float(t))[:2]))
     wanted = PATH.at(times)[0]
     fastest = np.abs(PATH.at(np.linspace(0, 1, 1000))[1]).max()
     assert np.abs(np.array(bench.path[-len(times) :]) - wanted).max() < 0.06 * fastest
@@ -110,7 +113,7 @@ def test_the_first_word_may_be_a_set_point(firmware: Firmware) -> None:
     bench.watch_servoj(targets.append)
     bench.run(3)
     for _ in range(5):
-        bench.say(setpoint(HOME))
+        bench.say(setpoint(HOME, STILL))
     assert np.array(targets) == pytest.approx(np.tile(HOME, (len(targets), 1)), abs=1e-6)
     assert len(targets) >= 4
 
@@ -131,7 +134,7 @@ def test_moves_by_nobody_elses_words(firmware: Firmware) -> None:
 def test_brakes_where_nothing_new_is_written(firmware: Firmware) -> None:
     bench = Led(firmware, watchdog=0.1).connect()
     for i in range(50):
-        bench.say(setpoint(turned(1.0 * i * bench.period)))
+        bench.say(setpoint(turned(1.0 * i * bench.period), [*STILL[:5], 1.0]))
     bench.run(round(np.ceil(0.1 / bench.period)))
     assert bench.said == []
     bench.run(2)
@@ -147,7 +150,7 @@ def test_a_word_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
     for bench in (smooth, gappy):
         for i in range(100):
             if bench is smooth or i % 10:
-                bench.say(setpoint(turned(0.5 * i * bench.period)))
+                bench.say(setpoint(turned(0.5 * i * bench.period), [*STILL[:5], 0.5]))
             else:
                 bench.run()
     assert np.abs(np.array(smooth.path[-60:]) - gappy.path[-60:]).max() < 0.5 * 0.5 * smooth.period
@@ -158,8 +161,8 @@ def test_does_not_leap_whatever_is_written(firmware: Firmware) -> None:
     bench = Led(firmware, watchdog=0.1).connect()
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append, is_followed=False)
-    bench.say(setpoint(HOME))
+    bench.say(setpoint(HOME, STILL))
     for _ in range(firmware.rate // 2):
-        bench.say(setpoint(turned(0.5)))
+        bench.say(setpoint(turned(0.5), STILL))
     assert np.abs(np.diff(np.array(targets), axis=0)).max() <= np.pi / firmware.rate + 1e-9
     assert targets[-1] == pytest.approx(turned(0.5), abs=1e-6)
