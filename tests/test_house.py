@@ -41,7 +41,9 @@ THREADS = {
 #: Part of a package -> the parts of it that it may import; the parts that are not named may import all but the cli.
 BELOW: dict[str, dict[str, set[str]]] = {
     "urlink": {
-        "interfaces": {"interfaces", "firmware"},
+        "interfaces": {"interfaces", "firmware", "ports", "services"},
+        "services": {"services", "firmware"},
+        "ports": {"ports"},
         "firmware": {"firmware"},
         "models": {"models", "interfaces", "inertias", "vectors"},
         "inertias": {"inertias"},
@@ -221,6 +223,7 @@ ROLES = {
     "packets": "the declared packets of one interface",
     "programs": "the programs that are running, and the text of those that are sent",
     "protocol": "the protocol of one interface",
+    "robot_api": "the Robot API of PolyScope X: its requests, and the port that answers them",
     "server": "what is served to TCP clients",
     "waypoints": "a motion that is given point by point, and the text of its program",
 }

@@ -31,7 +31,7 @@ class ReleasesDirective(SphinxDirective):
 
 def _row(number: int) -> tuple[str, ...]:
     row = RELEASES[number]
-    controller = {1: "CB2", 3: "CB3", 5: "e-Series"}[row.since.major]
+    controller = {1: "CB2", 3: "CB3", 5: "e-Series", 10: "PolyScope X"}[row.since.major]
     return (
         spans([number]),
         controller,

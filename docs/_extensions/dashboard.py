@@ -18,8 +18,9 @@ from sphinx.util.docutils import SphinxDirective
 from linkcore.wire.version import Version, version_text
 from urlink import Dashboard
 from urlink.interfaces.dashboard.commands import COMMANDS
+from urlink.interfaces.dashboard.robot_api import REQUESTS
 
-_HEAD = ("method", "command", "CB2, CB3", "e-Series", "in local control", "what it does")
+_HEAD = ("method", "command", "CB2, CB3", "e-Series", "PolyScope X", "in local control", "what it does")
 
 
 class DashboardDirective(SphinxDirective):
@@ -57,7 +58,19 @@ def _row(method: str, name: str, text: str) -> tuple[str, ...]:
     command = COMMANDS[name]
     line = f"{name} <{command.argument}>" if command.argument else name
     local = "refused" if command.needs_remote_control and command.e is not None else ""
-    return (method, line, _since(command.cb), _since(command.e), local, text.replace("**", "").replace("`", ""))
+    return (
+        method,
+        line,
+        _since(command.cb),
+        _since(command.e),
+        _in_robot_api(name),
+        local,
+        text.replace("**", "").replace("`", ""),
+    )
+
+
+def _in_robot_api(name: str) -> str:
+    return _since(REQUESTS[name][0].since if name in REQUESTS else None)
 
 
 def _since(version: Version | None) -> str:

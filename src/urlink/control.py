@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import Closed, LocalError
 from linkcore.streaming.stream import Stream
+from linkcore.wire.version import Since
 
 from .commanding.channel import CommandChannel
 from .commanding.interlock import Interlock, Policy
@@ -21,7 +22,6 @@ from .commanding.scripts import Scripts
 from .commanding.section import Section
 from .commanding.setting_channel import CommandsVia, SettingChannel
 from .commanding.settings import Settings
-from .firmware import Firmware
 from .identity import KnownIdentity
 from .interfaces.dashboard.client import Dashboard
 from .interfaces.primary.robot_state import RobotState
@@ -38,8 +38,8 @@ __all__ = ["Control", "Options"]
 
 #: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
 _ASK_TIMEOUT = 0.5
-#: The first e-Series firmware whose dashboard can say so.
-_TELLS_CONTROL = Firmware(5, 6)
+#: The first firmware of the e-Series and of PolyScope X that can say so.
+_TELLS_CONTROL = Since("5.6/10.12")
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Control:
     Args:
         name: of the robot, for threads.
         host: where the controller is.
-        dashboard_port: of its dashboard; None if it serves none.
+        ports: name of each port that it serves -> number.
         primary, realtime: the streams. Nothing here keeps a robot alive that nobody holds any more: what the threads
             that read call back refers to the connections, and not to the streams.
         who: tells who the controller is.
@@ -78,7 +78,7 @@ class Control:
         self,
         name: str,
         host: str,
-        dashboard_port: int | None,
+        ports: Mapping[str, int],
         primary: Stream[RobotState],
         realtime: Stream[RealtimeState],
         who: KnownIdentity,
@@ -87,7 +87,7 @@ class Control:
         rtde: Callable[[], Rtde],
     ) -> None:
         self._host = host
-        self._dashboard_port = dashboard_port
+        self._ports = ports
         self._who = who
         self._timeout = timeout
         self._is_closed = False
@@ -122,13 +122,13 @@ class Control:
 
     @property
     def dashboard(self) -> Dashboard:
-        """The dashboard server.
+        """The dashboard server, or the Robot API of PolyScope X.
 
         Raises:
-            LocalError: a simulated controller that was told not to serve one.
+            LocalError: a simulated controller that was told to serve neither.
             Closed: the robot was closed before it was used.
         """
-        if self._dashboard_port is None:
+        if not self._ports.keys() & {"dashboard", "robot_api"}:
             raise LocalError("the controller serves no dashboard")
         known = self._dashboards.get("one")
         if known is not None:
@@ -138,12 +138,19 @@ class Control:
         return self._dashboards.setdefault("one", self._dashboard(self._timeout))
 
     def _dashboard(self, timeout: float) -> Dashboard:
-        assert self._dashboard_port is not None
-        return Dashboard(self._host, self._dashboard_port, lambda: self._who.identity.firmware, timeout=timeout)
+        return Dashboard(
+            self._host,
+            self._ports.get("dashboard"),
+            lambda: self._who.identity.firmware,
+            api_port=self._ports.get("robot_api"),
+            timeout=timeout,
+        )
 
     def _is_remote(self) -> bool | None:
         """Whether the robot is in remote control, asked on a connection of its own; None if nobody can tell."""
-        if self._dashboard_port is None or self._who.identity.firmware < _TELLS_CONTROL:
+        firmware = self._who.identity.firmware
+        port = "robot_api" if firmware.is_polyscope_x else "dashboard"
+        if port not in self._ports or firmware not in _TELLS_CONTROL:
             return None
         with self._dashboard(_ASK_TIMEOUT) as dashboard:
             return dashboard.is_in_remote_control()

@@ -60,6 +60,11 @@ class Firmware(NamedTuple):
         return self.major >= 5
 
     @property
+    def is_polyscope_x(self) -> bool:
+        """PolyScope X (10.x), which has a Robot API instead of the dashboard server."""
+        return self.major >= 10
+
+    @property
     def rate(self) -> int:
         """Packets a second on the real-time interface: 125 on CB2 and CB3, 500 on e-Series."""
         return 500 if self.is_e_series else 125
@@ -176,21 +181,39 @@ RELEASES: tuple[Release, ...] = (
         _e_series(75, 9, tool_mode=8, configuration=449),
         "vendor page; configuration by one report (5.25.1)",
     ),
+    Release(
+        Firmware(10, 7),
+        1220,
+        _e_series(75, 9, tool_mode=8),
+        "inferred: as 5.10; the vendor's client library is tested with 10.7 and 10.11",
+    ),
+    Release(
+        Firmware(10, 12),
+        1220,
+        _e_series(75, 9, tool_mode=8, configuration=449),
+        "inferred: as 5.25, which has the same functions; the vendor's client library is tested with 10.12",
+    ),
+    Release(
+        Firmware(10, 13),
+        1220,
+        _e_series(75, 9, tool_mode=8, configuration=449),
+        "inferred: as 10.12; the vendor's client library is tested with 10.13",
+    ),
 )
 
-#: The newest firmware that the table knows.
-NEWEST = RELEASES[-1].since
+#: The newest firmware of the e-Series that the table knows: what an arm is simulated with unless it is told otherwise.
+NEWEST = [row.since for row in RELEASES if row.since.major == 5][-1]
 
 
 def release_of(firmware: Firmware) -> Release:
-    """The row that holds for `firmware`; a later one than all known has the newest row.
+    """The row that holds for `firmware`; one that is later than all of its generation has the newest row below it.
 
     Raises:
         BadVersion: older than every row of the table.
     """
     rows = [row for row in RELEASES if row.since <= firmware]
     same = [row for row in rows if row.since.major == firmware.major]
-    if not rows or (not same and firmware.major < RELEASES[-1].since.major):
+    if not rows or (not same and not firmware.is_e_series):
         known = ", ".join(f"{major}.x" for major in sorted({row.since.major for row in RELEASES}))
         raise BadVersion(f"nothing is known of firmware {firmware}; the table has {known}, from {RELEASES[0].since} on")
     return (same or rows)[-1]

@@ -15,6 +15,7 @@ from .firmware import Firmware, infer, release_of
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_state import ConfigurationData, KinematicsInfo, RobotState
 from .models import MODELS, Model, model_of
+from .services import refusal_hint
 
 if TYPE_CHECKING:
     from .kinematics import Arm, DenavitHartenberg
@@ -113,7 +114,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
         WrongPeer: something else is talking.
     """
     until = time.monotonic() + timeout
-    transport = TcpTransport(host, port, silence=min(0.1, timeout))
+    transport = TcpTransport(host, port, silence=min(0.1, timeout), refused=lambda: refusal_hint(None))
     transport.open(timeout)
     protocol = PrimaryProtocol()
     received = b""

@@ -1,4 +1,4 @@
-"""The ports of the client interfaces and of the dashboard."""
+"""The ports of the client interfaces, of the dashboard and of the Robot API."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "realtime_readonly": 30013,
         "rtde": 30004,
         "dashboard": 29999,
+        "robot_api": 80,
     }
 )
 
 
 def interface(port: str) -> str:
-    """What a port speaks: primary, secondary, realtime, rtde or dashboard; a read-only twin what its twin does."""
+    """What a port speaks: its own name, but for a read-only port, which speaks what its twin does."""
     return port.removesuffix("_readonly")

@@ -133,7 +133,7 @@ def connect(
         robot._control = Control(
             address,
             place.host,
-            place.ports.get("dashboard"),
+            place.ports,
             robot.primary,
             robot.realtime,
             robot._who,

@@ -26,6 +26,7 @@ from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
 from .interfaces.realtime.packets import RealtimeState
 from .interfaces.realtime.protocol import RealtimeProtocol
+from .services import refusal_hint
 
 if TYPE_CHECKING:
     from .kinematics import DenavitHartenberg
@@ -101,20 +102,27 @@ def networked(
 ) -> Source:
     """A controller on the network, or a simulated one."""
     suffix = "_readonly" if read_only else ""
+    last: list[Identity] = []
 
     def ask() -> Identity:
         try:
-            return identify(place.host, place.ports["primary" + suffix], timeout)
+            last[:] = [identify(place.host, place.ports["primary" + suffix], timeout)]
         except ConnectFailed:
             # The version message is on the secondary interface too.
-            return identify(place.host, place.ports["secondary" + suffix], timeout)
+            last[:] = [identify(place.host, place.ports["secondary" + suffix], timeout)]
+        return last[0]
 
     def transport(interface: str) -> Transport:
-        if interface == "rtde":  # it has no read-only twin: who only asks for outputs writes nothing
-            return TcpTransport(place.host, place.ports["rtde"], silence=silence)
-        if interface not in INTERFACES:
+        # RTDE has no read-only twin: who only asks for outputs writes nothing.
+        port = "rtde" if interface == "rtde" else interface + suffix
+        if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-        return TcpTransport(place.host, place.ports[interface + suffix], silence=silence)
+        return TcpTransport(
+            place.host,
+            place.ports[port],
+            silence=silence,
+            refused=lambda: refusal_hint(last[0].firmware if last else None),
+        )
 
     return Source(ask, transport, backoff, timeout, silence, is_lossless=False)
 

@@ -171,7 +171,7 @@ SURFACES = {
         has_velocities is_quintic points q qd qdd retimed sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags follow
         greeting host is_running_program is_serving is_up model modes pendant ports program_name
-        realtime_packet received registers remote_control rtde schedule serial signals speed_fraction start
+        realtime_packet received registers remote_control robot_api rtde schedule serial signals speed_fraction start
         state_package step stopped_since take take_messages time""",
     "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
         reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request

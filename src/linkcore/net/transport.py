@@ -26,6 +26,7 @@ import struct
 import sys
 import time
 import weakref
+from collections.abc import Callable
 from typing import Protocol
 
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
@@ -94,13 +95,16 @@ class TcpTransport:
         port: TCP port.
         silence: seconds without a byte after which `receive` raises `LinkTimeout`, and without an acknowledgement after
             which the kernel gives the connection up.
+        refused: what to say beside the error where the connection is refused, such as which setting may be the cause;
+            "" for nothing.
     """
 
-    def __init__(self, host: str, port: int, *, silence: float) -> None:
+    def __init__(self, host: str, port: int, *, silence: float, refused: Callable[[], str] = str) -> None:
         self.host = host
         self.port = port
         self.silence = silence
         self.name = f"{host}:{port}"
+        self._refused = refused
         self._socket: socket.socket | None = None
         self._receive_timeout = silence  # what the socket has been told
 
@@ -131,7 +135,9 @@ class TcpTransport:
         try:
             connection = _connected(self.host, self.port, timeout, self.silence)
         except (OSError, ValueError) as error:
-            raise mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed) from error
+            failure = mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed)
+            hint = self._refused() if isinstance(error, ConnectionRefusedError) else ""
+            raise (ConnectFailed(f"{failure}; {hint}") if hint else failure) from error
         self._adopt(connection)
 
     def _adopt(self, connection: socket.socket) -> None:

@@ -16,7 +16,7 @@ from linkcore.streaming.stream import Stream
 from linkcore.text import printable, strict_json
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
-from ..firmware import NEWEST
+from ..firmware import RELEASES, Firmware
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..interfaces.realtime.packets import RealtimeState
@@ -196,11 +196,16 @@ def _identity(robot: Robot) -> Iterator[Finding]:
     seen = f"{identity.model or 'an arm that it does not name'}, firmware {identity.firmware}"
     if not identity.said_so:
         yield Finding("look", "controller", seen, "the firmware is inferred from the sizes of its packages")
-    elif identity.firmware > NEWEST and identity.firmware[:2] != NEWEST[:2]:
-        remedy = f"newer than {NEWEST}, the newest that is known: what it adds is kept and not understood"
+    elif identity.firmware[:2] > (newest := _newest(identity.firmware))[:2]:
+        remedy = f"newer than {newest}, the newest that is known: what it adds is kept and not understood"
         yield Finding("look", "controller", seen, remedy)
     else:
         yield Finding("ok", "controller", seen)
+
+
+def _newest(firmware: Firmware) -> Firmware:
+    """The newest firmware of the table that is no newer in its generation."""
+    return [row.since for row in RELEASES if row.since.major <= firmware.major][-1]
 
 
 def _modes(robot: Robot) -> Iterator[Finding]:

@@ -26,6 +26,7 @@ from .ports.dashboard import DashboardPort
 from .ports.port import Client, Port, ScriptReceiver
 from .ports.primary import PrimaryPort, RobotStates, SecondaryPort
 from .ports.realtime import RealtimePort
+from .ports.robot_api import RobotApiPort
 from .ports.rtde import RtdePort
 from .programs.loader import LineAssembler, ProgramLoader
 from .programs.pendant import Pendant
@@ -55,8 +56,8 @@ RECEIVED = 1000
 
 
 class Controller:
-    """A robot controller in software: it serves the primary, secondary and real-time interfaces and the dashboard, and
-    runs the URScript that is sent to it.
+    """A robot controller in software: it serves the primary, secondary and real-time interfaces, RTDE and the dashboard
+    (or the Robot API of PolyScope X), and runs the URScript that is sent to it.
 
     As a context manager it serves its ports from one thread of its own::
 
@@ -70,7 +71,8 @@ class Controller:
         model: name of the arm, such as `"UR10"`; None for a UR5e, or a UR5 where the firmware is older than 5.0.
         firmware: None for the newest that suits the model.
         host: address to listen on; `""` for every IPv4 address of this computer, `"::"` for those of both families.
-        ports: `"free"` for any that are free, `"standard"` for those of a real controller, or a mapping from names in
+        ports: `"free"` for any that are free, `"standard"` for those that a real controller of this firmware has (80,
+            for the Robot API of PolyScope X, may need rights), or a mapping from names in
             `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
         seed: of the noise on the sensors and of random garbage.
         serial: serial number of the arm.
@@ -119,7 +121,7 @@ class Controller:
         self.host = host
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
         self._output_limit = output_limit
-        self._numbers = _port_numbers(ports)
+        self._numbers = _port_numbers(ports, chosen)
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
         self._clock = time.monotonic
@@ -140,6 +142,7 @@ class Controller:
         self._control = ControlLoop(state, self._runner, self._schedule, source)
         self._states = RobotStates(state)
         self._dashboard = DashboardPort(state, self.pendant)
+        self._robot_api = RobotApiPort(state, self._dashboard)
         self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
         self._ports: dict[str, Port] = {
             "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
@@ -147,6 +150,7 @@ class Controller:
             "realtime": self._realtime,
             "rtde": self._rtde,
             "dashboard": self._dashboard,
+            "robot_api": self._robot_api,
         }
 
     def _script_receiver(self, port: str, client: Client) -> ScriptReceiver:
@@ -230,6 +234,11 @@ class Controller:
     def dashboard(self) -> DashboardPort:
         """Answers the lines of dashboard clients."""
         return self._dashboard
+
+    @property
+    def robot_api(self) -> RobotApiPort:
+        """Answers the HTTP requests of PolyScope X; its operational mode."""
+        return self._robot_api
 
     @property
     def rtde(self) -> RtdePort:
@@ -446,9 +455,11 @@ def _numeric(address: str) -> str:
         raise BadValue(f"a reachable address is numeric, such as 192.168.1.2, not {address!r}") from None
 
 
-def _port_numbers(ports: str | Mapping[str, int]) -> dict[str, int]:
+def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[str, int]:
     if ports == "standard":
-        return dict(PORTS)
+        # Port 80 needs rights that few processes have, so it is asked for where something would be served there.
+        needless = "dashboard" if firmware.is_polyscope_x else "robot_api"
+        return {name: number for name, number in PORTS.items() if name != needless}
     if ports == "free":
         return dict.fromkeys(PORTS, 0)
     if isinstance(ports, str) or not ports or not ports.keys() <= PORTS.keys():

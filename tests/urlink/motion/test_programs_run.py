@@ -17,7 +17,7 @@ from urlink.urscript.wrapping import Permission, expiry_marker
 TOKEN = 0x01020304
 #: rad/s, of each joint of a UR5.
 SPEEDS = [np.pi] * 6
-FIRMWARES = [Firmware(1, 8), Firmware(3, 4), Firmware(5, 11)]
+FIRMWARES = [Firmware(1, 8), Firmware(3, 4), Firmware(5, 11), Firmware(10, 12)]
 NEW = FIRMWARES[1:]
 
 #: Smooth: at rest at both ends, with accelerations.

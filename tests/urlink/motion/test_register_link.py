@@ -17,7 +17,7 @@ from urlink.motion.trajectory import Trajectory
 from urlink.simulator.registers import Bank
 from urlink.urscript import programs
 
-FIRMWARES = [Firmware(3, 15), Firmware(5, 11)]
+FIRMWARES = [Firmware(3, 15), Firmware(5, 11), Firmware(10, 12)]
 #: rad/s, of each joint of a UR5.
 SPEEDS = [np.pi] * 6
 STILL = [0.0] * 6

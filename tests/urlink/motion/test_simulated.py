@@ -29,7 +29,7 @@ WAYS: list[tuple[str, str, dict[str, Any]]] = [
     ("ur5", "3.15", {"link": "rtde"}),
     ("ur5e", "5.4", {"link": "rtde"}),
     ("ur5e", "5.11", {}),
-    ("ur5e", "5.11", {"link": "rtde"}),
+    ("ur5e", "10.12", {"link": "rtde"}),
 ]
 #: Seconds that set-points may stay away: the machine that runs this may be busy with other things.
 WATCHDOG = 2.0

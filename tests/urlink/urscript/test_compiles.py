@@ -9,7 +9,7 @@ from urlink.simulator.urscript import ScriptError, compile_script
 from urlink.urscript import commands
 from urlink.urscript.wrapping import Permission, wrap
 
-FIRMWARES = ("1.8", "3.1", "3.4", "5.0", "5.11")
+FIRMWARES = ("1.8", "3.1", "3.4", "5.0", "5.11", "10.12")
 
 SOURCES = {
     "statement": "movej([0,0,0,0,0,0])",

@@ -1,4 +1,7 @@
-"""`Dashboard`: power, programs, popups and modes over the dashboard server (port 29999), what `robot.dashboard` is."""
+"""`Dashboard`: power, programs, popups and modes, what `robot.dashboard` is.
+
+It speaks to the dashboard server (port 29999), and on PolyScope X, which has none, to the Robot API (port 80).
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,17 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
-from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.net.http_client import HttpClient
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.version import version_text
 
 from ...firmware import Firmware
+from ...ports import PORTS
+from ...services import refusal_hint
 from ..enums import RobotMode, RobotModeCB2, SafetyMode
-from .commands import COMMANDS, NOT_IN_REMOTE_CONTROL, POLYSCOPE_X, FlightReport, OperationalMode, UserRole
+from .commands import COMMANDS, NOT_IN_REMOTE_CONTROL, FlightReport, OperationalMode, UserRole
+from .errors import DashboardRefused
 from .protocol import (
     DashboardProtocol,
     ProgramStatus,
@@ -31,6 +38,7 @@ from .protocol import (
     parse_truth,
     parse_user_role,
 )
+from .robot_api import RobotApi
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -46,25 +54,11 @@ _OFF_WITHIN = 5.0
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
-class DashboardRefused(RemoteError):
-    """The controller did not carry out a command, or answered what nobody can read as a yes.
-
-    Attributes:
-        command: what was sent.
-        reply: what the controller answered, in its own words.
-    """
-
-    def __init__(self, command: str, reply: str) -> None:
-        super().__init__(command, reply)
-        self.command = command
-        self.reply = reply
-
-    def __str__(self) -> str:
-        return f"{self.command!r}: the controller answered {self.reply!r}"
-
-
 class Dashboard:
-    """What can be asked of the dashboard server of one controller.
+    """What can be asked of the dashboard server of one controller, or of the Robot API of PolyScope X.
+
+    Both have the same methods, as far as the firmware has something for them. The Robot API has a connection for each
+    request, so what is said of connections here is said of the dashboard server.
 
     Connects at first use, and again where a connection was lost between two commands. A command that may have reached
     the controller is never sent a second time: where the reply does not come, the connection is closed and the error
@@ -83,8 +77,9 @@ class Dashboard:
 
     Args:
         host: name or address.
-        port: 29999 on a real controller.
+        port: of the dashboard server, 29999 on a real controller; None where it is not served.
         firmware: says what runs there; asked before each command, since it may have changed in between.
+        api_port: of the Robot API, 80 on a real controller; None where it is not served.
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
 
@@ -92,10 +87,26 @@ class Dashboard:
         BadValue: the timeout is not positive.
     """
 
-    def __init__(self, host: str, port: int, firmware: Callable[[], Firmware], *, timeout: float = 5.0) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int | None,
+        firmware: Callable[[], Firmware],
+        *,
+        api_port: int | None = PORTS["robot_api"],
+        timeout: float = 5.0,
+    ) -> None:
         self._timeout = _positive(timeout)
         self._firmware = firmware
-        self._transport = TcpTransport(host, port, silence=timeout)
+        self._port = port
+        self._api_port = api_port
+
+        def refused() -> str:
+            return refusal_hint(firmware())
+
+        self._http = HttpClient(host, api_port or 0, refused=refused)
+        self._api = RobotApi(self._http, timeout)
+        self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._name = f"the dashboard server at {self._transport.name}"
         self._lock = threading.Lock()
         self._protocol: DashboardProtocol | None = None
@@ -305,7 +316,10 @@ class Dashboard:
             command: one line of text, without its end.
             timeout: seconds for the reply; by default that of the dashboard.
         """
-        self._present()
+        firmware = self._present()
+        if firmware.is_polyscope_x:
+            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server that takes lines")
+        self._check_served(self._port, "dashboard server")
         encode_line(command)
         within = self._timeout if timeout is None else _positive(timeout)
         return self._exchange(command, within, lambda reply: not reply.casefold().startswith(_NOT_ALLOWED))
@@ -317,6 +331,7 @@ class Dashboard:
     def close(self) -> None:
         """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
         self._is_closed = True
+        self._http.close()
         self._transport.close()
 
     def __enter__(self) -> Self:
@@ -329,15 +344,22 @@ class Dashboard:
         return f"<Dashboard {self._transport.name}>"
 
     def _present(self) -> Firmware:
-        """What runs on the controller at present; raises `LocalError` where that has no dashboard server."""
-        firmware = self._firmware()
-        if firmware >= POLYSCOPE_X:
-            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server")
-        return firmware
+        """What runs on the controller at present; raises `Closed` after `close`."""
+        if self._is_closed:
+            raise Closed(f"{self._name} was closed")
+        return self._firmware()
+
+    def _check_served(self, port: int | None, what: str) -> None:
+        if port is None:
+            raise LocalError(f"the controller serves no {what}")
 
     def _do(self, name: str, argument: str | None = None, *, is_last: bool = False) -> str:
         """Have one command of the table carried out; returns the reply."""
         command, firmware = COMMANDS[name], self._present()
+        if firmware.is_polyscope_x:
+            self._check_served(self._api_port, "Robot API")
+            return self._api.do(name, argument, firmware)
+        self._check_served(self._port, "dashboard server")
         if not command.is_on(firmware):
             first = command.first(firmware)
             generation = "e-Series" if firmware.is_e_series else "CB2 or CB3"

@@ -233,7 +233,7 @@ class ConfigurationData(SubPackage):
     robot_type: RobotType = wire(Coded(Int32sb, RobotType), "", "type of the arm", since="1.8")
     robot_sub_type: int = wire(Int32sb, "", "sub-type of the arm", since="1.8")
     motor_type: IntVector | None = wire(Int32sb[6], "", "types of the motors", since="1.8", until="3.0")
-    reserved: IntVector | None = wire(Int16sb[2], "", "internal to the vendor", since="5.25")
+    reserved: IntVector | None = wire(Int16sb[2], "", "internal to the vendor", since="5.25/10.12")
 
 
 @packet(header=PACKAGE, type=7)

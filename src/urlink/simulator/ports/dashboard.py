@@ -30,7 +30,7 @@ from urlink.interfaces.enums import ProgramState
 from ..programs.pendant import Pendant
 from ..robot.modes import Power, Stop
 from ..state import ControllerState
-from .port import Client, LineReceiver
+from .port import AnsweringPort, Client, LineReceiver
 
 __all__ = ["DashboardPort"]
 
@@ -54,7 +54,7 @@ _UNNAMED = "<unnamed>"
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
-class DashboardPort:
+class DashboardPort(AnsweringPort):
     """The dashboard server of one controller: answers the lines of all its clients.
 
     Args:
@@ -80,19 +80,10 @@ class DashboardPort:
         }
 
     def is_offered(self) -> bool:
-        return True
+        return not self._state.firmware.is_polyscope_x
 
     def greeting(self) -> list[bytes]:
         return [f"{GREETING}\n".encode()]
-
-    def next_cycle(self, cycle: int) -> None:
-        return None
-
-    def packets(self, cycle: int) -> list[bytes]:
-        return []
-
-    def skip(self) -> None:
-        return None
 
     def receiver(self, client: Client) -> LineReceiver:
         def answer(line: str) -> None:
@@ -114,9 +105,13 @@ class DashboardPort:
         if found is None or not found[0].is_on(self._state.firmware):
             return _not_understood(text)
         command, argument = found
-        if command.needs_remote_control and self._is_local:
+        return self.carry_out(command.name, argument)
+
+    def carry_out(self, name: str, argument: str) -> str | None:
+        """Do what a command of the table says, on any firmware; returns its reply as `reply` does."""
+        if COMMANDS[name].needs_remote_control and self._is_local:
             return NOT_IN_REMOTE_CONTROL
-        return self._actions[command.name](argument)
+        return self._actions[name](argument)
 
     @property
     def _is_local(self) -> bool:

@@ -12,7 +12,7 @@ from typing import Protocol
 from ..programs.loader import LineAssembler
 from ..state import Counters
 
-__all__ = ["Client", "LineReceiver", "Port", "ReadOnlyReceiver", "Receiver", "ScriptReceiver"]
+__all__ = ["AnsweringPort", "Client", "LineReceiver", "Port", "ReadOnlyReceiver", "Receiver", "ScriptReceiver"]
 
 #: Bytes of a line from a client; longer ones are thrown away.
 LONGEST_LINE = 1 << 16
@@ -72,6 +72,25 @@ class Port(Protocol):
 
     def receiver(self, client: Client) -> Receiver:
         """What takes the bytes of a new client."""
+
+
+class AnsweringPort:
+    """What a port is beside its `receiver` whose clients are sent nothing but answers."""
+
+    def is_offered(self) -> bool:
+        return True
+
+    def greeting(self) -> list[bytes]:
+        return []
+
+    def next_cycle(self, cycle: int) -> int | None:
+        return None
+
+    def packets(self, cycle: int) -> list[bytes]:
+        return []
+
+    def skip(self) -> None:
+        return None
 
 
 class ReadOnlyReceiver:

@@ -52,7 +52,7 @@ def _dynamics(thread: ScriptThread) -> Dynamics:
     )
 
 
-@FAMILY.declare(since="5.23")
+@FAMILY.declare(since="5.23/10.11")
 def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
     """Joint speeds to the velocity of the TCP in the base frame."""
     thread.machine.spend(_COST)
@@ -60,7 +60,7 @@ def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -
     return _rows(thread.world.kinematics.jacobian(at, tool))
 
 
-@FAMILY.declare(since="5.23")
+@FAMILY.declare(since="5.23/10.11")
 def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
     """How the Jacobian changes at these joint speeds, per second."""
     thread.machine.spend(2 * _COST)
@@ -73,14 +73,14 @@ def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = 
     return _rows((after - before) / (2.0 * _MOMENT))
 
 
-@FAMILY.declare(since="5.23")
+@FAMILY.declare(since="5.23/10.11")
 def get_mass_matrix(thread: ScriptThread, q: Any = None) -> _Rows:
     """Joint accelerations to the torques that they take, kg m²."""
     thread.machine.spend(_COST)
     return _rows(_dynamics(thread).mass_matrix(_positions(thread, q, "get_mass_matrix")))
 
 
-@FAMILY.declare(since="5.23")
+@FAMILY.declare(since="5.23/10.11")
 def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
     """What constant joint speeds take, weight left out, Nm."""
     thread.machine.spend(_COST)

@@ -45,7 +45,7 @@ def get_target_joint_speeds(thread: ScriptThread) -> _List:
     return _floats(thread.world.qd_target)
 
 
-@FAMILY.declare(since="5.23")
+@FAMILY.declare(since="5.23/10.11")
 def get_target_joint_accelerations(thread: ScriptThread) -> _List:
     return _floats(thread.world.qdd_target)
 

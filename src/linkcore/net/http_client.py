@@ -1,0 +1,126 @@
+"""A client of HTTP with one deadline for all of an exchange: connecting, redirects, and every byte of the answer.
+
+The clients of the standard library bound each wait by itself, so that a server which sends a byte now and then holds
+them up for ever.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from urllib.parse import urljoin, urlsplit
+
+from ..errors import Closed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from ..wire.http import HttpParser, HttpRequest, HttpResponse
+from .transport import TcpTransport
+
+__all__ = ["HttpClient"]
+
+#: Redirects that are followed.
+_MOST_REDIRECTS = 5
+_MOVED = (301, 302, 303, 307, 308)
+
+
+class HttpClient:
+    """Asks one server, on a connection for each request. Threads may share it.
+
+    Args:
+        host: name or address.
+        port: TCP port.
+        refused: what to say beside the error where the connection is refused; see `TcpTransport`.
+    """
+
+    def __init__(self, host: str, port: int, *, refused: Callable[[], str] = str) -> None:
+        self.host = host
+        self.port = port
+        self._refused = refused
+        self._open: set[TcpTransport] = set()
+        self._is_closed = False
+
+    def ask(self, request: HttpRequest, timeout: float) -> HttpResponse:
+        """The answer to a request; redirects are followed.
+
+        Raises:
+            ConnectFailed, ConnectionLost: the server is not there, or goes away.
+            LinkTimeout: the answer was not whole within `timeout` seconds.
+                Closed: `close` was called.
+        """
+        until = time.monotonic() + timeout
+        host, port = self.host, self.port
+        for _ in range(_MOST_REDIRECTS + 1):
+            response = self._ask(host, port, request, until, timeout)
+            location = response.headers.get("location")
+            if response.status not in _MOVED or location is None:
+                return response
+            here = f"http://{_authority(host, port)}{request.target}"
+            try:
+                there = urlsplit(urljoin(here, location))
+                host, port = there.hostname or "", there.port or 80
+            except ValueError:
+                raise WrongPeer(f"{here} redirects to {location[:200]!r}, which is no address") from None
+            if there.scheme != "http" or not host:
+                raise WrongPeer(f"{here} redirects to {location[:200]}; only http is spoken here")
+            request = replace(request, target=f"{there.path or '/'}{'?' if there.query else ''}{there.query}")
+            if response.status == 303:
+                request = replace(request, method="GET", body=b"")
+        raise WrongPeer(f"{_authority(self.host, self.port)} redirects more than {_MOST_REDIRECTS} times")
+
+    def close(self) -> None:
+        """End what is under way; nothing is asked any more. Idempotent, from any thread."""
+        self._is_closed = True
+        for transport in tuple(self._open):
+            transport.abort()
+
+    def _ask(self, host: str, port: int, request: HttpRequest, until: float, timeout: float) -> HttpResponse:
+        transport = TcpTransport(host, port, silence=timeout, refused=self._refused)
+        data = request.encode(_authority(host, port))
+        parser = HttpParser("response")
+        self._open.add(transport)
+        try:
+            transport.open(_left(until, transport.name, timeout))
+            if self._is_closed:
+                raise ConnectionLost(f"{transport.name} was closed here")
+            transport.send(data, _left(until, transport.name, timeout))
+            answer = None
+            while answer is None:
+                answer = _received(transport, parser, _left(until, transport.name, timeout))
+            return answer
+        except (ConnectionLost, LinkTimeout) as error:
+            if self._is_closed:
+                raise Closed(f"{transport.name} was closed while {request.method} {request.target} waited") from error
+            raise
+        finally:
+            self._open.discard(transport)
+            transport.abort()
+
+
+def _received(transport: TcpTransport, parser: HttpParser, left: float) -> HttpResponse | None:
+    """The answer, once what has come now completes it."""
+    answer: HttpRequest | HttpResponse | None
+    try:
+        data = transport.receive(left)[0]
+    except ConnectionLost as lost:
+        try:
+            answer = parser.end()
+        except PacketError:
+            raise lost from None
+    else:
+        try:
+            answer = parser.feed(data)
+        except PacketError as error:
+            raise WrongPeer(f"{transport.name} does not talk like a web server: {error}") from None
+    assert not isinstance(answer, HttpRequest)
+    return answer
+
+
+def _left(until: float, name: str, timeout: float) -> float:
+    left = until - time.monotonic()
+    if left <= 0.0:
+        raise LinkTimeout(f"{name} has not answered within {timeout:g} s")
+    return left
+
+
+def _authority(host: str, port: int) -> str:
+    name = f"[{host}]" if ":" in host else host
+    return name if port == 80 else f"{name}:{port}"

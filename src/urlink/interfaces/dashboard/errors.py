@@ -1,0 +1,24 @@
+"""What a controller refuses to do for `robot.dashboard`."""
+
+from __future__ import annotations
+
+from linkcore.errors import RemoteError
+
+__all__ = ["DashboardRefused"]
+
+
+class DashboardRefused(RemoteError):
+    """The controller did not carry out a command, or answered what nobody can read as a yes.
+
+    Attributes:
+        command: what was sent.
+        reply: what the controller answered, in its own words.
+    """
+
+    def __init__(self, command: str, reply: str) -> None:
+        super().__init__(command, reply)
+        self.command = command
+        self.reply = reply
+
+    def __str__(self) -> str:
+        return f"{self.command!r}: the controller answered {self.reply!r}"

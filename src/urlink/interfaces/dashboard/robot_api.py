@@ -1,0 +1,200 @@
+"""The Robot API of PolyScope X: the one table of its requests, and who sends them.
+
+PolyScope X has no dashboard server. From 10.11 on it takes HTTP requests with bodies in JSON instead. The table has
+them by the names of the dashboard's commands, and what comes back is put into the dashboard server's words, so that
+`Dashboard` reads both alike. Source: the vendor's own client library (docs/protocols/dashboard.md, Robot API). What is
+not in it:
+
+- which of the emergency stops is meant by EMERGENCY_STOP: taken as the robot's own;
+- that `play` does not go on with a paused program: `resume` is sent where it is paused;
+- what is answered where no program is loaded: nothing, an empty name and null are all taken as none.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from linkcore.errors import BadValue, LocalError, PacketError
+from linkcore.net.http_client import HttpClient
+from linkcore.wire.http import HttpRequest
+from linkcore.wire.version import Version, version_text
+
+from ...firmware import Firmware
+from .errors import DashboardRefused
+
+__all__ = ["BASE", "REQUESTS", "ROBOT_API", "ApiRequest", "RobotApi", "find"]
+
+#: Where it lies on the controller.
+BASE = "/universal-robots/robot-api"
+#: The first firmware that has it.
+ROBOT_API: Version = (10, 11)
+
+_STATE, _PROGRAM, _LOADED = "/robotstate/v1/state", "/program/v1/state", "/program/v1/loaded"
+
+
+@dataclass(frozen=True)
+class ApiRequest:
+    """One request.
+
+    Attributes:
+        method: GET or PUT.
+        path: below `BASE`.
+        body: JSON object; an empty value is the command's argument.
+        reply: name of the member of the answer that is asked for; empty: nothing is.
+        words: the answer in the dashboard server's words, with the member in it.
+        names: values of the member -> what the dashboard server calls them.
+        since: the first firmware that has it.
+        until: the first firmware that has another request for it.
+        slow: seconds that the answer may take, where that is longer than a moment.
+    """
+
+    method: str
+    path: str
+    body: Mapping[str, str] = field(default_factory=dict)
+    reply: str = ""
+    words: str = "{}"
+    names: Mapping[str, str] = field(default_factory=dict)
+    since: Version = ROBOT_API
+    until: Version = (99, 0)
+    slow: float = 0.0
+
+
+def _change(action: str, slow: float = 0.0) -> tuple[ApiRequest]:
+    return (ApiRequest("PUT", _STATE, {"action": action}, slow=slow),)
+
+
+def _program(action: str) -> tuple[ApiRequest]:
+    return (ApiRequest("PUT", _PROGRAM, {"action": action}, slow=15.0),)
+
+
+def _mode(path: str, words: str = "{}", names: Mapping[str, str] = MappingProxyType({})) -> tuple[ApiRequest]:
+    return (ApiRequest("GET", path, reply="mode", words=words, names=names, since=(10, 12)),)
+
+
+#: name of the dashboard's command -> the requests for it, by firmware. "resume" is no command there.
+REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
+    {
+        # Powering on may take more than 10 s.
+        "power on": _change("POWER_ON", 60.0),
+        "power off": _change("POWER_OFF", 15.0),
+        "brake release": _change("BRAKE_RELEASE", 60.0),
+        "unlock protective stop": _change("UNLOCK_PROTECTIVE_STOP", 15.0),
+        "restart safety": _change("RESTART_SAFETY", 60.0),
+        "play": _program("play"),
+        "resume": _program("resume"),
+        "pause": _program("pause"),
+        "stop": _program("stop"),
+        "programState": (ApiRequest("GET", _PROGRAM, reply="state"),),
+        "load": (
+            ApiRequest("PUT", "/program/v1/load", {"programName": ""}, until=(10, 12), slow=60.0),
+            ApiRequest("PUT", _LOADED, {"name": ""}, since=(10, 12), slow=60.0),
+        ),
+        "get loaded program": (ApiRequest("GET", _LOADED, reply="name", words="Loaded program: {}", since=(10, 12)),),
+        "robotmode": _mode("/robotstate/v1/robotmode", "Robotmode: {}", {"UPDATING": "UPDATING_FIRMWARE"}),
+        "safetymode": _mode("/robotstate/v1/safetymode", "Safetymode: {}", {"EMERGENCY_STOP": "ROBOT_EMERGENCY_STOP"}),
+        "is in remote control": _mode("/system/v1/controlmode"),
+        "get operational mode": _mode("/system/v1/operationalmode"),
+    }
+)
+
+#: What else answers a question that the Robot API does not.
+_INSTEAD = {
+    "running": "program_state() tells whether a program plays",
+    "safetystatus": "safety_mode() is there",
+    "popup": "robot.popup() shows one by a program",
+    "get serial number": "no interface that is read here has it",
+    "get robot model": "robot.model has it",
+    "version": "robot.firmware has it",
+    "PolyscopeVersion": "robot.firmware has it",
+}
+#: Characters of an answer that an error quotes.
+_QUOTED = 200
+
+
+class RobotApi:
+    """Has commands of the dashboard carried out over the Robot API.
+
+    Args:
+        client: of its server.
+        timeout: seconds for a request that is not slow.
+    """
+
+    def __init__(self, client: HttpClient, timeout: float) -> None:
+        self._client = client
+        self._timeout = timeout
+
+    def do(self, name: str, argument: str | None, firmware: Firmware) -> str:
+        """Have one command carried out; returns the answer in the dashboard server's words.
+
+        Raises:
+            LocalError: this firmware has no request for it; BadValue: it needs an argument. Nothing was sent.
+            DashboardRefused: the controller answered with another status than 200.
+            PacketError: what it answered says something else.
+            RemoteError: what `HttpClient.ask` raises.
+        """
+        if name == "is in remote control":
+            return "true" if self._value(name, None, firmware) == "REMOTE" else "false"
+        if name == "get loaded program":
+            return self._value(name, None, firmware) or "No program loaded"
+        if name == "play" and self._value("programState", None, firmware) == "PAUSED":
+            name = "resume"
+        words = self._value(name, argument, firmware)
+        if name == "programState" and find("get loaded program", firmware) is not None:
+            words += " " + self._value("get loaded program", None, firmware).removeprefix("Loaded program: ")
+        return words.rstrip()
+
+    def _value(self, name: str, argument: str | None, firmware: Firmware) -> str:
+        request = find(name, firmware)
+        if request is None:
+            raise LocalError(_lacking(name, firmware))
+        body = {key: _argument(name, argument) if value == "" else value for key, value in request.body.items()}
+        answer = self._ask(request, body)
+        if not request.reply:
+            return ""
+        value = answer.get(request.reply)
+        if value is not None and not isinstance(value, str):
+            raise PacketError(f"{request.reply!r} is {value!r}", packet=f"answer to GET {request.path}")
+        return request.words.format(request.names.get(value, value)) if value else ""
+
+    def _ask(self, request: ApiRequest, body: Mapping[str, str]) -> Mapping[str, Any]:
+        headers = {"Accept": "application/json"} | ({"Content-Type": "application/json"} if body else {})
+        data = json.dumps(body).encode() if body else b""
+        asked = HttpRequest(request.method, BASE + request.path, headers, data)
+        response = self._client.ask(asked, max(self._timeout, request.slow))
+        text = response.body.decode("utf-8", "backslashreplace")
+        if response.status != 200:
+            command = " ".join([request.method, request.path, *body.values()])
+            reply = f"{response.status} {response.reason}".rstrip() + (f": {text[:_QUOTED]}" if text else "")
+            raise DashboardRefused(command, reply)
+        if not request.reply:
+            return {}
+        try:
+            answer = json.loads(text) if text else {}
+        except (ValueError, RecursionError):
+            answer = None
+        if not isinstance(answer, dict):
+            raise PacketError(f"{text[:_QUOTED]!r} is no object", packet=f"answer to GET {request.path}")
+        return answer
+
+
+def find(name: str, firmware: Firmware) -> ApiRequest | None:
+    """The request for a command of the dashboard, or None where this firmware has none."""
+    return next((each for each in REQUESTS.get(name, ()) if each.since <= firmware < each.until), None)
+
+
+def _argument(name: str, argument: str | None) -> str:
+    if not isinstance(argument, str) or not argument.strip():
+        raise BadValue(f"{name!r} needs the name of a program, not {argument!r}")
+    return argument
+
+
+def _lacking(name: str, firmware: Firmware) -> str:
+    begin = f"firmware {firmware} is PolyScope X, which has no dashboard server"
+    if name not in REQUESTS:
+        instead = f"; {_INSTEAD[name]}" if name in _INSTEAD else ""
+        return f"{begin}, and its Robot API has nothing for {name!r}{instead}"
+    return f"{begin}; the first whose Robot API has {name!r} is {version_text(REQUESTS[name][0].since)}"

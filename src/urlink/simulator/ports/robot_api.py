@@ -1,0 +1,148 @@
+"""The Robot API of a simulated PolyScope X: one HTTP request, one answer in JSON, and the connection ends.
+
+What it takes is in the one table of `urlink.interfaces.dashboard.robot_api`; it does what the dashboard's command of
+that name does. Guesses, all of them: the status and body of an answer that says no (400 for what cannot be read, 403 in
+local control, 404 for what is not there, 405 for another method, 409 for what cannot be done now); that actions are
+answered at once; the version of the API before 10.12; the name of the control mode that is not REMOTE.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from linkcore.errors import PacketError
+from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
+from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
+from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, ROBOT_API, ApiRequest, find
+
+from ..state import ControllerState
+from .dashboard import DashboardPort
+from .port import AnsweringPort, Client, Receiver
+
+__all__ = ["RobotApiPort"]
+
+_REASONS = {
+    200: "OK",
+    400: "Bad Request",
+    403: "Forbidden",
+    404: "Not Found",
+    405: "Method Not Allowed",
+    409: "Conflict",
+}
+#: Commands of the dashboard that the API has under another name.
+_COMMANDS = {"resume": "play"}
+
+
+class RobotApiPort(AnsweringPort):
+    """The Robot API of one controller.
+
+    Args:
+        state: of the controller.
+        dashboard: whose commands it carries out.
+
+    Attributes:
+        operational_mode: "AUTOMATIC" or "MANUAL".
+    """
+
+    def __init__(self, state: ControllerState, dashboard: DashboardPort) -> None:
+        self._state = state
+        self._dashboard = dashboard
+        self.operational_mode = "AUTOMATIC"
+
+    def is_offered(self) -> bool:
+        return self._state.firmware >= ROBOT_API
+
+    def receiver(self, client: Client) -> Receiver:
+        return _Exchange(self, client)
+
+    def respond(self, request: HttpRequest) -> HttpResponse:
+        """The answer to a request."""
+        path = request.target.partition("?")[0]
+        if path == f"{BASE}/openapi.json":
+            version = "3.1.4" if self._state.firmware >= (10, 12) else "3.0.0"
+            return _answer(200, {"openapi": "3.0.3", "info": {"title": "Robot API", "version": version}})
+        known = {name: each for name in REQUESTS if (each := find(name, self._state.firmware)) is not None}
+        there = {name: each for name, each in known.items() if BASE + each.path == path}
+        if not there:
+            return _refusal(404, f"nothing is at {path[:200]}")
+        fitting = {name: each for name, each in there.items() if each.method == request.method}
+        if not fitting:
+            return _refusal(405, f"{request.method} is not taken there")
+        if request.method == "GET":
+            ((name, asked),) = fitting.items()
+            return _answer(200, {asked.reply: self._value(name)})
+        return self._change(fitting, request.body)
+
+    def _change(self, fitting: Mapping[str, ApiRequest], body: bytes) -> HttpResponse:
+        try:
+            said = json.loads(body)
+        except (ValueError, RecursionError):
+            said = None
+        if not isinstance(said, dict):
+            return _refusal(400, "the body is no object in JSON")
+        for name, request in fitting.items():
+            if all(isinstance(said.get(key), str) and value in ("", said[key]) for key, value in request.body.items()):
+                argument = next((str(said[key]) for key, value in request.body.items() if value == ""), "")
+                return self._carry_out(_COMMANDS.get(name, name), argument)
+        return _refusal(400, f"the body asks for nothing that is known: {str(said)[:200]}")
+
+    def _carry_out(self, name: str, argument: str) -> HttpResponse:
+        words = self._dashboard.carry_out(name, argument) or ""
+        if COMMANDS[name].match(words):
+            return _answer(200, {"message": words})
+        if words == NOT_IN_REMOTE_CONTROL:
+            return _refusal(403, "the robot is not in remote control")
+        return _refusal(404 if words.startswith("File not found") else 409, words)
+
+    def _value(self, name: str) -> str:
+        state = self._state
+        if name == "robotmode":
+            mode = state.modes.robot_mode.name
+            return {"UPDATING_FIRMWARE": "UPDATING"}.get(mode, mode)
+        if name == "safetymode":
+            mode = state.modes.safety_mode.name
+            return "EMERGENCY_STOP" if mode.endswith("EMERGENCY_STOP") else mode
+        if name == "programState":
+            return (self._dashboard.carry_out(name, "") or "").partition(" ")[0]
+        if name == "get loaded program":
+            return state.loaded or ""
+        if name == "is in remote control":
+            return "REMOTE" if state.remote_control else "LOCAL"
+        return self.operational_mode
+
+
+class _Exchange:
+    """The one request of a connection."""
+
+    def __init__(self, port: RobotApiPort, client: Client) -> None:
+        self._port = port
+        self._client = client
+        self._parser = HttpParser("request")
+
+    def feed(self, data: bytes) -> None:
+        if not self._client.is_open:
+            return
+        try:
+            request = self._parser.feed(data)
+            if request is None:
+                return
+            assert isinstance(request, HttpRequest)
+            answer = self._port.respond(request)
+        except PacketError as error:
+            answer = _refusal(400, str(error))
+        self._client.send(answer.encode())
+        self._client.finish()
+
+    def end(self) -> None:
+        return None
+
+
+def _answer(status: int, body: Mapping[str, Any]) -> HttpResponse:
+    headers = {"Content-Type": "application/json"}
+    return HttpResponse(status, _REASONS[status], headers, json.dumps(body).encode())
+
+
+def _refusal(status: int, message: str) -> HttpResponse:
+    return _answer(status, {"message": message})

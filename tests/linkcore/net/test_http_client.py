@@ -1,0 +1,161 @@
+"""A client of HTTP against a server whose every byte the test decides: redirects, deadlines, and ends."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from linkcore.errors import Closed, ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer
+from linkcore.net.http_client import HttpClient
+from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
+from tests.waiting import until
+
+PATIENCE = 10.0
+Say = Callable[[HttpRequest], Iterator[bytes]]
+
+
+class WebServer:
+    """Answers each request with the pieces that `say` yields, and closes; an endless `say` is left when it closes."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self.asked: list[HttpRequest] = []
+        self._is_closed = False
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            with connection, contextlib.suppress(OSError):
+                connection.settimeout(PATIENCE)
+                parser, request = HttpParser("request"), None
+                while request is None:
+                    request = parser.feed(connection.recv(65536))
+                assert isinstance(request, HttpRequest)
+                self.asked.append(request)
+                for piece in self._say(request):
+                    if self._is_closed:
+                        return
+                    connection.sendall(piece)
+
+    def close(self) -> None:
+        self._is_closed = True
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[Say], WebServer]]:
+    made: list[WebServer] = []
+
+    def serve(say: Say) -> WebServer:
+        made.append(WebServer(say))
+        return made[-1]
+
+    yield serve
+    for server in made:
+        server.close()
+
+
+Serve = Callable[[Say], WebServer]
+
+
+def once(response: HttpResponse) -> Say:
+    return lambda request: iter([response.encode()])
+
+
+def test_a_redirect_is_followed_with_method_and_body(serve: Serve) -> None:
+    there = serve(once(HttpResponse(200, "OK", {}, b"there")))
+
+    def say(request: HttpRequest) -> Iterator[bytes]:
+        where = {"/a": "/b?c=d", "/b?c=d": f"http://127.0.0.1:{there.port}/end", "/see": "/other"}[request.target]
+        yield HttpResponse(303 if request.target == "/see" else 307, "", {"Location": where}).encode()
+
+    here = serve(say)
+    client = HttpClient("127.0.0.1", here.port)
+    assert client.ask(HttpRequest("PUT", "/a", {}, b"body"), PATIENCE).body == b"there"
+    asked = [(each.method, each.target, each.body) for each in [*here.asked, *there.asked]]
+    assert asked == [("PUT", "/a", b"body"), ("PUT", "/b?c=d", b"body"), ("PUT", "/end", b"body")]
+    assert here.asked[0].headers["host"] == f"127.0.0.1:{here.port}"
+
+
+@pytest.mark.parametrize(
+    ("location", "error"),
+    [
+        ("/again", "redirects more than 5 times"),
+        ("https://127.0.0.1/", "only http is spoken here"),
+        ("http://[", "is no address"),
+    ],
+)
+def test_where_a_redirect_is_not_followed(serve: Serve, location: str, error: str) -> None:
+    server = serve(once(HttpResponse(302, "Found", {"Location": location})))
+    with pytest.raises(WrongPeer, match=error):
+        HttpClient("127.0.0.1", server.port).ask(HttpRequest("GET", "/"), PATIENCE)
+
+
+def test_the_deadline_is_for_all_of_the_answer(serve: Serve) -> None:
+    def drip(request: HttpRequest) -> Iterator[bytes]:
+        yield b"HTTP/1.1 200 OK\r\n"
+        while True:
+            time.sleep(0.02)
+            yield b"X-A: b\r\n"
+
+    server = serve(drip)
+    began = time.monotonic()
+    with pytest.raises(LinkTimeout):
+        HttpClient("127.0.0.1", server.port).ask(HttpRequest("GET", "/"), 0.2)
+    assert time.monotonic() - began < PATIENCE / 2
+
+
+def test_what_answers_otherwise(serve: Serve) -> None:
+    other = serve(lambda request: iter([b"Connected: Universal Robots Dashboard Server\r\n"]))
+    with pytest.raises(WrongPeer, match="does not talk like a web server"):
+        HttpClient("127.0.0.1", other.port).ask(HttpRequest("GET", "/"), PATIENCE)
+    half = serve(lambda request: iter([b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nhalf"]))
+    with pytest.raises(ConnectionLost):
+        HttpClient("127.0.0.1", half.port).ask(HttpRequest("GET", "/"), PATIENCE)
+    open_end = serve(lambda request: iter([b"HTTP/1.1 200 OK\r\n\r\n", b"all of it"]))
+    assert HttpClient("127.0.0.1", open_end.port).ask(HttpRequest("GET", "/"), PATIENCE).body == b"all of it"
+
+
+def test_who_is_refused_is_told_what_may_be_the_cause() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as gone:
+        port = gone.getsockname()[1]
+    with pytest.raises(ConnectFailed, match=r"refused.*; it may be switched off"):
+        HttpClient("127.0.0.1", port, refused=lambda: "it may be switched off").ask(HttpRequest("GET", "/"), 5)
+
+
+def test_closing_ends_what_waits(serve: Serve) -> None:
+    is_over = threading.Event()
+
+    def wait(request: HttpRequest) -> Iterator[bytes]:
+        is_over.wait(PATIENCE)
+        yield b""
+
+    server = serve(wait)
+    client = HttpClient("127.0.0.1", server.port)
+
+    def close() -> None:
+        until(lambda: server.asked)
+        client.close()
+
+    threading.Thread(target=close).start()
+    try:
+        with pytest.raises(Closed, match="was closed while GET / waited"):
+            client.ask(HttpRequest("GET", "/"), PATIENCE)
+    finally:
+        is_over.set()

@@ -1,0 +1,127 @@
+"""HTTP messages: what is written is read again however it is cut, and nothing else is taken for a message."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue, PacketError
+from linkcore.wire.http import LONGEST_BODY, LONGEST_HEAD, HttpParser, HttpRequest, HttpResponse
+
+Message = HttpRequest | HttpResponse
+
+
+def read(parser: HttpParser, pieces: Iterable[bytes]) -> Message | None:
+    found = None
+    for piece in pieces:
+        assert found is None, "whole before its end"
+        found = parser.feed(piece)
+    return found
+
+
+def cut(data: bytes, places: Iterable[int]) -> list[bytes]:
+    edges = [0, *sorted({place % len(data) for place in places} - {0}), len(data)]
+    return [data[begin:end] for begin, end in itertools.pairwise(edges)]
+
+
+words = st.text("abcdefghijklmnop-_/", min_size=1, max_size=10)
+headers = st.dictionaries(
+    words.map(lambda word: "x-" + word.replace("/", "")), st.text("abc:;= xyz", max_size=20).map(str.strip), max_size=4
+)
+places = st.lists(st.integers(0, 10_000), max_size=6)
+
+
+@pytest.mark.property
+@given(st.sampled_from(["GET", "PUT", "POST"]), words, headers, st.binary(max_size=300), places)
+def test_a_request_is_read_however_it_is_cut(
+    method: str, target: str, fields: dict[str, str], body: bytes, places: list[int]
+) -> None:
+    data = HttpRequest(method, f"/{target}", fields, body).encode("robot:80")
+    found = read(HttpParser("request"), cut(data, places))
+    assert isinstance(found, HttpRequest)
+    assert (found.method, found.target, found.body) == (method, f"/{target}", body)
+    standing = {"host": "robot:80", "content-length": str(len(body)), "connection": "close"}
+    assert found.headers == {**fields, **standing}
+
+
+@pytest.mark.property
+@given(
+    st.integers(200, 599).filter(lambda status: status not in (204, 304)),
+    st.sampled_from(["length", "chunks", "end"]),
+    st.lists(st.binary(min_size=1, max_size=60), max_size=5),
+    places,
+)
+def test_a_response_is_read_however_its_body_is_told_and_cut(
+    status: int, coding: str, parts: list[bytes], places: list[int]
+) -> None:
+    body = b"".join(parts)
+    if coding == "length":
+        data = HttpResponse(status, "So it is", {}, body).encode()
+    elif coding == "chunks":
+        chunks = b"".join(b"%X;a=b\r\n%s\r\n" % (len(part), part) for part in parts)
+        head = b"HTTP/1.1 %d So it is\r\nTransfer-Encoding: chunked\r\n\r\n" % status
+        data = head + chunks + b"0\r\nTrailer: x\r\n\r\n"
+    else:
+        data = b"HTTP/1.0 %d So it is\r\n\r\n" % status + body
+    parser = HttpParser("response")
+    found = read(parser, cut(data, places)) or parser.end()
+    assert isinstance(found, HttpResponse)
+    assert (found.status, found.reason, found.body) == (status, "So it is", body)
+
+
+@pytest.mark.property
+@given(st.sampled_from(["request", "response"]), st.binary(max_size=200), places)
+def test_any_bytes_are_a_message_or_a_packet_error(kind: str, data: bytes, places: list[int]) -> None:
+    for begin in (b"", b"GET / HTTP/1.1\r\n", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"):
+        parser = HttpParser("request" if kind == "request" else "response")
+        try:
+            for piece in cut(begin + data + b" ", places):
+                if parser.feed(piece) is not None:
+                    return
+            parser.end()
+        except PacketError:
+            pass
+
+
+def test_an_interim_response_is_passed_over_and_no_content_is_whole_at_once() -> None:
+    data = b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 204 No Content\r\nA: b\r\na: c\r\n\r\n"
+    found = HttpParser("response").feed(data)
+    assert found == HttpResponse(204, "No Content", {"a": "b, c"}, b"")
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "error"),
+    [
+        ("response", b"Connected: Universal Robots Dashboard Server\n" * 2, None),
+        ("response", b"Connected: Universal\r\n", "it begins with b'Connected: Universal'"),
+        ("request", b"get / HTTP/1.1\r\n\r\n", "it begins with b'get / HTTP/1.1'"),
+        ("request", b"GET / HTTP/1.1\r\nno header\r\n\r\n", "b'no header' is no header"),
+        ("request", b"GET / HTTP/1.1\r\nA: " + b"a" * LONGEST_HEAD, "its headers have more than 16384 bytes"),
+        ("response", b"HTTP/1.1 200 OK\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n", "two lengths of its body"),
+        ("response", b"HTTP/1.1 200 OK\r\nContent-Length: -1\r\n\r\n", "its body is '-1' bytes long"),
+        ("response", b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % (LONGEST_BODY + 1), "1048576 are the most"),
+        ("response", b"HTTP/1.1 200 OK\r\n\r\n" + b"x" * (LONGEST_BODY + 1), "its body has more than 1048576"),
+        ("response", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: gzip\r\n\r\n", "coded as 'gzip'"),
+        ("response", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\nx\r\n", "b'x' is no size of a chunk"),
+        ("response", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n1\r\nab\r\n", "longer than it says"),
+        ("response", b"HTTP/1.1 200 OK\r\nContent-Length: 3\r\n\r\nab", None),
+    ],
+)
+def test_what_is_no_message(kind: str, data: bytes, error: str | None) -> None:
+    parser = HttpParser("request" if kind == "request" else "response")
+    if error is None:
+        assert parser.feed(data) is None
+        with pytest.raises(PacketError, match="the connection ended in the middle of it"):
+            parser.end()
+    else:
+        with pytest.raises(PacketError, match=error):
+            parser.feed(data)
+
+
+def test_a_line_break_does_not_get_into_a_header() -> None:
+    with pytest.raises(BadValue, match="cannot be a line of HTTP"):
+        HttpRequest("GET", "/a b\r\nX: y").encode("robot")

@@ -1,0 +1,240 @@
+"""`robot.dashboard` on PolyScope X: the Robot API of the simulated controller, and answers that a test makes up."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import urlink
+from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError, PacketError
+from linkcore.net.http_client import HttpClient
+from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
+from tests.waiting import until
+from urlink.firmware import Firmware
+from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
+from urlink.interfaces.dashboard.protocol import ProgramStatus
+from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, RobotApi
+from urlink.interfaces.enums import ProgramState, RobotMode, SafetyMode
+from urlink.ports import PORTS
+from urlink.simulator import Controller, Still
+
+FILES = {"pick": "while True:\n  sync()\nend\n"}
+X12, X11, X7 = Firmware(10, 12), Firmware(10, 11), Firmware(10, 7)
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "10.12", motion=Still(), files=FILES) as controller:
+        yield controller
+
+
+@pytest.fixture
+def robot(controller: Controller) -> Iterator[urlink.Robot]:
+    with urlink.connect(controller.address) as robot:
+        yield robot
+    controller.remote_control = True
+    controller.faults.clear()
+
+
+def test_a_day_at_the_pendant(controller: Controller, robot: urlink.Robot) -> None:
+    assert (robot.firmware, robot.model) == (X12, "UR5e")
+    desk = robot.dashboard
+    assert (desk.robot_mode(), desk.safety_mode()) == (RobotMode.RUNNING, SafetyMode.NORMAL)
+    assert (desk.is_in_remote_control(), desk.operational_mode()) == (True, "automatic")
+    desk.power_off()
+    until(lambda: desk.robot_mode() is RobotMode.POWER_OFF)
+    desk.start()
+    assert desk.robot_mode() is RobotMode.RUNNING
+
+    assert desk.loaded_program() is None
+    assert desk.program_state() == ProgramStatus(ProgramState.STOPPED, None)
+    desk.load("pick")
+    assert desk.loaded_program() == "pick"
+    desk.play()
+    assert desk.program_state() == ProgramStatus(ProgramState.PLAYING, "pick")
+    desk.pause()
+    assert desk.program_state().state is ProgramState.PAUSED
+    desk.play()  # goes on with it
+    assert desk.program_state().state is ProgramState.PLAYING
+    desk.stop()
+    assert desk.program_state().state is ProgramState.STOPPED
+
+    controller.faults.emergency_stop()
+    assert desk.safety_mode() is SafetyMode.ROBOT_EMERGENCY_STOP
+    controller.faults.clear()
+    controller.robot_api.operational_mode = "MANUAL"
+    assert desk.operational_mode() == "manual"
+    controller.robot_api.operational_mode = "AUTOMATIC"
+    desk.restart_safety()
+    desk.start()
+
+
+def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller, robot: urlink.Robot) -> None:
+    with pytest.raises(DashboardRefused) as refused:
+        robot.dashboard.load("nothing")
+    assert refused.value.command == "PUT /program/v1/loaded nothing"
+    assert refused.value.reply.startswith("404 Not Found")
+    controller.faults.protective_stop()
+    with pytest.raises(DashboardRefused, match=r"409 Conflict.*Cannot unlock protective stop"):
+        robot.dashboard.unlock_protective_stop()
+    controller.faults.clear()
+    controller.remote_control = False
+    assert not robot.dashboard.is_in_remote_control()
+    with pytest.raises(DashboardRefused, match=r"PUT /program/v1/state play.*403 Forbidden"):
+        robot.dashboard.play()
+    with pytest.raises(urlink.NotConfirmed, match="in local control"):
+        robot.set_payload(1.0)
+
+
+#: Commands that the Robot API does not have, and what the error has to name.
+LACKING: list[tuple[Callable[[Dashboard], object], str]] = [
+    (lambda desk: desk.popup("x"), "has nothing for 'popup'; robot.popup"),
+    (lambda desk: desk.close_popup(), "'close popup'"),
+    (lambda desk: desk.add_to_log("x"), "'addToLog'"),
+    (lambda desk: desk.robot_model(), "'get robot model'; robot.model"),
+    (lambda desk: desk.serial_number(), "'get serial number'"),
+    (lambda desk: desk.running(), r"'running'; program_state\(\)"),
+    (lambda desk: desk.version(), "'version'; robot.firmware"),
+    (lambda desk: desk.set_operational_mode("manual"), "'set operational mode'"),
+    (lambda desk: desk.shutdown(), "'shutdown'"),
+    (lambda desk: desk.quit(), "'quit'"),
+    (lambda desk: desk.send("running"), "has no dashboard server that takes lines"),
+]
+
+
+@pytest.mark.parametrize(("call", "error"), LACKING)
+def test_what_the_robot_api_lacks(call: Callable[[Dashboard], object], error: str) -> None:
+    nowhere = Dashboard("no-such-host.invalid", None, lambda: X12)
+    with pytest.raises(LocalError, match=error):
+        call(nowhere)
+
+
+def test_what_a_firmware_has(controller: Controller) -> None:
+    now = X7
+    desk = Dashboard("no-such-host.invalid", None, lambda: now, api_port=None)
+    with pytest.raises(LocalError, match="serves no Robot API"):
+        desk.power_on()
+    desk = Dashboard("no-such-host.invalid", None, lambda: now)
+    with pytest.raises(LocalError, match=r"firmware 10.7 is PolyScope X.*whose Robot API has 'power on' is 10.11"):
+        desk.power_on()
+    now = X11
+    with pytest.raises(LocalError, match=r"firmware 10.11 .*first whose Robot API has 'robotmode' is 10.12"):
+        desk.robot_mode()
+    with pytest.raises(LocalError, match="serves no dashboard server"):
+        Dashboard("no-such-host.invalid", None, lambda: Firmware(5, 11)).power_on()
+    with pytest.raises(BadValue, match="'load' needs the name of a program"):
+        desk.load(" ")
+    desk.close()
+    with pytest.raises(Closed):
+        desk.power_on()
+
+
+def test_10_11_loads_by_another_request_and_10_7_serves_nothing() -> None:
+    with Controller("UR5e", "10.11", motion=Still(), files=FILES) as controller:
+        with urlink.connect(controller.address) as robot:
+            robot.dashboard.load("pick")
+            robot.dashboard.play()
+            assert robot.dashboard.program_state() == ProgramStatus(ProgramState.PLAYING, None)
+            with pytest.raises(LocalError):
+                robot.dashboard.loaded_program()
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection((controller.host, controller.ports["dashboard"]), 5)
+        controller.faults.reboot("10.7", 0.1)
+        until(lambda: controller.is_up and controller.firmware == X7)
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection((controller.host, controller.ports["robot_api"]), 5)
+
+
+def test_a_refused_connection_says_that_the_service_may_be_off() -> None:
+    with Controller("UR5e", "5.25", ports={"primary": 0}) as controller:
+        with socket.create_server(("127.0.0.1", 0)) as gone:
+            dead = gone.getsockname()[1]
+        address = f"ur://127.0.0.1?primary={controller.ports['primary']}&realtime={dead}&rtde={dead}&dashboard={dead}"
+        where = r"on firmware 5\.25 the service may be switched off \(Settings > Security > Services"
+        with urlink.connect(address) as robot:
+            for use in (
+                robot.realtime.wait,
+                lambda: robot.rtde.outputs("timestamp").wait(),
+                robot.dashboard.robot_mode,
+            ):
+                with pytest.raises(ConnectFailed, match=where):
+                    use()
+        with pytest.raises(ConnectFailed, match=r"from firmware 5\.17 on, and on PolyScope X, the service may"):
+            urlink.connect(f"ur://127.0.0.1?primary={dead}&secondary={dead}")
+
+
+def test_standard_ports_are_those_of_the_firmware() -> None:
+    assert Controller("UR5e", "10.12", ports="standard")._numbers.keys() == PORTS.keys() - {"dashboard"}
+    assert Controller("UR5e", "5.11", ports="standard")._numbers.keys() == PORTS.keys() - {"robot_api"}
+
+
+# -- answers that are made up ----------------------------------------------------------------------------
+
+
+class Answering(HttpClient):
+    """Gives the same answer to each request, without a network."""
+
+    def __init__(self, body: bytes, status: int = 200) -> None:
+        super().__init__("robot", 80)
+        self._answer = HttpResponse(status, "", {}, body)
+
+    def ask(self, request: HttpRequest, timeout: float) -> HttpResponse:
+        return self._answer
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "words"),
+    [
+        ("robotmode", {"mode": "UPDATING"}, "Robotmode: UPDATING_FIRMWARE"),
+        ("get loaded program", {"name": None}, "No program loaded"),
+        ("get loaded program", {}, "No program loaded"),
+        ("is in remote control", {"mode": "LOCAL"}, "false"),
+        ("power on", {"anything": 1}, ""),
+    ],
+)
+def test_answers_in_the_words_of_the_dashboard(name: str, body: dict[str, Any], words: str) -> None:
+    assert RobotApi(Answering(json.dumps(body).encode()), 1.0).do(name, None, X12) == words
+
+
+@pytest.mark.property
+@given(
+    st.sampled_from(sorted(REQUESTS)), st.binary() | st.builds(lambda x: json.dumps({"mode": x}).encode(), st.text())
+)
+def test_any_answer_is_read_or_refused(name: str, body: bytes) -> None:
+    for status in (200, 500):
+        try:
+            words = RobotApi(Answering(body, status), 1.0).do(name, "pick", X12)
+        except (PacketError, DashboardRefused):
+            continue
+        assert isinstance(words, str)
+
+
+# -- the simulated server --------------------------------------------------------------------------------
+
+
+def asked(controller: Controller, method: str, path: str, body: bytes = b"") -> tuple[int, Any]:
+    answer = controller.robot_api.respond(HttpRequest(method, path, {}, body))
+    return answer.status, json.loads(answer.body)
+
+
+def test_what_the_server_answers_to_others(controller: Controller) -> None:
+    assert asked(controller, "GET", f"{BASE}/openapi.json")[1]["info"]["version"] == "3.1.4"
+    assert asked(controller, "GET", f"{BASE}/nothing")[0] == 404
+    assert asked(controller, "GET", f"{BASE}/program/v1/load")[0] == 404  # of 10.11
+    assert asked(controller, "DELETE", f"{BASE}/program/v1/state")[0] == 405
+    for body in (b"", b"[]", b"[" * 9999, b'{"action": "jump"}', b'{"action": 1}', b'{"name": "pick"}'):
+        assert asked(controller, "PUT", f"{BASE}/program/v1/state", body)[0] == 400
+    with socket.create_connection((controller.host, controller.ports["robot_api"]), 5) as link:
+        link.sendall(b"hello\r\n\r\n")
+        data = b""
+        while piece := link.recv(4096):
+            data += piece
+    answer = HttpParser("response").feed(data)
+    assert isinstance(answer, HttpResponse)
+    assert answer.status == 400
