@@ -28,11 +28,11 @@ from .version import Version, version_text
 
 __all__ = ["Layout", "Place", "indices", "is_of_cells"]
 
-_WIRE_DOUBLE = np.dtype(">f8")
-_NATIVE_DOUBLE = np.dtype("=f8")
+WIRE_DOUBLE = np.dtype(">f8")
+NATIVE_DOUBLE = np.dtype("=f8")
 
-# Doubles from which on numpy swaps a packet quicker than struct unpacks it.
-_MANY_CELLS = 32
+#: Doubles from which on numpy swaps a packet quicker than struct unpacks it.
+MANY_CELLS = 32
 
 
 class Place:
@@ -198,7 +198,7 @@ class Layout:
 
         def unpack(data: bytes) -> Any:
             try:
-                cells = frombuffer(data, _WIRE_DOUBLE, count, start).astype(_NATIVE_DOUBLE)
+                cells = frombuffer(data, WIRE_DOUBLE, count, start).astype(NATIVE_DOUBLE)
             except ValueError:
                 raise self.too_short(data) from None
             cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
@@ -336,7 +336,7 @@ class Layout:
                 raise
             except (TypeError, ValueError, OverflowError) as error:
                 raise BadValue(f"{name}: {value!r} cannot be sent ({error})") from None
-        return bytes(cells.astype(_WIRE_DOUBLE).tobytes())
+        return bytes(cells.astype(WIRE_DOUBLE).tobytes())
 
     def _encode_at_once(self, values: Mapping[str, Any]) -> bytes | None:
         """All fields by one precompiled struct; None where that cannot be: text, or a value that does not fit.
@@ -450,7 +450,7 @@ def is_of_cells(shapes: Sequence[Shape]) -> bool:
     A 64-bit integer is none: read as a double it would lose its value. A mask is, since it is read by its bits.
     """
     is_uniform = all(shape is Mask64 or (shape.number is not None and shape.number.code == "d") for shape in shapes)
-    return is_uniform and sum(shape.count or 1 for shape in shapes) >= _MANY_CELLS
+    return is_uniform and sum(shape.count or 1 for shape in shapes) >= MANY_CELLS
 
 
 def _code(place: Place) -> str:

@@ -27,6 +27,7 @@ from .dissection import Row, dissect
 from .fields import Field, Header
 from .layout import Layout, indices, is_of_cells
 from .shapes import OpenInt, Raw, Shape
+from .split import Split, is_split, split_indices
 from .version import Since, Version, parse_version
 
 if TYPE_CHECKING:
@@ -92,7 +93,8 @@ class State:
     """
 
     # `_values` are the numbers and texts; of a layout `of_cells` None, since each is read from the bytes by itself.
-    # `_vectors` are all values as one array, made when the first vector is asked for; see `_array_getter`.
+    # `_vectors` are made when the first vector is asked for: all values as one array, or of a layout that is split the
+    # vectors; see `_array_getter`. Of such a layout `_values` are the other numbers.
     __slots__ = ("_data", "_layout", "_lost", "_stamp", "_values", "_vectors")
 
     #: name -> declaration of the field, in declared order
@@ -114,7 +116,7 @@ class State:
         self._data = layout.encode(fields)
         self._layout = layout
         self._stamp = None
-        self._values = None if layout.of_cells else layout.unpack(self._data)
+        self._values = None if layout.of_cells else layout.kept(self._data)
         self._vectors = None
 
     @classmethod
@@ -219,21 +221,34 @@ class StateLayout(Layout):
     Attributes:
         packet: that class.
         decode: ``decode(data, stamp=None)``: the state in one whole packet, header included. Raises `PacketError`.
+        kept: ``kept(data)``: the values that a state keeps, but for those of cells.
     """
 
     decode: Callable[..., Any]
 
-    def __init__(self, packet: type[State], *args: Any, **kwargs: Any) -> None:
+    def __init__(self, packet: type[State], *args: Any, is_split: bool, **kwargs: Any) -> None:
         super().__init__(packet.__name__, *args, names=tuple(packet.FIELDS), **kwargs)
         self.packet = packet
+        self.kept, self._split = self.unpack, None
+        self._numbers = self.struct
+        if is_split:
+            self._split = Split(self.places.values(), self.size)
+            self._numbers = self._split.numbers
+            self.kept = self._numbers.unpack_from
+            at = split_indices(self.fields)
+            self.at = [at[name] for name in packet.FIELDS]
         self.reads = [self.places[name].shape.read if name in self.places else None for name in packet.FIELDS]
         self.offsets = [self.places[name].offset if name in self.places else None for name in packet.FIELDS]
         self.decode = self._cell_decoder() if self.of_cells else self._decoder()
 
     def vectors(self, state: State) -> Any:
-        """All values of `state` as one read-only float64 array, of which each vector is a view; kept by the state."""
+        """What the vectors of `state` are items of: its values as one read-only float64 array, or its vectors; kept."""
         # To make one vector takes as long as to make all.
-        state._vectors = made = self.unpack(state._data) if self.of_cells else self.as_doubles(state._values)
+        if self._split is not None:
+            made = self._split.vectors(state._data)
+        else:
+            made = self.unpack(state._data) if self.of_cells else self.as_doubles(state._values)
+        state._vectors = made
         return made
 
     def _cell_decoder(self) -> Callable[..., Any]:
@@ -256,7 +271,7 @@ class StateLayout(Layout):
 
     def _decoder(self) -> Callable[..., Any]:
         packet, unpack, new = self.packet, self.unpack, object.__new__
-        unpack_from = None if self.struct is None else self.struct.unpack_from
+        unpack_from = None if self._numbers is None else self._numbers.unpack_from
 
         def decode(data: bytes, stamp: Stamp | None = None) -> Any:
             state = new(packet)
@@ -294,10 +309,18 @@ class StateLayouts(Layouts[StateLayout]):
         reorder: tuple[Version, Sequence[str]] | None,
         *,
         of_cells: bool,
+        is_split: bool,
     ) -> None:
         def lower(first: Version, fields: list[tuple[Field, Shape]], has_block: bool) -> StateLayout:
             return StateLayout(
-                packet, fields, header, constants=constants, first=first, has_block=has_block, of_cells=of_cells
+                packet,
+                fields,
+                header,
+                constants=constants,
+                first=first,
+                has_block=has_block,
+                of_cells=of_cells,
+                is_split=is_split,
             )
 
         super().__init__(packet.__name__, packet.FIELDS, lower, reorder)
@@ -491,7 +514,11 @@ def packet(
         shapes = [field.shape for field in fields.values()]
         of_cells = is_of_cells(shapes + [field.before[1] for field in fields.values() if field.before is not None])
         has_text = any(isinstance(shape, Raw) for shape in shapes)
-        fixed = _fixed_places(fields, None if reorder is None else reorder[1])
+        split = not of_cells and reorder is None and is_split(fields.values())
+        if split:
+            fixed = split_indices([(name, field.shape) for name, field in fields.items()])
+        else:
+            fixed = _fixed_places(fields, None if reorder is None else reorder[1])
         body = {name: item for name, item in vars(cls).items() if name not in {"__dict__", "__weakref__"}}
         for number, (name, field) in enumerate(fields.items()):
             unit = f" [{field.unit}]" if field.unit else ""
@@ -501,7 +528,7 @@ def packet(
         remake: Any = type(cls)
         made = remake(cls.__name__, cls.__bases__, {**body, "__slots__": (), "FIELDS": fields})
         before = None if reorder is None else (parse_version(reorder[0]), reorder[1])
-        made.LAYOUTS = StateLayouts(made, header, constants, before, of_cells=of_cells)
+        made.LAYOUTS = StateLayouts(made, header, constants, before, of_cells=of_cells, is_split=split)
         return made  # type: ignore[no-any-return]
 
     return decorate

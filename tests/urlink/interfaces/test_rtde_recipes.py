@@ -169,6 +169,24 @@ def test_packages_that_do_not_fit() -> None:
         recipe_of("actual_q").encode({"actual_q": [1, 2]})
 
 
+def test_many_vectors_that_lie_at_different_offsets() -> None:
+    vectors = [f"v{number}" for number in range(9)]
+    # Between them one byte, four and eight: no two of the first three are aligned as each other.
+    between = {"a": "UINT8", "b": "INT32", "c": "DOUBLE", "d": "VECTOR6INT32", "e": "BOOL"}
+    order = ["v0", "a", "v1", "b", "v2", "c", "v3", "d", "v4", "v5", "e", "v6", "v7", "v8"]
+    recipe = Recipe(order, [between.get(name, "VECTOR6D") for name in order])
+    values: dict[str, Any] = {name: [number + 0.5 * joint for joint in range(6)] for number, name in enumerate(vectors)}
+    values |= {"a": 200, "b": -5, "c": 0.25, "d": [1, -2, 3, -4, 5, -6], "e": True}
+    package = recipe.encode(values)
+    state = recipe.state_class().LAYOUTS.decode(package)
+    for name, value in values.items():
+        assert np.array_equal(getattr(state, name), value), name
+    assert not state.v0.flags.writeable
+    assert state == recipe.state_class()(**values)
+    with pytest.raises(PacketError, match="too short"):
+        recipe.state_class().LAYOUTS.all[0].decode(package[:-1])
+
+
 @pytest.mark.property
 @given(drawn=recipes, number=st.one_of(st.none(), st.integers(1, 255)), data=st.data())
 def test_a_recipe_is_what_construct_reads(drawn: dict[str, str], number: int | None, data: st.DataObject) -> None:
