@@ -9,6 +9,7 @@ from ..ports import PORTS
 from .controller import Controller
 from .faults import Faults, ScheduledFault, parse_fault
 from .robot.sources import HOME, Demonstration, Setpoint, SetpointSource, Still
+from .robot.surroundings import Plane, Spring, Surroundings
 from .state import Counters
 
 __all__ = [
@@ -18,9 +19,12 @@ __all__ = [
     "Counters",
     "Demonstration",
     "Faults",
+    "Plane",
     "ScheduledFault",
     "Setpoint",
     "SetpointSource",
+    "Spring",
     "Still",
+    "Surroundings",
     "parse_fault",
 ]

@@ -64,6 +64,8 @@ class ControlLoop:
         state.uptime += 1
         setpoint = self._runner.advance(state.period)
         state.arm.advance(state.period, setpoint)
+        if state.arm.is_overloaded:
+            state.stop_protectively(f"a force of more than {state.surroundings.force_limit:g} N at the TCP")
         state.update_modes(state.period)
         state.arm.is_powered = state.modes.is_powered
         reason = state.take_safety_change()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
@@ -36,6 +36,7 @@ from .robot.arm import Arm
 from .robot.modes import Modes
 from .robot.signals import Signals
 from .robot.sources import Demonstration, SetpointSource
+from .robot.surroundings import Surroundings
 from .state import ControllerState, Counters, firmware_for
 
 if TYPE_CHECKING:
@@ -211,6 +212,11 @@ class Controller:
         return self._state.arm
 
     @property
+    def world(self) -> Surroundings:
+        """What the tool touches: planes and springs can be placed, and a load hung at the flange."""
+        return self._state.surroundings
+
+    @property
     def modes(self) -> Modes:
         """Of robot, safety and program. A reboot makes another one of it."""
         return self._state.modes
@@ -335,6 +341,20 @@ class Controller:
     def follow(self, source: SetpointSource) -> None:
         """Let the arm brake, and then follow another source of set-points. From any thread."""
         self.call(lambda: self._runner.follow(source))
+
+    def push(self, wrench: Sequence[float], joint_torques: Sequence[float] = (0.0,) * 6) -> None:
+        """Push the arm from now on, as a hand does: an arm in freedrive or force mode yields, any other shows the
+        force. Six zeros let go. From any thread.
+
+        Args:
+            wrench: (6,) at the TCP, N in the directions of the base frame, and Nm about the TCP.
+            joint_torques: (6,) Nm at the joints, on top of that.
+
+        Raises:
+            BadValue: not six finite numbers each.
+        """
+        self.world.push(wrench)
+        self.world.push_joints(joint_torques)
 
     def schedule(self, *faults: str | ScheduledFault) -> None:
         """Let faults happen at their times, in seconds since the controller was made: `schedule("protective_stop@5")`.

@@ -21,6 +21,7 @@ from .robot.arm import Arm
 from .robot.modes import Modes, Stop
 from .robot.signals import Signals
 from .robot.sources import SetpointSource
+from .robot.surroundings import Surroundings
 
 __all__ = ["ControllerState", "Counters", "Outbox", "firmware_for"]
 
@@ -113,6 +114,7 @@ class ControllerState:
         cycle: number of the cycle since the controller was made, reboots included.
         uptime: cycles since the controller came up.
         cycles_down: until a reboot is over; 0 while it is up.
+        surroundings: what the tool touches; they outlive a reboot.
         arm: joints, tool and sensors.
         modes: of robot, safety and program.
         signals: inputs and outputs.
@@ -148,7 +150,8 @@ class ControllerState:
         self.log: list[str] = []
         self.counters = Counters()
         self.outbox = Outbox(self.counters)
-        self.arm = Arm(kinematics, source.advance(0.0), seed)
+        self.surroundings = Surroundings()
+        self.arm = Arm(kinematics, source.advance(0.0), seed, self.surroundings)
         self._next_firmware = firmware
         self._begin(firmware, source)
 
@@ -185,7 +188,7 @@ class ControllerState:
         """
         before = self.arm
         source.start(before.setpoint.q)
-        self.arm = Arm(self.kinematics, source.advance(0.0), self.seed)
+        self.arm = Arm(self.kinematics, source.advance(0.0), self.seed, self.surroundings)
         self.arm.take_tool_of(before)
         self._begin(self._next_firmware, source)
 

@@ -146,7 +146,7 @@ def _outputs() -> dict[str, Output]:
         tcp_force_scalar=lambda s: math.hypot(*s.arm.sample.force[:3]),
         joint_position_deviation_ratio=lambda s: 0.0,
         collision_detection_ratio=lambda s: 0.0,
-        ft_raw_wrench=lambda s: s.arm.sample.force,
+        ft_raw_wrench=lambda s: s.arm.raw_wrench,
         wrench_calc_from_currents=lambda s: s.arm.sample.force,
         payload=lambda s: s.arm.payload,
         payload_cog=lambda s: s.arm.payload_cog,

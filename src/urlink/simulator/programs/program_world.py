@@ -12,7 +12,7 @@ from urlink.kinematics import Arm
 
 from ..messages import popup_message, text_message
 from ..registers import Action, Registers
-from ..robot.generator import MotionGenerator
+from ..robot.generator import Drive, ForceTask, MotionGenerator
 from ..robot.signals import Signals
 from ..state import ControllerState
 from .program_sockets import ProgramSockets, Route
@@ -26,21 +26,21 @@ class ProgramWorld:
     Args:
         state: of the controller.
         route: where the connections of programs go.
-        generator: what the program moves the arm with; None for a secondary program, which may only ask whether the arm
+        drive: what the program moves the arm with; None for a secondary program, which may only ask whether the arm
             moves.
     """
 
-    def __init__(self, state: ControllerState, route: Route, generator: MotionGenerator | None = None) -> None:
+    def __init__(self, state: ControllerState, route: Route, drive: Drive | None = None) -> None:
         self._state = state
-        self._generator = generator
+        self._drive = drive
         self.sockets = ProgramSockets(route)
         self.period = state.period
 
     @property
     def motion(self) -> MotionGenerator:
-        if self._generator is None:
+        if self._drive is None:
             return MotionGenerator(self._state.kinematics, self._state.arm.setpoint)
-        return self._generator
+        return self._drive.generator
 
     @property
     def firmware(self) -> Firmware:
@@ -116,9 +116,9 @@ class ProgramWorld:
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         self._state.arm.tcp = list(pose)
-        if self._generator is not None:
+        if self._drive is not None:
             # A movement may follow in the same cycle.
-            self._generator.tcp = pose
+            self._drive.generator.tcp = pose
 
     @property
     def payload(self) -> float:
@@ -152,6 +152,36 @@ class ProgramWorld:
 
     def use_external_force(self, is_used: bool) -> None:
         self._state.arm.uses_external_force = is_used
+
+    def zero_force(self) -> None:
+        self._state.arm.zero_force()
+
+    def contact_steps(self, direction: Sequence[float]) -> int:
+        return self._state.arm.contact_steps(direction)
+
+    @property
+    def external_torques(self) -> Sequence[float]:
+        return self._state.arm.external_torques
+
+    def force_mode(self, task: ForceTask) -> None:
+        if self._drive is not None:
+            self._drive.force_mode(task)
+
+    def set_force_damping(self, damping: float) -> None:
+        if self._drive is not None:
+            self._drive.set_damping(damping)
+
+    def set_force_gain(self, gain: float) -> None:
+        if self._drive is not None:
+            self._drive.set_gain(gain)
+
+    def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
+        if self._drive is not None:
+            self._drive.freedrive(axes, frame)
+
+    def end_yielding(self) -> None:
+        if self._drive is not None:
+            self._drive.end_mode()
 
     def text_message(self, text: str) -> None:
         self._state.outbox.offer(lambda: text_message(self._state, text))

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from .. import messages
-from ..robot.generator import LimitViolation, MotionGenerator
+from ..robot.generator import Drive, LimitViolation
 from ..robot.sources import Setpoint, SetpointSource
 from ..state import ControllerState
 from ..urscript import Execution, Script, ScriptError
@@ -50,8 +50,8 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It takes over from what moved the arm before, at its speed.
-        self._generator = MotionGenerator(state.kinematics, state.arm.setpoint)
-        self._world = ProgramWorld(state, route, self._generator)
+        self._drive = Drive(state.kinematics, state.arm.setpoint)
+        self._world = ProgramWorld(state, route, self._drive)
         self._execution = Execution(script, self._world)
 
     @property
@@ -60,11 +60,11 @@ class RunningProgram:
 
     def start(self, q: Sequence[float]) -> None:
         """Go on from rest at six joint positions in rad, to which the arm has braked meanwhile."""
-        self._generator.start(q)
+        self._drive.start(q)
 
     def advance(self, seconds: float) -> Setpoint:
         """Run the threads, and return the set-point one cycle of that many seconds later."""
-        generator, state = self._generator, self._state
+        drive, generator, state = self._drive, self._drive.generator, self._state
         generator.speed_fraction = state.speed_fraction
         if self.is_program:
             generator.tcp = state.arm.tcp
@@ -72,16 +72,17 @@ class RunningProgram:
             if self._execution.is_over:
                 self.end()
         try:
-            return generator.advance(seconds)
+            return drive.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
         except LimitViolation as violation:
             state.stop_protectively(violation.reason)
-            return generator.setpoint
+            return drive.setpoint
 
     def end(self) -> None:
         """Stop it, if it is not over by itself."""
         if self.is_program:
             self.is_program = False
             self._execution.stop()
+            self._drive.end_mode()
             self._world.sockets.close_all()
             self._on_end(self)
 

@@ -13,8 +13,10 @@ from linkcore.errors import BadValue
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
+from .force_sensor import ForceSensor
 from .sensors import Sample, Sensors
 from .sources import BRAKING, Setpoint
+from .surroundings import Surroundings
 
 __all__ = ["Arm", "braking_time"]
 
@@ -28,6 +30,7 @@ class Arm:
         kinematics: of a model, as published or calibrated.
         setpoint: where the arm is in the beginning.
         seed: of the noise on its sensors.
+        surroundings: what acts on its tool; None for nothing.
 
     Attributes:
         kinematics: as given.
@@ -40,7 +43,9 @@ class Arm:
         uses_external_force: it is shown in place of what the sensor measures.
     """
 
-    def __init__(self, kinematics: Kinematics, setpoint: Setpoint, seed: int = 0) -> None:
+    def __init__(
+        self, kinematics: Kinematics, setpoint: Setpoint, seed: int = 0, surroundings: Surroundings | None = None
+    ) -> None:
         self.kinematics = kinematics
         self.model = kinematics.model
         self.payload = 0.0
@@ -52,6 +57,8 @@ class Arm:
         self._tcp: list[float] = list(_ZERO)
         self._setpoint = setpoint
         self._sensors = Sensors(kinematics, setpoint.q, seed)
+        self._surroundings = surroundings or Surroundings()
+        self._force_sensor = ForceSensor(kinematics, self._surroundings)
         self._is_following = True
         # Where braking began, the seconds that it takes, and those that are over.
         self._brake: tuple[Setpoint, float, float] | None = None
@@ -89,6 +96,7 @@ class Arm:
                 self._go_on_braking(*self._brake, seconds)
         self._is_following = setpoint is not None
         self._sample = None
+        self._force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog)
 
     def _begin_to_brake(self) -> None:
         if any(self._setpoint.qd):
@@ -136,6 +144,47 @@ class Arm:
         self.payload_cog = other.payload_cog
         self.payload_inertia = other.payload_inertia
 
+    # -- what acts on it -----------------------------------------------------------------------------
+
+    @property
+    def wrench(self) -> Sequence[float]:
+        """The force at the TCP that the controller goes by: that of `sample`, without noise, N and Nm."""
+        return self.external_force if self.uses_external_force else self._force_sensor.wrench
+
+    @property
+    def pushed_joints(self) -> Sequence[float]:
+        """The torques with which the joints are turned from outside, Nm, apart from the force at the TCP."""
+        return self._surroundings.joint_torques
+
+    @property
+    def external_torques(self) -> list[float]:
+        """All that turns the joints from outside, Nm."""
+        torques = list(self.pushed_joints)
+        if any(self.wrench):
+            across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self.wrench
+            torques = [a + b for a, b in zip(torques, across.tolist(), strict=True)]
+        return torques
+
+    @property
+    def raw_wrench(self) -> list[float]:
+        """The force at the TCP without what `zero_force` takes off, N and Nm in the base frame."""
+        shown, measured, external = self.sample.force, self._force_sensor.wrench, self._force_sensor.external
+        return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
+
+    @property
+    def is_overloaded(self) -> bool:
+        """The force at the TCP is above its limit, and grows."""
+        return self._force_sensor.grows
+
+    def zero_force(self) -> None:
+        """Take off from the force at the TCP what it is now."""
+        self._force_sensor.zero()
+        self._sample = None
+
+    def contact_steps(self, direction: Sequence[float]) -> int:
+        """Cycles since a contact began; see `ForceSensor.contact_steps`."""
+        return self._force_sensor.contact_steps(direction)
+
     # -- what it shows -------------------------------------------------------------------------------
 
     @property
@@ -143,7 +192,15 @@ class Arm:
         """What the sensors show in this cycle."""
         if self._sample is None:
             self._sample = self._sensors.sample(
-                self._setpoint, self._tcp, self.payload, self.payload_cog, self._cycle, self._time, self.is_powered
+                self._setpoint,
+                self._tcp,
+                self.payload,
+                self.payload_cog,
+                self._force_sensor.external,
+                self._force_sensor.wrench,
+                self._cycle,
+                self._time,
+                self.is_powered,
             )
             if self.uses_external_force:
                 self._sample.force = list(self.external_force)

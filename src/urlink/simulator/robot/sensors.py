@@ -6,7 +6,9 @@ What is behind the numbers:
 - **speeds** are the derivatives of the positions, TCP speeds the Jacobian times the joint speeds;
 - **lag and noise** of the actual joints are of the size seen in the one moving and the one standing capture;
 - **moments** hold the arm up (masses and centres of mass as published) and accelerate it (a coarse inertia, a guess);
-- **currents** are moments over the torque constants that the captures show, plus a guess of friction;
+- **currents** are moments over the torque constants that the captures show, plus a guess of friction, less what acts
+  on the tool;
+- **the force** at the TCP is that of `force_sensor`, with noise of a guessed size;
 - **temperatures** rise slowly from 24 degC, more in joints that carry more; how fast is a guess;
 - **tool accelerometer** is gravity in the frame of the tool, of the sign that the real CB2 packet shows.
 """
@@ -32,7 +34,7 @@ __all__ = ["Sample", "Sensors"]
 # Seconds by which the actual joints trail their targets.
 _LAG = 0.002
 # Standard deviations: rad, rad/s (of a moving joint), A, N or Nm, V, m/s².
-_NOISE_Q, _NOISE_QD, _NOISE_I, _NOISE_F, _NOISE_V, _NOISE_ACC = 1e-5, 5e-4, 0.01, 0.3, 0.05, 0.02
+_NOISE_Q, _NOISE_QD, _NOISE_I, _NOISE_F, _NOISE_V, _NOISE_ACC = 1e-5, 5e-4, 0.01, 0.1, 0.05, 0.02
 _AMBIENT = 24.0
 _WARMING = 900.0
 # Of the friction current, A, and of the joint speed at which it is there, rad/s. A guess.
@@ -150,6 +152,8 @@ class Sensors:
         tcp: Sequence[float],
         payload: float,
         payload_cog: Sequence[float],
+        external: Sequence[float],
+        wrench: Sequence[float],
         cycle: int,
         time: float,
         is_powered: bool,
@@ -161,6 +165,8 @@ class Sensors:
             tcp: (6,) in the flange frame, m and rad.
             payload: kg.
             payload_cog: (3,) in the flange frame, m.
+            external: (6,) what acts on the TCP, N and Nm in the base frame.
+            wrench: (6,) that, as the force sensor shows it.
             cycle: decides the noise.
             time: s since the arm was switched on, which decides the temperatures.
             is_powered: the motors have power.
@@ -188,7 +194,8 @@ class Sensors:
             g + n for g, n in zip(_gravity_in_tool(s.pose_actual), self._noise(cycle, 2, _NOISE_ACC)[:3], strict=True)
         ]
         if is_powered:
-            self._measure_load(s, payload, payload_cog, cycle)
+            self._measure_load(s, payload, payload_cog, self._moments(q, tcp, external), cycle)
+            s.force = [f + n for f, n in zip(wrench, self._noise(cycle, 5, _NOISE_F), strict=True)]
         else:
             s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
         s.T_motor = self._temperatures(int(time))
@@ -202,8 +209,17 @@ class Sensors:
         geometry = self._kinematics.geometry
         return list(velocity(geometry, FLOATS, (q1, q2, q3, q4, q5, q6), (v1, v2, v3, v4, v5, v6), (x, y, z)))
 
-    def _measure_load(self, s: Sample, payload: float, payload_cog: Sequence[float], cycle: int) -> None:
-        """Moments, currents, voltages and the force at the TCP."""
+    def _moments(self, q: Sequence[float], tcp: Sequence[float], external: Sequence[float]) -> list[float]:
+        """What acts on the TCP, as moments of the joints."""
+        if not any(external):
+            return _ZERO
+        moments: list[float] = (self._kinematics.jacobian(q, tcp).T @ external).tolist()
+        return moments
+
+    def _measure_load(
+        self, s: Sample, payload: float, payload_cog: Sequence[float], moments: Sequence[float], cycle: int
+    ) -> None:
+        """Moments, currents and voltages, where these moments from outside turn the joints."""
         carried = payload, tuple(payload_cog)
         if carried != self._carried:
             self._carried = carried
@@ -211,12 +227,14 @@ class Sensors:
         held = self._dynamics.gravity_torque(s.q_target).tolist()
         s.M_target = [g + m * a for g, m, a in zip(held, self._inertia, s.qdd_target, strict=True)]
         s.I_target = [m / k for m, k in zip(s.M_target, self.torque_constants, strict=True)]
-        s.I_control = [i + _FRICTION * math.tanh(v / _STICTION) for i, v in zip(s.I_target, s.qd_target, strict=True)]
+        s.I_control = [
+            i + _FRICTION * math.tanh(v / _STICTION) - m / k
+            for i, v, m, k in zip(s.I_target, s.qd_target, moments, self.torque_constants, strict=True)
+        ]
         s.I_actual = [i + n for i, n in zip(s.I_control, self._noise(cycle, 3, _NOISE_I), strict=True)]
         s.V_actual = [
             round(47.8 - 0.1 * abs(i) + n, 1) for i, n in zip(s.I_control, self._noise(cycle, 4, _NOISE_V), strict=True)
         ]
-        s.force = self._noise(cycle, 5, _NOISE_F)
 
     def _temperatures(self, second: int) -> list[float]:
         if second != self._warmed_to:

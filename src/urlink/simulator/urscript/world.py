@@ -8,10 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, Protocol
 
+from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm
+from urlink.vectors import FloatArray
 
 from ..registers import Action, Registers
+from ..robot.generator import ForceTask
 from ..robot.signals import Signals
 
 __all__ = ["MotionCommands", "Move", "Sockets", "World"]
@@ -65,6 +68,9 @@ class MotionCommands(Protocol):
 
     def stopl(self, a: float, a_rot: float) -> Move:
         """Brake the tool."""
+
+    def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> Move:
+        """Turn the joints by torques for one cycle."""
 
     def release(self) -> None:
         """Nobody commands any more."""
@@ -170,6 +176,32 @@ class World(Protocol):
 
     def use_external_force(self, is_used: bool) -> None:
         """Let the force at the TCP be what an RTDE client sends as `external_force_torque`."""
+
+    def zero_force(self) -> None:
+        """Take off from the force at the TCP what it is now."""
+
+    def contact_steps(self, direction: Sequence[float]) -> int:
+        """Cycles since a contact began that opposes a movement in a direction, (3,) in the base frame; 0 without one.
+        Zeros ask for contacts of every direction."""
+
+    @property
+    def external_torques(self) -> Sequence[float]:
+        """What turns the joints from outside, Nm."""
+
+    def force_mode(self, task: ForceTask) -> None:
+        """Yield along some axes until a force is there."""
+
+    def set_force_damping(self, damping: float) -> None:
+        """Of force mode, 0 to 1."""
+
+    def set_force_gain(self, gain: float) -> None:
+        """Of force mode, 0 to 2."""
+
+    def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
+        """Let the arm be moved by hand along these axes of a frame."""
+
+    def end_yielding(self) -> None:
+        """End force mode or freedrive."""
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Of the TCP in the flange frame, m and rad."""

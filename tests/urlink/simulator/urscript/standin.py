@@ -6,13 +6,15 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Literal
 
+from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm
 from urlink.simulator.registers import Action, Registers
-from urlink.simulator.robot.generator import Unreachable
+from urlink.simulator.robot.generator import ForceTask, Unreachable
 from urlink.simulator.robot.signals import Signals
 from urlink.simulator.robot.sources import HOME
 from urlink.simulator.urscript import Execution, compile_script
+from urlink.vectors import FloatArray
 
 State = Literal["connecting", "open", "failed", "closed"]
 
@@ -81,6 +83,9 @@ class StandInMotion:
 
     def stopl(self, a: float, a_rot: float) -> StandInMove:
         return self._begin(2, f"stopl a={a:g} aRot={a_rot:g}")
+
+    def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> StandInMove:
+        return self._begin(1, f"direct torque {short(torque.tolist())} friction={short(friction)}")
 
     def release(self) -> None:
         self._world.note("release")
@@ -201,6 +206,32 @@ class StandIn:
 
     def use_external_force(self, is_used: bool) -> None:
         self.note(f"external force {is_used}")
+
+    @property
+    def external_torques(self) -> Sequence[float]:
+        return [0.0] * 6
+
+    def zero_force(self) -> None:
+        self.note("zero force")
+
+    def contact_steps(self, direction: Sequence[float]) -> int:
+        self.note(f"contact {short(direction)}")
+        return 0
+
+    def force_mode(self, task: ForceTask) -> None:
+        self.note(f"force mode {short(task.frame)} {short(task.selection)} {short(task.wrench)} {task.kind}")
+
+    def set_force_damping(self, damping: float) -> None:
+        self.note(f"force damping {damping:g}")
+
+    def set_force_gain(self, gain: float) -> None:
+        self.note(f"force gain {gain:g}")
+
+    def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
+        self.note(f"freedrive {short(axes)} {short(frame)}")
+
+    def end_yielding(self) -> None:
+        self.note("end yielding")
 
     def text_message(self, text: str) -> None:
         self.note(f"textmsg {text}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.urlink.simulator.urscript.standin import StandIn, run
-from urlink.firmware import Firmware
+from urlink.firmware import NEWEST, Firmware
 from urlink.simulator.urscript import Execution, ScriptError, compile_script
 from urlink.simulator.urscript.builtins import find
 
@@ -164,7 +164,7 @@ write_output_integer_register zero_ftsensor
 
 @pytest.mark.parametrize("name", DRIVERS.split())
 def test_every_function_that_drivers_call_is_known(name: str) -> None:
-    assert find(name, FIRMWARE) is not None
+    assert find(name, NEWEST) is not None
 
 
 @pytest.mark.parametrize(
@@ -179,6 +179,12 @@ def test_every_function_that_drivers_call_is_known(name: str) -> None:
         ("set_target_payload", "5.10", True),
         ("get_inverse_kin_has_solution", "5.8", False),
         ("servoj", "1.8", True),
+        ("tool_contact", "3.15", False),
+        ("freedrive_mode", "3.15", True),
+        ("get_freedrive_status", "5.9", False),
+        ("optimovej", "5.21", False),
+        ("direct_torque", "5.11", False),
+        ("direct_torque", "5.23", True),
     ],
 )
 def test_firmware_decides_what_is_known(name: str, firmware: str, known: bool) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from .compliance import ForceTask
+from .drive import Drive
 from .joint_limits import LimitViolation, Unreachable
 from .motion_generator import MotionGenerator
 from .path_motion import Move
 
-__all__ = ["LimitViolation", "MotionGenerator", "Move", "Unreachable"]
+__all__ = ["Drive", "ForceTask", "LimitViolation", "MotionGenerator", "Move", "Unreachable"]

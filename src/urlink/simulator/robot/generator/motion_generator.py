@@ -17,9 +17,12 @@ from typing import Protocol
 
 from linkcore.errors import BadValue
 from urlink.curves import Arc, Line
+from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
+from urlink.vectors import FloatArray
 
 from ..sources import BRAKING, Setpoint
+from .free_joints import TorqueMotion
 from .joint_limits import JointLimits, LimitViolation, Unreachable, checked, positive
 from .path_motion import Blend, JointPath, Move, Path, PathMotion, Profile, timed
 from .servo_motion import ServoMotion, lag_of
@@ -124,18 +127,27 @@ class MotionGenerator:
         A path move goes on to its end, and a speed is approached again. A command that had ended or has broken a limit,
         and a set-point of servoj, are forgotten, and the arm stands.
         """
+        is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
         self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
+        if is_over:
+            self._begin(JointSpeed(_REST, self._gentle, None))
+        else:
+            self._scaling = 0.0 if isinstance(self._command, PathMotion) else self._scaling
+            self.resume(self.setpoint)
+
+    def resume(self, setpoint: Setpoint) -> None:
+        """Go on from another set-point, to which something else has led the arm; as `start`, but with its speed."""
+        self.setpoint = setpoint
         command = self._command
-        if self._refusal is not None or command is None or command.is_at_rest or isinstance(command, ServoMotion):
+        if command is None or command.is_at_rest:
             self._begin(JointSpeed(_REST, self._gentle, None))
         elif isinstance(command, PathMotion):
-            self._scaling = 0.0
-            way = [b - a for a, b in zip(self.setpoint.q, command.place, strict=True)]
+            way = [b - a for a, b in zip(setpoint.q, command.place, strict=True)]
             # Back to the path at half of the speed that the joints may have: the peak of the blend is 3/2 of its mean.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
-            command.restart(Blend(way, _REST, max(3.0 * furthest, 0.1), self._gentle))
+            command.restart(Blend(way, setpoint.qd, max(3.0 * furthest, 0.1), self._gentle))
         elif isinstance(command, ToolSpeed):
-            command.restart(self.setpoint)
+            command.restart(setpoint)
 
     # -- path moves --------------------------------------------------------------------------------
 
@@ -265,6 +277,16 @@ class MotionGenerator:
             return
         if not self.is_standing:
             self._begin(JointSpeed(_REST, self._gentle, None))
+
+    def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> Move:
+        """Turn the joints by torques for one cycle; see the module `free_joints`.
+
+        Args:
+            dynamics: of the arm and its payload; gravity does not count.
+            torque: (6,) Nm, with what turns the joints from outside.
+            friction: (6,) which part of its friction each joint has.
+        """
+        return self._begin(TorqueMotion(dynamics, torque, friction, self._limits.acceleration))
 
     # -- beginning ---------------------------------------------------------------------------------
 

@@ -1,4 +1,5 @@
-"""Functions of the arm's Jacobian and dynamics, with the payload that it carries, as the library computes them.
+"""Direct torque, and functions of the arm's Jacobian and dynamics, with the payload that it carries, as the library
+computes them.
 
 ur_rtde uses them on 5.23 and later, all without arguments. Guesses: their arguments, of which the joint positions and
 speeds come first; that without them the actual ones count; that a matrix is a list of its rows.
@@ -9,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from urlink.dynamics import Dynamics
 
-from ..machine import ScriptThread
-from .declaration import Family, joints, pose
+from ..machine import ScriptThread, Waiting
+from .declaration import Family, boolean, joints, pose, six
 
 __all__ = ["FAMILY"]
 
@@ -87,3 +90,45 @@ def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd
     what = "get_coriolis_and_centrifugal_torques"
     at, speeds = _positions(thread, q, what), _speeds(thread, qd, what)
     return tuple(_dynamics(thread).coriolis_torque(at, speeds).tolist())
+
+
+@FAMILY.declare(since="5.23/10.11")
+def get_target_joint_torques(thread: ScriptThread) -> tuple[float, ...]:
+    """What the movement takes that the arm is led through, its weight included, Nm. That it is called so is a guess."""
+    return tuple(float(each) for each in thread.world.torques)
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False, since="5.23/10.11")
+def direct_torque(
+    thread: ScriptThread,
+    torque: Any,
+    friction_comp: Any = True,
+    viscous_scale: Any = (1, 1, 1, 1, 1, 1),
+    coulomb_scale: Any = (1, 1, 1, 1, 1, 1),
+) -> Waiting:
+    """Torques of the joints for one cycle, on top of what holds the arm up.
+
+    The two scales, which later firmware has, say how much of the friction is made up for; here the smaller of both
+    counts for each joint.
+    """
+    thread.machine.spend(_COST)
+    wanted = joints(torque, "direct_torque: torque")
+    viscous, coulomb = six(viscous_scale, "direct_torque: viscous_scale"), six(coulomb_scale, "direct_torque: coulomb")
+    scales = [max(min(pair), 0.0) for pair in zip(viscous, coulomb, strict=True)]
+    is_made_up = boolean(friction_comp, "direct_torque: friction_comp")
+    left = [1.0 - min(scale, 1.0) if is_made_up else 1.0 for scale in scales]
+    turning = np.array(wanted) + np.array(thread.world.external_torques)
+    return thread.machine.moving(thread, lambda: thread.world.motion.direct_torque(_dynamics(thread), turning, left))
+
+
+@FAMILY.declare(since="5.23/10.11")
+def set_friction_compensation(thread: ScriptThread, enable: Any) -> None:
+    """Without effect: `direct_torque` says for itself whether friction is made up for."""
+    boolean(enable, "set_friction_compensation: enable")
+
+
+@FAMILY.declare(since="5.25/10.12")
+def set_friction_scales(thread: ScriptThread, viscous_scale: Any, coulomb_scale: Any) -> None:
+    """Without effect, as `set_friction_compensation`."""
+    six(viscous_scale, "set_friction_scales: viscous_scale")
+    six(coulomb_scale, "set_friction_scales: coulomb_scale")

@@ -1,52 +1,48 @@
-"""The force sensor, and the settings of force control.
+"""The force sensor, contacts, force mode and freedrive.
 
-The simulated arm touches nothing: its sensor shows noise, unless an RTDE client sends forces and a program has them
-used. So there is no offset to be removed and no contact to be found. Force control itself is not modelled; its settings
-are taken, since drivers make them before they know whether it will be used.
+How the arm yields is a model: see `urlink.simulator.robot.generator.compliance` and `free_joints`; what it touches is
+placed by tests (`urlink.simulator.robot.surroundings`). Known from the vendor's manual, as remembered: names, order and
+ranges of the arguments. Guesses: since which release a function is there where a driver does not tell, and that a
+number out of its range is an error.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from ...robot.generator import ForceTask
 from ..errors import Fault
 from ..machine import ScriptThread
-from .declaration import Family, boolean, number, six, vector
+from .declaration import Family, boolean, integer, number, pose, six, vector
 
 __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
 _NOWHERE = (0.0, 0.0, 0.0)
+_BASE = (0.0,) * 6
+# What each costs that computes with the arm, in elements of a list.
+_COST = 400
+# Of the square of the manipulability of the posture, m⁶: below them the arm is near a singularity, and too near.
+_CLOSE, _TOO_CLOSE = 1e-4, 1e-5
+
+
+# -- the sensor and contacts -----------------------------------------------------------------------------
 
 
 @FAMILY.declare(since="3.0")
 def zero_ftsensor(thread: ScriptThread) -> None:
-    """The offset of the sensor, which is zero here, is removed."""
+    """What the sensor shows now is taken off from here on."""
+    thread.world.zero_force()
 
 
 @FAMILY.declare(since="5.4")
 def tool_contact(thread: ScriptThread, direction: Any = (0, 0, 0, 0, 0, 0)) -> int:
-    """Cycles since a contact in that direction began: 0, since there is none."""
-    six(direction, "tool_contact: direction")
-    return 0
+    """Cycles since a contact in that direction of the tool began: 0 where there is none. Zeros ask for any direction.
 
-
-@FAMILY.declare(since="3.5")
-def force_mode_set_damping(thread: ScriptThread, damping: Any) -> None:
-    _between(damping, "force_mode_set_damping: damping", 1.0)
-
-
-@FAMILY.declare(since="5.0")
-def force_mode_set_gain_scaling(thread: ScriptThread, scaling: Any) -> None:
-    _between(scaling, "force_mode_set_gain_scaling: scaling", 2.0)
-
-
-def _between(value: Any, what: str, highest: float) -> None:
-    """That a value out of range is an error is a guess; the manual gives the ranges."""
-    given = number(value, what)
-    if not 0 <= given <= highest:
-        raise Fault(f"{what} is from 0 to {highest:g}, not {given:g}")
+    The first three numbers count. What `get_actual_joint_positions_history` takes.
+    """
+    return thread.world.contact_steps(six(direction, "tool_contact: direction")[:3])
 
 
 # The older of the two names is said to have a defect in its signs on real controllers, which is not here.
@@ -64,3 +60,91 @@ def ft_rtde_input_enable(
     vector(sensor_measuring_offset, "ft_rtde_input_enable: sensor_measuring_offset", 3)
     vector(sensor_cog, "ft_rtde_input_enable: sensor_cog", 3)
     thread.world.use_external_force(boolean(enable, "ft_rtde_input_enable: enable"))
+
+
+# -- force mode ------------------------------------------------------------------------------------------
+
+
+@FAMILY.declare(in_secondary=False)
+def force_mode(
+    thread: ScriptThread, task_frame: Any, selection_vector: Any, wrench: Any, type: Any, limits: Any
+) -> None:
+    """The arm yields along the selected axes of the frame, from now until `end_force_mode`."""
+    thread.machine.spend(_COST)
+    most = six(limits, "force_mode: limits")
+    if min(most) < 0.0:
+        raise Fault(f"force_mode: limits are not negative, not {min(most):g}")
+    task = ForceTask(
+        pose(task_frame, "force_mode: task_frame"),
+        _axes(selection_vector, "force_mode: selection_vector"),
+        six(wrench, "force_mode: wrench"),
+        integer(type, "force_mode: type", 1, 3),
+        most,
+    )
+    thread.world.force_mode(task)
+
+
+@FAMILY.declare(in_secondary=False)
+def end_force_mode(thread: ScriptThread) -> None:
+    thread.world.end_yielding()
+
+
+@FAMILY.declare(since="3.5")
+def force_mode_set_damping(thread: ScriptThread, damping: Any) -> None:
+    thread.world.set_force_damping(_between(damping, "force_mode_set_damping: damping", 1.0))
+
+
+@FAMILY.declare(since="5.0")
+def force_mode_set_gain_scaling(thread: ScriptThread, scaling: Any) -> None:
+    thread.world.set_force_gain(_between(scaling, "force_mode_set_gain_scaling: scaling", 2.0))
+
+
+def _between(value: Any, what: str, highest: float) -> float:
+    given = float(number(value, what))
+    if not 0 <= given <= highest:
+        raise Fault(f"{what} is from 0 to {highest:g}, not {given:g}")
+    return given
+
+
+def _axes(values: Any, what: str) -> list[bool]:
+    chosen = six(values, what)
+    if any(each not in (0.0, 1.0) for each in chosen):
+        raise Fault(f"{what} is six of 0 and 1")
+    return [each == 1.0 for each in chosen]
+
+
+# -- freedrive -------------------------------------------------------------------------------------------
+
+
+@FAMILY.declare(name="freedrive_mode", in_secondary=False, since="3.0", until="5.10")
+def freedrive_mode_in_all_directions(thread: ScriptThread) -> None:
+    thread.world.freedrive([True] * 6, _BASE)
+
+
+@FAMILY.declare(in_secondary=False, since="5.10")
+def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = "base") -> None:
+    """By hand along and about these axes of a feature: a pose in the base frame, or "base" or "tool"."""
+    thread.machine.spend(_COST)
+    frames = {"base": _BASE, "tool": thread.world.pose_target}
+    known = isinstance(feature, str) and feature in frames
+    frame = frames[feature] if known else pose(feature, "freedrive_mode: feature")
+    thread.world.freedrive(_axes(freeAxes, "freedrive_mode: freeAxes"), frame)
+
+
+@FAMILY.declare(in_secondary=False, since="1.6")
+def teach_mode(thread: ScriptThread) -> None:
+    """The older name of freedrive, in all directions."""
+    thread.world.freedrive([True] * 6, _BASE)
+
+
+@FAMILY.declare("end_teach_mode", in_secondary=False, since="1.6")
+def end_freedrive_mode(thread: ScriptThread) -> None:
+    thread.world.end_yielding()
+
+
+@FAMILY.declare(since="5.10")
+def get_freedrive_status(thread: ScriptThread) -> int:
+    """0; 1 near a singularity; 2 too near to one to be moved well. The distances are guesses."""
+    thread.machine.spend(_COST)
+    left = float(thread.world.kinematics.manipulability(list(thread.world.q_target))) ** 2
+    return 2 if left < _TOO_CLOSE else 1 if left < _CLOSE else 0

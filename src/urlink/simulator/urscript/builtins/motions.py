@@ -83,6 +83,33 @@ def movec(
     return thread.machine.moving(thread, lambda: thread.world.motion.movec(via, to, acceleration, speed, blend, way))
 
 
+@FAMILY.declare(takes_time=True, in_secondary=False, since="5.22/10.8")
+def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
+    """As `movej`, with fractions of what the joints can do; no search for the fastest profile."""
+    model = thread.world.kinematics.model
+    target = _joints(thread, q, "optimovej: q")
+    acceleration = _fraction(a, "optimovej: a") * float(model.max_acceleration.min())
+    speed, blend = _fraction(v, "optimovej: v") * float(model.max_speed.min()), _not_negative(r, "optimovej: r")
+    return thread.machine.moving(thread, lambda: thread.world.motion.movej(target, acceleration, speed, 0.0, blend))
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False, since="5.22/10.8")
+def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
+    """As `movel`, with fractions of 1 m/s and 2 m/s²; what a controller takes them of is not known."""
+    target = _pose(thread, pose, "optimovel: pose")
+    acceleration, speed = 2.0 * _fraction(a, "optimovel: a"), _fraction(v, "optimovel: v")
+    blend = _not_negative(r, "optimovel: r")
+    return thread.machine.moving(thread, lambda: thread.world.motion.movel(target, acceleration, speed, 0.0, blend))
+
+
+def _fraction(value: Any, what: str) -> float:
+    """Its range is a guess, as the default values are."""
+    part = _positive(value, what)
+    if part > 1.0:
+        raise Fault(f"{what} is at most 1, not {part:g}")
+    return part
+
+
 def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
     """A time overrides the acceleration and the speed, which may be zero then (a guess)."""
     seconds, blend = _not_negative(t, f"{name}: t"), _not_negative(r, f"{name}: r")

@@ -17,19 +17,6 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
-_FORCE = [
-    "direct_torque",
-    "end_force_mode",
-    "end_freedrive_mode",
-    "end_teach_mode",
-    "force_mode",
-    "freedrive_mode",
-    "get_freedrive_status",
-    "set_friction_compensation",
-    "set_friction_scales",
-    "teach_mode",
-]
-_PATHS = ["optimovej", "optimovel"]
 _LABELS = ["jump_to_label"]
 _NETWORK = [
     "eip_reader_factory",
@@ -61,13 +48,9 @@ def _unmodelled(name: str, what: str) -> Callable[..., Any]:
 
 
 for _names, _what in (
-    (_FORCE, "force control is"),
-    (_PATHS, "optimised paths are"),
     (_NETWORK, "XML-RPC, Modbus and EtherNet/IP are"),
     (_CONVEYOR, "conveyors are"),
     (_LABELS, "jumping is"),
 ):
     for _name in _names:
-        FAMILY.declare(name=_name, since="1.0" if _name in ("force_mode", "end_force_mode") else "3.0")(
-            _unmodelled(_name, _what)
-        )
+        FAMILY.declare(name=_name, since="3.0")(_unmodelled(_name, _what))

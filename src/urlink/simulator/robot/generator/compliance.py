@@ -1,0 +1,210 @@
+"""Force control of the tool: along some axes it yields until a force is there, along the others it keeps to its path.
+
+How a controller does this is not published beyond what its arguments are for; the model here keeps to that.
+
+- Along a **compliant axis** the tool moves as a mass with damping would, under the force that it is to exert and the
+  one that acts on it. The change of the force brakes it too, so that it comes to rest on stiff things. `damping` is the
+  part of its speed that a mass loses in 2 ms: 0 keeps it, 1 stops it at once. `gain` scales the force that moves it. It
+  never gets faster than its limit; where something other than the wanted force drives it at that limit for a tenth of a
+  second, the arm is stopped.
+- Along **every other axis** it follows the program, and gives way like a stiff spring. Where it is off by more than its
+  limit, the arm is stopped.
+
+The masses, stiffnesses and times are guesses. A contact of up to 100 kN/m is held stably at 125 Hz, a stiffer one at
+500 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urlink.kinematics import Arm
+from urlink.poses import compose, rotvec_to_matrix
+from urlink.vectors import FloatArray
+
+from ..sources import Setpoint
+from .joint_limits import JointLimits, LimitViolation, Unreachable
+from .tool_paths import setpoint_at
+
+__all__ = ["Compliance", "ForceTask", "free_tool"]
+
+# kg and kg m² that move along and about a compliant axis.
+_MASS = np.array([30.0, 30.0, 30.0, 1.0, 1.0, 1.0])
+# s: times the change of the force, it is a force that brakes.
+_BRAKE = 0.03
+# 1/s that damping 1 is: all of the speed within 2 ms.
+_DAMPING = 500.0
+# N/m and Nm/rad of the axes that are not compliant, and s in which they give way.
+_STIFFNESS = np.array([20e3, 20e3, 20e3, 500.0, 500.0, 500.0])
+_YIELDING = 0.05
+# N and Nm by which something has to drive a compliant axis, and s for which it may do so at the limit of the speed.
+_DRIVEN = np.array([5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
+_DRIVEN_FOR = 0.1
+# m/s below which there is no direction of the movement, and m within which none towards the frame.
+_SLOW, _NEAR = 1e-4, 1e-6
+
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True)
+class ForceTask:
+    """What `force_mode` was told.
+
+    Attributes:
+        frame: (6,) pose in the base frame whose axes count.
+        selection: (6,) which of them are compliant.
+        wrench: (6,) N and Nm that the tool is to exert along and about compliant axes.
+        kind: 1 turns the y axis towards the origin of the frame, as seen from the tool; 2 leaves it as it is; 3 turns
+            the x axis into the direction in which the tool moves in the x-y plane.
+        limits: (6,) largest speed of compliant axes, m/s and rad/s, and largest deviation of the others, m and rad.
+        damping: 0 to 1.
+        gain: 0 to 2.
+    """
+
+    frame: Sequence[float]
+    selection: Sequence[bool]
+    wrench: Sequence[float]
+    kind: int
+    limits: Sequence[float]
+    damping: float = 0.005
+    gain: float = 1.0
+
+
+def free_tool(frame: Sequence[float], axes: Sequence[bool]) -> ForceTask:
+    """Freedrive along some axes of a frame: nothing is exerted, speed is lost quickly, and nothing limits the rest."""
+    return ForceTask(frame, axes, (0.0,) * 6, 2, (math.inf,) * 6, damping=0.02)
+
+
+class Compliance:
+    """Makes the set-points of an arm under force control out of those of its program.
+
+    Args:
+        kinematics, limits: of the arm.
+        tcp: (6,) in the frame of the flange.
+        begin: where the arm is. It goes on at its speed along the axes that follow the program.
+        task: what it is to do.
+    """
+
+    def __init__(
+        self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], begin: Setpoint, task: ForceTask
+    ) -> None:
+        self.task = task
+        self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
+        self._last = begin
+        self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
+        # All in the base frame: the speed along compliant axes, that of the whole tool, and how far the others are off.
+        self._yielding = np.zeros(6)
+        self._speed = kinematics.velocity(begin.q, begin.qd, tcp) if any(begin.qd) else np.zeros(6)
+        self._deviation = np.zeros(6)
+        self._felt: FloatArray | None = None
+        self._driven = 0.0
+
+    @property
+    def task(self) -> ForceTask:
+        """What it is to do."""
+        return self._task
+
+    @task.setter
+    def task(self, task: ForceTask) -> None:
+        self._task = task
+        self._is_free = np.array(task.selection, dtype=np.bool_)
+        self._most, self._wanted = np.array(task.limits), np.array(task.wrench)
+        self._frame = rotvec_to_matrix(list(task.frame)[3:])
+
+    def advance(self, nominal: Setpoint, wrench: Sequence[float], seconds: float) -> Setpoint:
+        """The set-point one cycle later.
+
+        Args:
+            nominal: where the program alone would have the arm.
+            wrench: (6,) what acts on the TCP, N and Nm in the base frame.
+            seconds: that a cycle takes.
+
+        Raises:
+            LimitViolation: a limit of the task or of the joints is broken.
+        """
+        task, limits, is_free = self._task, self._most, self._is_free
+        followed = np.zeros(6)
+        if any(nominal.qd):
+            followed = self._kinematics.velocity(nominal.q, nominal.qd, self._tcp)
+        axes = self._axes(followed)
+        felt = axes @ np.asarray(wrench)
+        change = np.zeros(6) if self._felt is None else felt - axes @ self._felt
+        self._felt = np.array(wrench)
+
+        speed = axes @ self._yielding * math.exp(-_DAMPING * task.damping * seconds)
+        speed += (task.gain * (self._wanted + felt) * seconds + _BRAKE * change) / _MASS
+        self._check_driven(is_free, speed, limits, felt, seconds)
+        speed = np.where(is_free, np.minimum(np.maximum(speed, -limits), limits), 0.0)
+
+        deviation = axes @ self._deviation
+        giving = np.where(is_free, 0.0, (felt / _STIFFNESS - deviation) / _YIELDING)
+        deviation = np.where(is_free, 0.0, deviation + seconds * giving)
+        if (np.abs(deviation) > limits).any():
+            axis = int(np.argmax(np.abs(deviation) > limits))
+            off, most = f"{deviation[axis]:.4f} {_UNITS[axis]}", f"{limits[axis]:g}"
+            raise LimitViolation(f"force mode: {_AXES[axis]} is off by {off}, at most {most} is allowed")
+
+        self._yielding, self._deviation = axes.T @ speed, axes.T @ deviation
+        return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
+
+    def _check_driven(
+        self, is_free: NDArray[np.bool_], speed: FloatArray, limits: FloatArray, felt: FloatArray, seconds: float
+    ) -> None:
+        """Stop where something drives the tool at the limit of its speed."""
+        driven = is_free & (np.abs(speed) > limits) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
+        self._driven = self._driven + seconds if driven.any() else 0.0
+        if self._driven > _DRIVEN_FOR:
+            axis = int(np.argmax(driven))
+            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {limits[axis]:g}")
+
+    def _axes(self, followed: FloatArray) -> FloatArray:
+        """(6, 6): from the base frame to the axes that count, for forces and speeds."""
+        columns = self._frame
+        if self._task.kind == 1:
+            way = np.array(list(self._task.frame)[:3]) - np.array(self._pose[:3])
+            columns = _turned(columns, 1, way, _NEAR)
+        elif self._task.kind == 3:
+            moving = followed[:3]
+            columns = _turned(columns, 0, moving - columns[:, 2] * (columns[:, 2] @ moving), _SLOW)
+        both = np.zeros((6, 6))
+        both[:3, :3] = both[3:, 3:] = columns.T
+        return both
+
+    def _move(self, speed: FloatArray, seconds: float) -> Setpoint:
+        step = (0.5 * seconds * (self._speed + speed)).tolist()
+        self._speed = speed
+        pose = [a + b for a, b in zip(self._pose[:3], step[:3], strict=True)]
+        if any(step[3:]):
+            pose += compose((0.0, 0.0, 0.0, *step[3:]), (0.0, 0.0, 0.0, *self._pose[3:])).tolist()[3:]
+        else:
+            pose += self._pose[3:]
+        try:
+            setpoint = setpoint_at(self._kinematics, pose, self._tcp, self._last, seconds)
+        except Unreachable as error:
+            raise LimitViolation(str(error)) from None
+        self._limits.check(self._last, setpoint, seconds)
+        self._pose, self._last = pose, setpoint
+        return setpoint
+
+
+def _turned(columns: FloatArray, axis: int, way: FloatArray, least: float) -> FloatArray:
+    """A frame with one of its first two axes along a way, and its z axis as near to where it was as that lets it; the
+    frame itself where the way is too short, or goes along z."""
+    length = float(np.linalg.norm(way))
+    if length < least:
+        return columns
+    chosen = way / length
+    z = columns[:, 2] - chosen * (columns[:, 2] @ chosen)
+    height = float(np.linalg.norm(z))
+    if height < 1e-6:
+        return columns
+    z = z / height
+    other = np.cross(z, chosen) if axis == 0 else np.cross(chosen, z)
+    pair = (chosen, other) if axis == 0 else (other, chosen)
+    return np.stack((*pair, z), axis=1)

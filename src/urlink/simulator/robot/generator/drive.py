@@ -1,0 +1,127 @@
+"""What moves the arm of one program: its motion generator, and force mode or freedrive on top of it.
+
+In force mode the program goes on to command the arm, which follows along the axes that are not compliant. In freedrive
+with every axis free, what the program commands does not count.
+
+Guesses: a stop ends both modes, so that a program which goes on after it has to begin them again; the movement under
+way when a mode ends is gone on with from where the arm is by then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from urlink.kinematics import Arm
+
+from ..sources import Setpoint
+from .compliance import Compliance, ForceTask, free_tool
+from .free_joints import FreeJoints
+from .joint_limits import JointLimits
+from .motion_generator import MotionGenerator
+
+__all__ = ["Drive"]
+
+_ALL = (True,) * 6
+
+
+class Drive:
+    """Makes the set-points of one program.
+
+    Args:
+        kinematics: of the arm.
+        setpoint: where it is, and how it moves.
+
+    Attributes:
+        generator: takes the commands of the program.
+        setpoint: that of this cycle.
+    """
+
+    def __init__(self, kinematics: Arm, setpoint: Setpoint) -> None:
+        self.generator = MotionGenerator(kinematics, setpoint)
+        self.setpoint = setpoint
+        self._kinematics = kinematics
+        self._limits = JointLimits(kinematics.model)
+        self._compliance: Compliance | None = None
+        self._free: FreeJoints | None = None
+        # Of force mode, as a program has set them.
+        self._damping, self._gain = ForceTask.damping, ForceTask.gain
+
+    # -- modes -------------------------------------------------------------------------------------
+
+    @property
+    def yields(self) -> bool:
+        """In force mode or freedrive, in which the arm moves without being commanded."""
+        return self._compliance is not None or self._free is not None
+
+    def force_mode(self, task: ForceTask) -> None:
+        """Begin, or go on with another task."""
+        task = replace(task, damping=self._damping, gain=self._gain)
+        if self._compliance is not None:
+            self._compliance.task = task
+        else:
+            self.end_mode()
+            self._compliance = self._comply(task)
+
+    def set_damping(self, damping: float) -> None:
+        """Of force mode, from its next beginning on, and of one that is on; 0 to 1."""
+        self._damping = damping
+        self._adjust()
+
+    def set_gain(self, gain: float) -> None:
+        """As `set_damping`; 0 to 2."""
+        self._gain = gain
+        self._adjust()
+
+    def _adjust(self) -> None:
+        if self._compliance is not None:
+            self._compliance.task = replace(self._compliance.task, damping=self._damping, gain=self._gain)
+
+    def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
+        """Let the arm be moved by hand, along and about these axes of a frame in the base frame, m and rad."""
+        self.end_mode()
+        if tuple(axes) == _ALL:
+            self._free = FreeJoints(self._kinematics, self._limits, self.generator.tcp, self.setpoint)
+        else:
+            self._compliance = self._comply(free_tool(frame, axes))
+
+    def _comply(self, task: ForceTask) -> Compliance:
+        return Compliance(self._kinematics, self._limits, self.generator.tcp, self.setpoint, task)
+
+    def end_mode(self) -> None:
+        """Follow the program alone again."""
+        if self.yields:
+            self._compliance = self._free = None
+            self.generator.resume(self.setpoint)
+
+    # -- time --------------------------------------------------------------------------------------
+
+    def advance(self, seconds: float, wrench: Sequence[float], torques: Sequence[float]) -> Setpoint:
+        """The set-point one cycle of that many seconds later.
+
+        Args:
+            wrench: (6,) what acts on the TCP, N and Nm in the base frame.
+            torques: (6,) Nm, what turns the joints apart from that.
+
+        Raises:
+            LimitViolation: it would break a limit.
+        """
+        nominal = self.generator.advance(seconds)
+        if self._free is not None:
+            self.setpoint = self._free.advance(wrench, torques, seconds)
+        elif self._compliance is not None:
+            if any(torques):
+                across = self._kinematics.jacobian(self.setpoint.q, self.generator.tcp).T
+                wrench = np.asarray(wrench) + np.linalg.lstsq(across, np.asarray(torques), rcond=None)[0]
+            self.setpoint = self._compliance.advance(nominal, wrench, seconds)
+        else:
+            self.setpoint = nominal
+        return self.setpoint
+
+    def start(self, q: Sequence[float]) -> None:
+        """Go on from rest at six joint positions in rad, to which the arm was braked by a stop; no mode is on."""
+        self._compliance = self._free = None
+        self.generator.start(q)
+        self.setpoint = self.generator.setpoint

@@ -1,0 +1,242 @@
+"""What the tool of a simulated arm touches, carries and is pushed by: planes, springs, loads and hands.
+
+A plane pushes back along its normal where the TCP is below it: `stiffness` times the depth and `damping` times the
+speed into it, never pulling. Along the plane it rubs: `friction` times that force, against the direction of sliding. A
+spring pulls the TCP towards a point. Both act on the TCP alone: the tool has no size, and no other part of the arm
+touches anything. Friction does not stick: below 1 mm/s it fades with the speed. All of this is a model, not a
+measurement.
+
+Forces are those that act on the tool, in N and Nm, in the directions of the base frame, moments about the TCP.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from linkcore.errors import BadValue
+
+__all__ = ["Contact", "Plane", "Spring", "Surroundings"]
+
+#: m/s of sliding at which friction has three quarters of its full size.
+_SLIDING = 1e-3
+#: N at the TCP beyond which the controller stops the arm. Controllers let it be chosen; this default is a guess.
+FORCE_LIMIT = 150.0
+
+
+class Contact(Protocol):
+    """Something that acts on the TCP."""
+
+    def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
+        """N in the base frame, of a TCP at a position in m that moves at a velocity in m/s."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane that the TCP can be pressed on.
+
+    Args:
+        point: (3,) any point of it in the base frame, m.
+        normal: (3,) towards the free side, of any length.
+        stiffness: N/m.
+        damping: N per m/s into it.
+        friction: part of the normal force that opposes sliding.
+
+    Raises:
+        BadValue: a vector is not three finite numbers, the normal is zero, or a figure is negative.
+    """
+
+    point: Sequence[float]
+    normal: Sequence[float] = (0.0, 0.0, 1.0)
+    stiffness: float = 20_000.0
+    damping: float = 100.0
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        normal = _three(self.normal, "a normal")
+        length = math.hypot(*normal)
+        if length == 0.0:
+            raise BadValue("the normal of a plane is not zero")
+        object.__setattr__(self, "point", _three(self.point, "a point"))
+        object.__setattr__(self, "normal", tuple(each / length for each in normal))
+        _check_figures(stiffness=self.stiffness, damping=self.damping, friction=self.friction)
+
+    def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
+        """N in the base frame, of a TCP at a position in m that moves at a velocity in m/s."""
+        nx, ny, nz = self.normal
+        px, py, pz = self.point
+        depth = (px - position[0]) * nx + (py - position[1]) * ny + (pz - position[2]) * nz
+        if depth <= 0.0:
+            return 0.0, 0.0, 0.0
+        vx, vy, vz = velocity
+        away = vx * nx + vy * ny + vz * nz
+        pressed = max(self.stiffness * depth - self.damping * away, 0.0)
+        vx, vy, vz = vx - away * nx, vy - away * ny, vz - away * nz
+        sliding = math.hypot(vx, vy, vz)
+        rub = self.friction * pressed * math.tanh(sliding / _SLIDING) / sliding if sliding > 0.0 else 0.0
+        return pressed * nx - rub * vx, pressed * ny - rub * vy, pressed * nz - rub * vz
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A spring between a point and the TCP; without a length at rest, it pulls wherever the TCP is not at the point.
+
+    Args:
+        point: (3,) where its other end is, in the base frame, m.
+        stiffness: N/m.
+        damping: N per m/s of the TCP.
+
+    Raises:
+        BadValue: a point that is not three finite numbers, or a negative figure.
+    """
+
+    point: Sequence[float]
+    stiffness: float = 500.0
+    damping: float = 10.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", _three(self.point, "a point"))
+        _check_figures(stiffness=self.stiffness, damping=self.damping)
+
+    def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
+        """N in the base frame, of a TCP at a position in m that moves at a velocity in m/s."""
+        k, c = self.stiffness, self.damping
+        x, y, z = (k * (there - here) - c * v for there, here, v in zip(self.point, position, velocity, strict=True))
+        return x, y, z
+
+
+class Surroundings:
+    """What is about the arm of one controller. It outlives a reboot.
+
+    Each method may be called from any thread; what it changes counts from the next cycle on.
+
+    Attributes:
+        force_limit: N at the TCP beyond which the controller stops the arm protectively.
+    """
+
+    def __init__(self) -> None:
+        self.force_limit = FORCE_LIMIT
+        # Replaced as a whole, so that the thread that owns the controller always sees one or the other.
+        self._contacts: tuple[Contact, ...] = ()
+        self._wrench: tuple[float, ...] = (0.0,) * 6
+        self._torques: tuple[float, ...] = (0.0,) * 6
+        self._load: tuple[float, tuple[float, ...]] | None = None
+
+    # -- what a test places ----------------------------------------------------------------------------
+
+    def add(self, contact: Contact) -> Contact:
+        """Place a plane, a spring, or something of your own with a method `force`; returns it.
+
+        Raises:
+            BadValue: it has no such method.
+        """
+        if not callable(getattr(contact, "force", None)):
+            raise BadValue(f"a contact has a method force(position, velocity), as Plane and Spring do; not {contact!r}")
+        self._contacts = (*self._contacts, contact)
+        return contact
+
+    def remove(self, contact: Contact) -> None:
+        """Take away what was placed.
+
+        Raises:
+            BadValue: it is not there.
+        """
+        left = tuple(each for each in self._contacts if each is not contact)
+        if len(left) == len(self._contacts):
+            raise BadValue(f"there is no such contact: {contact!r}")
+        self._contacts = left
+
+    def clear(self) -> None:
+        """Take everything away: contacts, pushes and the load."""
+        self._contacts = ()
+        self._wrench = self._torques = (0.0,) * 6
+        self._load = None
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """What was placed, in that order."""
+        return self._contacts
+
+    def push(self, wrench: Sequence[float]) -> None:
+        """Push at the TCP from now on, as a hand does; six zeros let go.
+
+        Args:
+            wrench: (6,) N in the directions of the base frame, and Nm about the TCP.
+
+        Raises:
+            BadValue: not six finite numbers.
+        """
+        self._wrench = _numbers(wrench, 6, "a wrench")
+
+    def push_joints(self, torques: Sequence[float]) -> None:
+        """Turn at the joints from now on, (6,) Nm; six zeros let go. Only an arm in freedrive or under direct torque
+        yields to it; the force at the TCP does not show it.
+
+        Raises:
+            BadValue: not six finite numbers.
+        """
+        self._torques = _numbers(torques, 6, "torques")
+
+    def carry(self, mass: float | None, cog: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        """What really hangs at the flange. Where that is not what the controller was told, the force at the TCP is off
+        by the difference of the weights.
+
+        Args:
+            mass: kg; None for what the controller was told, which is so in the beginning.
+            cog: (3,) its centre of mass in the frame of the flange, m.
+
+        Raises:
+            BadValue: a negative mass, or a centre that is not three finite numbers.
+        """
+        if mass is None:
+            self._load = None
+            return
+        _check_figures(mass=mass)
+        self._load = float(mass), _three(cog, "a centre of mass")
+
+    # -- what the arm feels ----------------------------------------------------------------------------
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing can act on the arm."""
+        return not (self._contacts or any(self._wrench) or any(self._torques) or self._load)
+
+    @property
+    def load(self) -> tuple[float, tuple[float, ...]] | None:
+        """Mass in kg and centre of mass in m of what really hangs at the flange; None for what was told."""
+        return self._load
+
+    @property
+    def joint_torques(self) -> tuple[float, ...]:
+        """(6,) Nm, of `push_joints`."""
+        return self._torques
+
+    def wrench(self, position: Sequence[float], velocity: Sequence[float]) -> list[float]:
+        """What acts on a TCP at a position in m that moves at a velocity in m/s: (6,) N and Nm."""
+        total = list(self._wrench)
+        for contact in self._contacts:
+            for axis, part in enumerate(contact.force(position, velocity)):
+                total[axis] += part
+        return total
+
+    def __repr__(self) -> str:
+        return f"<Surroundings {list(self._contacts)}>"
+
+
+def _numbers(values: Sequence[float], n: int, what: str) -> tuple[float, ...]:
+    numbers = tuple(float(value) for value in values)
+    if len(numbers) != n or not all(map(math.isfinite, numbers)):
+        raise BadValue(f"{what} must be {n} finite numbers, not {values!r}")
+    return numbers
+
+
+def _three(values: Sequence[float], what: str) -> tuple[float, ...]:
+    return _numbers(values, 3, what)
+
+
+def _check_figures(**figures: float) -> None:
+    for name, value in figures.items():
+        if not 0.0 <= value < math.inf:
+            raise BadValue(f"{name} is zero or more, not {value!r}")
