@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         WrongPeer as WrongPeer,
     )
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
+    from linkcore.recording.table import Table as Table
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
     from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
         PluginFailed as PluginFailed,
     )
     from .host.plugin import Plugin as Plugin
+    from .recording.loading import load as load
     from .robots import Ackerman as Ackerman, Gps as Gps, Smr as Smr, VelocityOmega as VelocityOmega
     from .smrcl.errors import (
         BadMission as BadMission,
@@ -96,6 +98,7 @@ else:
                 LocalError PacketError RemoteError WrongPeer
             """,
             "linkcore.handle": "Handle Motion Phase",
+            "linkcore.recording.table": "Table",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "ConnectionEvent ConnectionState",
@@ -107,6 +110,7 @@ else:
             ".host.config": "BadConfiguration Configuration Element read_config",
             ".host.host": "Host HostFailed HostStatistics PluginFailed",
             ".host.plugin": "Plugin",
+            ".recording.loading": "load",
             ".robots": "Ackerman Gps Smr VelocityOmega",
             ".smrcl.errors": "BadMission MissionFailed MissionLimit Mistake",
             ".smrcl.mission": "Debugger Mission MissionRun",

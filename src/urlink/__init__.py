@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     )
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.recording.recorder import Recorder as Recorder
+    from linkcore.recording.table import Table as Table
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
     from linkcore.streaming.events import (
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from .commanding.io import IO as IO, Analog as Analog
     from .commanding.safety import Safety as Safety
     from .commanding.scripts import Program as Program, Scripts as Scripts
+    from .data.recording import Recording as Recording, load as load
     from .decoding import decode as decode
     from .errors import (
         CompileError as CompileError,
@@ -152,6 +154,7 @@ else:
             """,
             "linkcore.handle": "Handle Motion Phase",
             "linkcore.recording.recorder": "Recorder",
+            "linkcore.recording.table": "Table",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "Chunk ConnectionEvent ConnectionState Traffic",
@@ -164,6 +167,7 @@ else:
             ".commanding.io": "IO Analog",
             ".commanding.safety": "Safety",
             ".commanding.scripts": "Program Scripts",
+            ".data.recording": "Recording load",
             ".decoding": "decode",
             ".errors": """
                 CompileError NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop

@@ -72,6 +72,7 @@ NAMES = [
     "Structure",
     "Subscription",
     "SyncThread",
+    "Table",
     "Text",
     "TimeStamp",
     "UInt32",
@@ -87,6 +88,7 @@ NAMES = [
     "connect",
     "drop_oldest",
     "latest",
+    "load",
     "read_config",
 ]
 

@@ -70,6 +70,7 @@ NAMES = [
     "ProgramStopped",
     "RealtimeState",
     "Recorder",
+    "Recording",
     "RemoteError",
     "ReportLevel",
     "RequestValueMessage",
@@ -100,6 +101,7 @@ NAMES = [
     "Stream",
     "SubPackage",
     "Subscription",
+    "Table",
     "TextMessage",
     "ToleranceExceeded",
     "ToolCommunicationInfo",
@@ -121,6 +123,7 @@ NAMES = [
     "decode",
     "drop_oldest",
     "latest",
+    "load",
 ]
 
 

@@ -18,44 +18,19 @@ incomplete or damaged, and says how much it left out.
 
 from __future__ import annotations
 
-import enum
 import json
 import os
-import struct
 import threading
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..errors import BadRecording, BadValue, Closed
 from ..stamp import Stamp
+from .records import FRAME, HEAD, LARGEST, MAGIC, Kind, Record, pack
 
 __all__ = ["Kind", "Record", "Recording", "RecordingWriter"]
-
-_MAGIC = b"LINKREC1"
-_FRAME = struct.Struct(">II")
-_HEAD = struct.Struct(">BBqq")
-#: No record is larger: a longer length is damage.
-_LARGEST = 1 << 26
-
-
-class Kind(enum.IntEnum):
-    """What a record holds."""
-
-    CHANNEL = 0
-    BYTES = 1
-    EVENT = 2
-    END = 3
-
-
-class Record(NamedTuple):
-    """One record of a recording."""
-
-    kind: Kind
-    channel: int
-    stamp: Stamp
-    payload: bytes
 
 
 class RecordingWriter:
@@ -79,7 +54,7 @@ class RecordingWriter:
         #: What went wrong with the file; nothing is written after it.
         self.failure: str | None = None
         try:
-            self._append(_MAGIC)
+            self._append(MAGIC)
         except BadRecording:
             self._file.close()
             raise
@@ -112,7 +87,7 @@ class RecordingWriter:
             BadRecording: the disk did not take it, or an earlier one.
             Closed: after `close`.
         """
-        data = _packed(kind, channel, stamp, payload)
+        data = pack(kind, channel, stamp, payload)
         with self._lock:
             if self._file.closed:
                 raise Closed(f"{self.path} is closed")
@@ -129,7 +104,7 @@ class RecordingWriter:
                 return
             try:
                 if complete and self.failure is None:
-                    self._append(_packed(Kind.END, 0, Stamp.now(), b""))
+                    self._append(pack(Kind.END, 0, Stamp.now(), b""))
             finally:
                 self._file.close()
 
@@ -144,11 +119,6 @@ class RecordingWriter:
                 self.failure = f"cannot write {self.path}: {_reason(error)}"
         if self.failure is not None:
             raise BadRecording(self.failure)
-
-
-def _packed(kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> bytes:
-    body = _HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
-    return _FRAME.pack(len(body), zlib.crc32(body)) + body
 
 
 def _reason(error: Exception) -> str:
@@ -204,26 +174,26 @@ class Recording:
         except (OSError, ValueError) as error:
             raise BadRecording(f"cannot read {self.path}: {_reason(error)}") from error
         with file:
-            magic = file.read(len(_MAGIC))
-            if magic != _MAGIC:
-                raise BadRecording(f"{self.path} is not a recording: it begins with {magic!r}, not {_MAGIC!r}")
+            magic = file.read(len(MAGIC))
+            if magic != MAGIC:
+                raise BadRecording(f"{self.path} is not a recording: it begins with {magic!r}, not {MAGIC!r}")
             size = os.fstat(file.fileno()).st_size
-            at = len(_MAGIC)
+            at = len(MAGIC)
             while True:
-                frame = file.read(_FRAME.size)
-                if len(frame) < _FRAME.size:
+                frame = file.read(FRAME.size)
+                if len(frame) < FRAME.size:
                     break
-                length, checksum = _FRAME.unpack(frame)
-                if not _HEAD.size <= length <= _LARGEST:
+                length, checksum = FRAME.unpack(frame)
+                if not HEAD.size <= length <= LARGEST:
                     break
                 body = file.read(length)
                 if len(body) < length or zlib.crc32(body) != checksum:
                     break
-                at += _FRAME.size + length
-                kind, channel, monotonic, wall = _HEAD.unpack_from(body)
+                at += FRAME.size + length
+                kind, channel, monotonic, wall = HEAD.unpack_from(body)
                 if kind > Kind.END:
                     continue  # of a later version of the format
-                yield Record(Kind(kind), channel, Stamp(monotonic / 1e9, wall / 1e9), body[_HEAD.size :])
+                yield Record(Kind(kind), channel, Stamp(monotonic / 1e9, wall / 1e9), body[HEAD.size :])
             # It may have grown meanwhile: a recording can be read while it is being made.
             self.left_out = max(size - at, 0)
 

@@ -86,6 +86,11 @@ class Framer:
         """The bytes that belong to no packet yet; always fewer than `largest` and `pace` together."""
         return bytes(self._kept)
 
+    @property
+    def is_between_packets(self) -> bool:
+        """Whether everything so far was whole packets, or was given up, so that one may begin with the next byte."""
+        return not self._kept and not self._is_lost
+
     def feed(self, data: bytes) -> list[bytes]:
         """The packets that `data` completes, each whole.
 

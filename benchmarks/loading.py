@@ -1,0 +1,106 @@
+"""What it costs to load a recording: all fields of the real-time packets as columns, beside a loop around `struct`.
+
+A recording of packets of firmware 5.10 (1220 bytes, the longest there are), one in each record, is written once.
+`urlink.load` finds its records and checks their checksums, `arrays` makes a column of every field. The loop reads the
+same file record by record, unpacks each packet with one precompiled `struct`, and appends the tuple to a list: no
+checksums, no columns. `checked` is the same loop with the checksums. Times are those of the processor, so that a busy
+machine matters less, and the best of the rounds counts. The file is in the cache of the operating system.
+
+    python benchmarks/loading.py            # 200 000 packets, 3 rounds
+    python benchmarks/loading.py --quick    # 20 000 packets, 2 rounds
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import struct
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import urlink
+from linkcore.recording.records import FRAME, HEAD, MAGIC, Kind, pack
+from urlink import RealtimeState, Stamp
+
+PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0], joint_modes=[253] * 6))
+DOUBLES = struct.Struct(f">{(len(PACKET) - 4) // 8}d")
+
+
+def write(path: Path, packets: int) -> None:
+    with path.open("wb") as file:
+        file.write(MAGIC)
+        file.write(pack(Kind.CHANNEL, 0, Stamp(0, 0), json.dumps({"name": "realtime"}).encode()))
+        for number in range(packets):
+            data = PACKET[:4] + struct.pack(">d", number * 0.002) + PACKET[12:]
+            file.write(pack(Kind.BYTES, 0, Stamp(number * 0.002, 1.7e9 + number * 0.002), data))
+        file.write(pack(Kind.END, 0, Stamp(0, 0), b""))
+
+
+def loop(path: Path, *, checked: bool) -> list[tuple[float, ...]]:
+    rows = []
+    with path.open("rb") as file:
+        file.read(len(MAGIC))
+        while frame := file.read(FRAME.size):
+            length, crc = FRAME.unpack(frame)
+            body = file.read(length)
+            if checked and zlib.crc32(body) != crc:
+                raise ValueError("damaged")
+            if body[0] == Kind.BYTES:
+                rows.append(DOUBLES.unpack_from(body, HEAD.size + 4))
+    return rows
+
+
+def spent(action: Callable[[], object]) -> float:
+    begin = time.process_time()
+    action()
+    return time.process_time() - begin
+
+
+def measure(path: Path, packets: int, rounds: int) -> dict[str, float]:
+    """Microseconds a packet."""
+    best: dict[str, float] = {}
+
+    def take(name: str, action: Callable[[], object]) -> None:
+        best[name] = min(best.get(name, float("inf")), spent(action) / packets * 1e6)
+
+    runs: list[urlink.Recording] = []
+    for _ in range(rounds):
+        runs.clear()
+        take("find", lambda: runs.append(urlink.load(path)))
+        take("rows", lambda: runs[0].realtime)
+        take("columns", lambda: runs[0].realtime.arrays())
+        take("one_column", lambda: urlink.load(path).realtime["q_actual"])
+        take("struct", lambda: loop(path, checked=False))
+        take("struct_checked", lambda: loop(path, checked=True))
+    best["all"] = best["find"] + best["rows"] + best["columns"]
+    return best
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="20 000 packets, 2 rounds")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    packets, rounds = (20_000, 2) if options.quick else (200_000, 3)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.urlog"
+        write(path, packets)
+        figures = measure(path, packets, rounds)
+    if options.json:
+        print(json.dumps(figures))
+        return
+    print(f"{packets} packets of {len(PACKET)} bytes, processor time a packet, best of {rounds}")
+    print(f"  records found, checksums checked    {figures['find']:6.2f} us")
+    print(f"  packets found                       {figures['rows']:6.2f} us")
+    print(f"  all fields as columns               {figures['columns']:6.2f} us")
+    print(f"  all of it                           {figures['all']:6.2f} us   (goal: 1.5 us)")
+    print(f"  load and one column of six          {figures['one_column']:6.2f} us")
+    print(f"  loop around struct                  {figures['struct']:6.2f} us")
+    print(f"  the same with checksums             {figures['struct_checked']:6.2f} us")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,190 @@
+"""Where each record of a recording lies, found without a Python object for each.
+
+Recordings are long runs of records of one size: where the next records declare the size of this one, they are taken
+together. What is damaged is passed over, and reading goes on with the next record whose checksum is right.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadRecording
+from .checksums import intact
+from .records import FRAME, HEAD, LARGEST, MAGIC, Kind
+
+__all__ = ["Gap", "Index"]
+
+#: Records that are looked at together at first; then always four times as many.
+_FIRST_RUN = 16
+#: Bytes that are searched at a time for a record behind damage.
+_SEARCHED = 1 << 20
+
+Numbers = NDArray[np.int64]
+
+
+class Gap(NamedTuple):
+    """Bytes of a file that are no record.
+
+    Attributes:
+        record: number of the record that follows them.
+        offset: in the file.
+        size: in bytes.
+    """
+
+    record: int
+    offset: int
+    size: int
+
+
+class Index:
+    """The records of a recording that are whole.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        BadRecording: no such file, or not a recording.
+
+    Attributes:
+        data: the bytes of the file, (n,) uint8, which stay on the disk until they are read.
+        kind, channel: of each record, (n,).
+        offset, size: of its payload in `data`, (n,), bytes.
+        monotonic, wall: its stamps, (n,), ns.
+        gaps: what lies between the records, or behind them, and is none.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.data = _mapped(self.path)
+        self.gaps: list[Gap] = []
+        begin = bytes(self.data[: len(MAGIC)])
+        if begin != MAGIC:
+            raise BadRecording(f"{self.path} is not a recording: it begins with {begin!r}, not {MAGIC!r}")
+        runs = self._runs()
+        starts = [start + stride * np.arange(count, dtype=np.int64) for start, stride, count in runs]
+        start = np.concatenate(starts) if starts else np.empty(0, np.int64)
+        self.size: Numbers = np.repeat(
+            np.array([stride for _, stride, _ in runs], np.int64) - FRAME.size - HEAD.size,
+            np.array([count for _, _, count in runs], np.int64),
+        )
+        self.offset: Numbers = start + FRAME.size + HEAD.size
+        heads = self._heads(start)
+        self.kind: Numbers = heads["kind"].astype(np.int64)
+        self.channel: Numbers = heads["channel"].astype(np.int64)
+        self.monotonic: Numbers = heads["monotonic"].astype(np.int64)
+        self.wall: Numbers = heads["wall"].astype(np.int64)
+
+    @property
+    def left_out(self) -> int:
+        """Bytes that are unfinished or damaged."""
+        return sum(gap.size for gap in self.gaps)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the recording was closed in good order."""
+        return bool((self.kind == Kind.END).any())
+
+    def payload(self, record: int) -> bytes:
+        """What a record holds."""
+        offset = int(self.offset[record])
+        return self.data[offset : offset + int(self.size[record])].tobytes()
+
+    def of(self, channel: int) -> Numbers:
+        """The numbers of the records of a channel, in order."""
+        return np.flatnonzero(self.channel == channel)
+
+    def _heads(self, start: Numbers) -> NDArray[np.void]:
+        head = np.dtype([("kind", "u1"), ("channel", "u1"), ("monotonic", ">i8"), ("wall", ">i8")])
+        if not len(start):
+            return np.empty(0, head)
+        last = int(start[-1])
+        every = np.ndarray((last + 1,), np.dtype((np.void, head.itemsize)), self.data, FRAME.size, (1,))
+        found: NDArray[np.void] = every[start].view(head)
+        return found
+
+    def _runs(self) -> list[tuple[int, int, int]]:
+        """Runs of records of one size: where each begins, the bytes of its records with all that is before them, and
+        how many there are."""
+        runs: list[tuple[int, int, int]] = []
+        view = memoryview(self.data.data)
+        end, at, records = len(view), len(MAGIC), 0
+        unpack = FRAME.unpack_from
+        count = 0
+        while at < end:
+            length, crc = unpack(view, at) if end - at >= FRAME.size else (0, 0)
+            after = at + FRAME.size + length
+            is_whole = (
+                HEAD.size <= length <= LARGEST and after <= end and zlib.crc32(view[at + FRAME.size : after]) == crc
+            )
+            if not is_whole:
+                found = self._next(view, at, after)
+                self.gaps.append(Gap(records, at, found - at))
+                at = found
+                continue
+            count = 1
+            if end - after >= FRAME.size and unpack(view, after)[0] == length:
+                count += self._same(after, FRAME.size + length)
+            runs.append((at, FRAME.size + length, count))
+            at += count * (FRAME.size + length)
+            records += count
+        return runs
+
+    def _same(self, at: int, stride: int) -> int:
+        """How many whole records of one size begin at `at`, where at least one declares that size."""
+        most = (len(self.data) - at) // stride
+        lengths: NDArray[np.int64] = np.ndarray((most,), ">u4", self.data, at, (stride,))
+        done, window = 0, _FIRST_RUN
+        while done < most:
+            same = lengths[done : done + window] == stride - FRAME.size
+            there = len(same) if same.all() else int(np.argmin(same))
+            good = intact(self.data, at + done * stride, stride, there)
+            if not good.all():
+                return done + int(np.argmin(good))
+            done += there
+            if there < len(same):
+                break
+            window *= 4
+        return done
+
+    def _next(self, view: memoryview, at: int, after: int) -> int:
+        """Where the next whole record begins behind damage at `at`; the end of the file if none does."""
+        if _is_record(view, after):
+            return after  # the damage is within one record
+        # Whatever the damage was, a record has a length and a kind that can be.
+        for begin in range(at + 1, len(view), _SEARCHED):
+            stop = min(begin + _SEARCHED, len(view) - FRAME.size - HEAD.size + 1)
+            if stop <= begin:
+                break
+            lengths = np.ndarray((stop - begin,), ">u4", self.data, begin, (1,))
+            kinds = self.data[begin + FRAME.size : stop + FRAME.size]
+            likely = (lengths >= HEAD.size) & (lengths <= LARGEST) & (kinds <= int(Kind.END))
+            for place in (np.flatnonzero(likely) + begin).tolist():
+                if _is_record(view, place):
+                    return int(place)
+        return len(view)
+
+
+def _is_record(view: memoryview, at: int) -> bool:
+    if len(view) - at < FRAME.size + HEAD.size:
+        return False
+    length, crc = FRAME.unpack_from(view, at)
+    after = at + FRAME.size + length
+    if not HEAD.size <= length <= LARGEST or after > len(view):
+        return False
+    return zlib.crc32(view[at + FRAME.size : after]) == int(crc)
+
+
+def _mapped(path: Path) -> NDArray[np.uint8]:
+    try:
+        if path.stat().st_size == 0:
+            return np.empty(0, np.uint8)
+        mapped: Any = np.memmap(path, np.uint8, "r")
+    except (OSError, ValueError) as error:
+        raise BadRecording(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+    return mapped.view(np.ndarray)  # type: ignore[no-any-return]  # slices of a memmap are slow to make

@@ -1,0 +1,266 @@
+"""The packets in the bytes of a recorded connection, without an object for each.
+
+A controller sends packets of one size, and they are recorded one by one: a piece of bytes that is as long as the packet
+before it, or several times as long, and has the same header in the right places, is that many more packets of the same
+layout. Where they lie in the file is all that is kept of them. Everything else goes through the framer and the decoder
+that a stream has, so what is found is the same however the bytes were cut; a property test holds the two equal.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PacketError, WrongPeer
+from ..stamp import Stamp
+from ..wire.layout import Layout
+from ..wire.packet import State
+from ..wire.protocol import PacketProtocol
+from .index import Index, Numbers
+from .records import Kind
+
+__all__ = ["Channel", "Part", "read_channel", "states_of"]
+
+
+class Part:
+    """Packets of one layout, by where their bytes are.
+
+    Attributes:
+        layout: of all of them.
+        place: of each, (n,): offset in the file; below 0, ``~place`` is one in `extra`.
+        record: the number of the record with which each was complete, (n,).
+    """
+
+    def __init__(
+        self, layout: Layout, data: NDArray[np.uint8], extra: NDArray[np.uint8], place: Numbers, record: Numbers
+    ) -> None:
+        self.layout = layout
+        self.place = place
+        self.record = record
+        self._data = data
+        self._extra = extra
+        steps = np.diff(place)
+        #: bytes from one packet to the next where that is the same for all, which then need not be gathered
+        self._stride = int(steps[0]) if len(steps) and place[0] >= 0 and (steps == steps[0]).all() else 0
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def view(self, begin: int, end: int, offset: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """What lies `offset` bytes behind the beginning of the packets `begin` to `end`, as `dtype`: (end - begin,)."""
+        count = end - begin
+        if self._stride and count:
+            return np.ndarray((count,), dtype, self._data, int(self.place[begin]) + offset, (self._stride,))
+        place = self.place[begin:end]
+        found = np.empty(count, np.dtype((np.void, dtype.itemsize)))
+        in_file = place >= 0
+        for source, chosen, places in (
+            (self._data, in_file, place[in_file]),
+            (self._extra, ~in_file, ~place[~in_file]),
+        ):
+            if len(places):
+                every = np.ndarray((int(places.max()) + 1,), found.dtype, source, offset, (1,))
+                found[chosen] = every[places]
+        return found.view(dtype)
+
+    def sliced(self, begin: int, end: int) -> Part:
+        """The packets `begin` to `end`."""
+        return Part(self.layout, self._data, self._extra, self.place[begin:end], self.record[begin:end])
+
+
+class Channel(NamedTuple):
+    """What was recorded of one stream.
+
+    Attributes:
+        parts: the packets of its main class, in order; another part begins where the layout changes.
+        others: everything else that was decoded, each with the number of its record.
+        begins: numbers of the records with which a connection begins, the first one aside.
+        skipped: bytes that belong to no packet.
+        failed: what was wrong with packets that could not be decoded.
+    """
+
+    parts: list[Part]
+    others: list[tuple[int, State]]
+    begins: list[int]
+    skipped: int
+    failed: list[str]
+
+
+def read_channel(
+    index: Index, number: int, protocol: Callable[[], PacketProtocol], kind: type[State], *, is_uniform: bool = True
+) -> Channel:
+    """The packets of a channel.
+
+    Args:
+        protocol: makes the protocol of a connection.
+        kind: class of the packets that become rows.
+        is_uniform: packets of this class that have the same header and size have the same layout.
+    """
+    reader = _Reader(index, kind, is_uniform)
+    begins: list[int] = []
+    for records in _connections(index, number):
+        if reader.has_read:
+            begins.append(int(records[0]))
+        reader.read(records, protocol())
+    return Channel(reader.parts(), reader.others, begins, reader.skipped, reader.failed)
+
+
+def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
+    """Packets that have been decoded, each with the number of its record, by layout."""
+    places = _Places()
+    for record, state in states:
+        places.add(state._layout, bytes(state), record)
+    return places.parts(np.empty(0, np.uint8))
+
+
+def _connections(index: Index, number: int) -> Iterator[Numbers]:
+    """The records with the bytes of each connection, or of what is left of one on each side of damage."""
+    mine = index.of(number)
+    kinds = index.kind[mine]
+    ends = [int(record) for record in mine[kinds == Kind.EVENT] if json.loads(index.payload(record))["state"] == "lost"]
+    ends += [gap.record for gap in index.gaps]
+    records = mine[kinds == Kind.BYTES]
+    for piece in np.split(records, np.searchsorted(records, sorted(ends))):
+        if len(piece):
+            yield piece
+
+
+class _Places:
+    """Gathers where packets lie, run by run."""
+
+    def __init__(self) -> None:
+        self._runs: list[tuple[Layout, Numbers, Numbers]] = []
+        self._single: tuple[Layout, list[int], list[int]] | None = None
+        self._extra = bytearray()
+
+    def add(self, layout: Layout, data: bytes, record: int) -> None:
+        """One packet by its bytes."""
+        if self._single is None or self._single[0] is not layout:
+            self._finish()
+            self._single = (layout, [], [])
+        _, place, records = self._single
+        place.append(~len(self._extra))
+        records.append(record)
+        self._extra += data
+
+    def extend(self, layout: Layout, place: Numbers, record: Numbers) -> None:
+        """Many, by where they lie in the file."""
+        self._finish()
+        self._runs.append((layout, place, record))
+
+    def _finish(self) -> None:
+        if self._single is not None:
+            layout, place, record = self._single
+            self._runs.append((layout, np.array(place, np.int64), np.array(record, np.int64)))
+            self._single = None
+
+    def parts(self, data: NDArray[np.uint8]) -> list[Part]:
+        self._finish()
+        extra = np.frombuffer(bytes(self._extra), np.uint8)
+        parts = []
+        at = 0
+        while at < len(self._runs):
+            layout = self._runs[at][0]
+            end = next((n for n in range(at, len(self._runs)) if self._runs[n][0] is not layout), len(self._runs))
+            place = np.concatenate([run[1] for run in self._runs[at:end]])
+            record = np.concatenate([run[2] for run in self._runs[at:end]])
+            parts.append(Part(layout, data, extra, place, record))
+            at = end
+        return parts
+
+
+class _Reader:
+    """Reads connection after connection of one channel."""
+
+    def __init__(self, index: Index, kind: type[State], is_uniform: bool) -> None:
+        self.others: list[tuple[int, State]] = []
+        self.skipped = 0
+        self.failed: list[str] = []
+        self.has_read = False
+        self._index = index
+        self._kind = kind
+        self._is_uniform = is_uniform
+        self._places = _Places()
+
+    def parts(self) -> list[Part]:
+        return self._places.parts(self._index.data)
+
+    def read(self, records: Numbers, protocol: PacketProtocol) -> None:
+        """The packets of one connection."""
+        self.has_read = True
+        framer = protocol.framer
+        last: State | None = None  # the last packet of the main class
+        header, odd = b"", np.empty(0, np.int64)  # what the pieces of bytes were compared with, and those that differ
+        at = 0
+        try:
+            while at < len(records):
+                if last is not None and framer.is_between_packets:
+                    width = last._layout.header.width
+                    if (begin := bytes(last)[:width]) != header:
+                        header = begin
+                        odd = at + np.flatnonzero(~self._are_packets(records[at:], header, len(bytes(last))))
+                    until = int(odd[place]) if (place := int(np.searchsorted(odd, at))) < len(odd) else len(records)
+                    if until > at:
+                        before = self._take(records[at:until], last)
+                        if until < len(records):
+                            # The framer goes on from the last packet, as if it had cut all of them.
+                            framer.feed(before)
+                        at = until
+                        continue
+                last = self._decode(int(records[at]), protocol, last)
+                at += 1
+        except WrongPeer as error:
+            self.failed.append(str(error))
+        self.skipped += framer.skipped + len(framer.rest)
+
+    def _are_packets(self, records: Numbers, header: bytes, size: int) -> NDArray[np.bool_]:
+        """Which of the records hold whole packets of this size and header, and nothing else."""
+        index = self._index
+        sizes, offsets = index.size[records], index.offset[records]
+        good: NDArray[np.bool_] = (sizes % size == 0) & (sizes > 0)
+        wanted = np.frombuffer(header, np.uint8)
+        every = np.ndarray((len(index.data) - len(header) + 1, len(header)), np.uint8, index.data, 0, (1, 1))
+        counts = sizes[good] // size
+        places = np.repeat(offsets[good], counts) + size * _within(counts)
+        same = (every[places] == wanted).all(axis=1)
+        good[good] = np.logical_and.reduceat(same, np.cumsum(counts) - counts) if len(counts) else False
+        return good
+
+    def _take(self, records: Numbers, like: State) -> bytes:
+        """Keep where the packets of these records lie; the last of them."""
+        index, size = self._index, len(bytes(like))
+        counts = index.size[records] // size
+        place = np.repeat(index.offset[records], counts) + size * _within(counts)
+        self._places.extend(like._layout, place, np.repeat(records, counts))
+        last = int(place[-1])
+        return index.data[last : last + size].tobytes()
+
+    def _decode(self, record: int, protocol: PacketProtocol, last: State | None) -> State | None:
+        """What a record completes, packet by packet; the packet that the next ones can be compared with, if any."""
+        index = self._index
+        stamp = Stamp(index.monotonic[record].item() / 1e9, index.wall[record].item() / 1e9)
+        for frame in protocol.framer.feed(index.payload(record)):
+            try:
+                state = protocol.decode(frame, stamp)
+            except PacketError as error:
+                self.failed.append(str(error))
+                continue
+            if isinstance(state, self._kind) and self._is_uniform:
+                self._places.add(state._layout, frame, record)
+                last = state
+            else:
+                # It may have said how those that follow are to be read.
+                self.others.append((record, state))
+                last = None
+        return last
+
+
+def _within(counts: Numbers) -> Numbers:
+    """0 to count - 1, for each of the counts, one after the other."""
+    total = int(counts.sum())
+    starts = np.cumsum(counts) - counts
+    return np.arange(total, dtype=np.int64) - np.repeat(starts, counts)

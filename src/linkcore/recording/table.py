@@ -1,0 +1,284 @@
+"""Recorded packets as columns, with the times at which they came."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadValue
+from ..extras import needs
+from .columns import ArrayColumns, Column, Columns, PacketColumns, is_continuous
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Table", "flat_columns"]
+
+
+class Table:
+    """Columns of one kind of packet: ``table["q_actual"]`` is an (n, 6) array of float64 in the byte order of this
+    machine.
+
+    A column is made when it is first asked for, and kept. Arrays are read-only. Codes are their numbers; `fields` says
+    of which enumeration.
+
+    Args:
+        name: for messages.
+        columns: where the columns come from.
+        time: when each row came, seconds since the recording began, (n,).
+        wall: the same by the clock on the wall, UTC, (n,) datetime64[ns].
+        begins: rows with which a connection begins, the first one aside.
+        missing: what of it was recorded and could not be read.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        columns: Columns,
+        time: NDArray[np.float64],
+        wall: NDArray[np.datetime64],
+        begins: Sequence[int] = (),
+        missing: Sequence[str] = (),
+    ) -> None:
+        self.name = name
+        self.missing = tuple(missing)
+        self._columns = columns
+        self._time = _frozen(time)
+        self._wall = _frozen(wall)
+        self._begins = [row for row in begins if 0 < row < len(time)]
+        self._rows = (0, len(time))
+        self._made: dict[str, NDArray[Any]] = {}
+
+    def _with_rows(self, begin: int, end: int) -> Self:
+        part = type(self).__new__(type(self))
+        part.__dict__.update(self.__dict__)
+        part._time, part._wall = self._time[begin:end], self._wall[begin:end]
+        part._begins = [row - begin for row in self._begins if begin < row < end]
+        part._rows = (self._rows[0] + begin, self._rows[0] + end)
+        part._made = {name: column[begin:end] for name, column in self._made.items()}
+        return part
+
+    # -- what is in it -----------------------------------------------------------------------------
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """When each row came, seconds since the recording began, (n,)."""
+        return self._time
+
+    @property
+    def wall(self) -> NDArray[np.datetime64]:
+        """When each row came by the clock on the wall, UTC, (n,) datetime64[ns]."""
+        return self._wall
+
+    @property
+    def begins(self) -> list[int]:
+        """Rows with which a connection begins, the first one aside: before them, something is missing."""
+        return list(self._begins)
+
+    @property
+    def fields(self) -> Mapping[str, Column]:
+        """name -> unit, meaning and shape of each column."""
+        return MappingProxyType(dict(self._columns.known))
+
+    def __len__(self) -> int:
+        return len(self._time)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns.known
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """One column, (n,) and the shape of its rows.
+
+        Raises:
+            BadValue: no such field; says which are like it.
+        """
+        return self.arrays(name)[name]
+
+    def arrays(self, *names: str) -> dict[str, NDArray[Any]]:
+        """Several columns, or all of them; that is quicker than to ask for one after the other.
+
+        Raises:
+            BadValue: no such field; says which are like it.
+        """
+        wanted = list(names or self._columns.known)
+        for name in wanted:
+            if name not in self._columns.known:
+                raise BadValue(self._complaint(name))
+        lacking = [name for name in wanted if name not in self._made]
+        if lacking:
+            made = self._columns.read(lacking, *self._rows)
+            self._made.update((name, _frozen(column)) for name, column in made.items())
+        return {name: self._made[name] for name in wanted}
+
+    def _complaint(self, name: str) -> str:
+        known = self._columns.known
+        if isinstance(self._columns, PacketColumns) and name in self._columns.partial:
+            return f"{self.name} has {name!r} in some of its parts only, since the firmware changed; see its parts"
+        near = difflib.get_close_matches(str(name), known, n=3)
+        hint = f"; did you mean {' or '.join(near)}?" if near else ""
+        return f"{self.name} has no field {name!r}{hint}; it has {', '.join(known) or 'none'}"
+
+    # -- parts of it -------------------------------------------------------------------------------
+
+    def between(self, t0: float, t1: float) -> Self:
+        """The rows that came from `t0` on and before `t1`, in seconds since the recording began, as `time` has them.
+
+        Raises:
+            BadValue: `t1` is before `t0`.
+        """
+        if not t0 <= t1:
+            raise BadValue(f"t0={t0!r}, t1={t1!r}; expected two times, the earlier one first")
+        begin, end = np.searchsorted(self._time, [t0, t1]).tolist()
+        return self._with_rows(begin, end)
+
+    @property
+    def parts(self) -> list[Table]:
+        """The rows of each layout by themselves, where the firmware or the recipe changed while it was recorded.
+
+        Each has all of its fields, of which this table has those that all of them have.
+        """
+        if not isinstance(self._columns, PacketColumns):
+            return [self]
+        found = []
+        for columns, begin, end in self._columns.by_layout(*self._rows):
+            part = self._with_rows(begin - self._rows[0], end - self._rows[0])
+            part._columns, part._rows, part._made = columns, (0, end - begin), {}
+            found.append(part)
+        return found
+
+    def resampled(self, rate: float) -> Table:
+        """The same at even times, `rate` times a second, from the first row to the last.
+
+        Numbers are interpolated linearly, and a rotation vector behind a position along the shorter way; codes, masks,
+        counters and text are those of the row before. From the last row of a lost connection to the first of the next
+        one, numbers are NaN.
+
+        Raises:
+            BadValue: `rate` is no positive number, or there is no row.
+        """
+        if not 0 < rate < float("inf"):
+            raise BadValue(f"rate={rate!r}; expected a positive number of rows a second")
+        if not len(self):
+            raise BadValue(f"{self.name} has no rows to resample")
+        old = self._time
+        count = int((old[-1] - old[0]) * rate * (1 + 1e-12)) + 1
+        time = old[0] + np.arange(count) / rate
+        before = np.clip(np.searchsorted(old, time, side="right") - 1, 0, len(old) - 1)
+        is_lost = np.zeros(count, bool)
+        for row in self._begins:
+            is_lost |= (time > old[row - 1]) & (time < old[row])
+        arrays = {}
+        for name, column in self._columns.known.items():
+            values = self[name]
+            if is_continuous(column):
+                is_pose = column.unit == "m, rad" and column.width == 6
+                made = _interpolated(time, old, values, before, is_pose)
+                made[is_lost] = np.nan
+                arrays[name] = made
+            else:
+                arrays[name] = values[before]
+        start = self._wall[0].astype(np.int64)
+        wall = (start + np.round((time - time[0]) * 1e9).astype(np.int64)).astype("M8[ns]")
+        return Table(f"{self.name} at {rate:g} Hz", ArrayColumns(self.fields, arrays), time, wall)
+
+    def to_frame(self, *names: str, library: str | None = None) -> Any:
+        """A data frame of all columns, or of some; each number of a row is a column: ``q_actual_0`` to ``q_actual_5``.
+
+        Args:
+            names: of fields; none for all.
+            library: "pandas" or "polars"; None for the first of them that is installed.
+
+        Returns:
+            A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. `wall` is
+            a column of it.
+
+        Raises:
+            BadValue: no such field or library.
+            LocalError: the library is not installed; says how to.
+        """
+        if library not in (None, "pandas", "polars"):
+            raise BadValue(f"library={library!r}; expected 'pandas' or 'polars'")
+        columns = flat_columns(self, *names)
+        if library != "polars":
+            with contextlib.suppress(ImportError) if library is None else needs("pandas", "to_frame"):
+                import pandas
+
+                return pandas.DataFrame(columns).set_index("t")
+        with needs("polars", "to_frame"):
+            import polars
+
+            return polars.DataFrame(columns)
+
+    # -- how it shows ------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return f"<Table {self.name}: no rows>"
+        return f"<Table {self.name}: {len(self)} rows, {self._time[0]:.3f} to {self._time[-1]:.3f} s>"
+
+    def _repr_html_(self) -> str:
+        import html  # notebooks have it already; whoever imports us should not pay for it
+
+        rows = "".join(
+            f"<tr><td>{html.escape(column.name)}</td><td>{(len(self), *column.shape)}</td>"
+            f"<td>{html.escape(column.unit)}</td><td>{html.escape(column.doc)}</td></tr>"
+            for column in self._columns.known.values()
+        )
+        head = "<tr><th>field</th><th>shape</th><th>unit</th><th>meaning</th></tr>"
+        return f"<table><caption>{html.escape(repr(self))}</caption>{head}{rows}</table>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._columns.known)
+
+
+def flat_columns(table: Table, *names: str) -> dict[str, NDArray[Any]]:
+    """A column for each number of a row, as files of tables have them.
+
+    Args:
+        names: of fields; none for all.
+
+    Returns:
+        ``t`` and ``wall``, then the fields; of one with several elements ``q_actual_0`` to ``q_actual_5``.
+    """
+    columns: dict[str, NDArray[Any]] = {"t": table.time, "wall": table.wall}
+    for name, array in table.arrays(*names).items():
+        if array.ndim == 1:
+            columns[name] = array
+        else:
+            columns.update(
+                (f"{name}_{place}", np.ascontiguousarray(array[:, place])) for place in range(array.shape[1])
+            )
+    return columns
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    array.flags.writeable = False
+    return array
+
+
+def _interpolated(
+    time: NDArray[np.float64], old: NDArray[np.float64], values: NDArray[Any], before: NDArray[np.intp], is_pose: bool
+) -> NDArray[np.float64]:
+    """Values at the times, of which the last row before each is known."""
+    after = np.minimum(before + 1, len(old) - 1)
+    first, last = values[before], values[after]
+    if is_pose:
+        last = np.concatenate([last[:, :3], _closer(first[:, 3:], last[:, 3:])], axis=1)
+    step = old[after] - old[before]
+    part = np.divide(time - old[before], step, out=np.zeros(len(time)), where=step > 0)
+    made: NDArray[np.float64] = first + (last - first) * (part if values.ndim == 1 else part[:, None])
+    return made
+
+
+def _closer(first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of the two rotation vectors that each rotation has, in `last` (n, 3), the one that is closer to `first`."""
+    angle = np.linalg.norm(last, axis=1, keepdims=True)
+    other = last - 2 * np.pi * np.divide(last, angle, out=np.zeros_like(last), where=angle > 0)
+    is_closer = np.linalg.norm(other - first, axis=1) < np.linalg.norm(last - first, axis=1)
+    return np.where(is_closer[:, None], other, last)

@@ -1,0 +1,1 @@
+"""Recordings as arrays, pictures and files of other programs."""

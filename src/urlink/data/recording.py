@@ -1,0 +1,225 @@
+"""`load` and `Recording`: what was recorded of a robot, as arrays."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import BadRecording
+from linkcore.recording.columns import PacketColumns
+from linkcore.recording.index import Index
+from linkcore.recording.packets import Channel, Part, read_channel
+from linkcore.recording.records import Kind
+from linkcore.recording.table import Table
+from linkcore.wire.packet import State
+from linkcore.wire.protocol import PacketProtocol
+
+from ..firmware import Firmware
+from ..interfaces.primary.protocol import PrimaryProtocol
+from ..interfaces.primary.robot_state import RobotState
+from ..interfaces.realtime.packets import RealtimeState
+from ..interfaces.realtime.protocol import RealtimeProtocol
+from ..interfaces.rtde.protocol import RtdeProtocol
+from ..interfaces.rtde.recipes import Outputs
+from ..rtde.outputs import recorded_plan
+from .robot_states import RobotStates
+
+__all__ = ["Recording", "load"]
+
+
+def load(path: str | os.PathLike[str]) -> Recording:
+    """A recording as arrays.
+
+    What is damaged or unfinished is left out, and `Recording.missing` says so.
+
+    Raises:
+        BadRecording: no such file, or not a recording of a robot.
+    """
+    return Recording(path)
+
+
+class Recording:
+    """What was recorded of a robot, as arrays; made by `load`.
+
+    Attributes:
+        path: of the file.
+        channels: what the recorder said of each stream, by its name.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._index = index = Index(path)
+        self.channels: dict[str, Mapping[str, Any]] = {}
+        self._numbers: dict[str, int] = {}
+        for record in np.flatnonzero(index.kind == Kind.CHANNEL).tolist():
+            info = _described(self.path, index.payload(record))
+            self.channels[info["name"]] = info
+            self._numbers[info["name"]] = int(index.channel[record])
+        # Each stream is written by a thread of its own, so that the first record need not have the earliest stamp.
+        times = index.monotonic[index.kind == Kind.BYTES]
+        self._start, self._stop = (int(times.min()), int(times.max())) if len(times) else (0, 0)
+
+    # -- what it says of itself --------------------------------------------------------------------
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """Of the controller, when the recording began; None if the recorder did not say."""
+        said = self._said("firmware")
+        return None if said is None else Firmware.parse(said)
+
+    @property
+    def model(self) -> str | None:
+        """Name of the arm, such as "UR5e"; None if the recorder did not say."""
+        said: str | None = self._said("model")
+        return said
+
+    def _said(self, key: str) -> Any:
+        return next((info[key] for info in self.channels.values() if info.get(key) is not None), None)
+
+    @property
+    def duration(self) -> float:
+        """From the first bytes to the last, s."""
+        return (self._stop - self._start) / 1e9
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it was closed in good order."""
+        return self._index.is_complete
+
+    @property
+    def left_out(self) -> int:
+        """Bytes of the file that are unfinished or damaged."""
+        return self._index.left_out
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What was lost, and what could not be read, in words; empty if nothing is missing. Reads all of it."""
+        said = [f"{gap.size} bytes from {gap.offset} on are damaged or unfinished" for gap in self._index.gaps]
+        if not self.is_complete:
+            said.append("it was not closed in good order")
+        for name, table in self.tables.items():
+            said += [f"{name}: {each}" for each in table.missing]
+        return tuple(said)
+
+    # -- its streams -------------------------------------------------------------------------------
+
+    @cached_property
+    def realtime(self) -> Table:
+        """The real-time states: ``run.realtime["q_actual"]`` is (n, 6).
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        return self._table("realtime", self._channel("realtime", RealtimeProtocol, RealtimeState))
+
+    @cached_property
+    def primary(self) -> RobotStates:
+        """The robot states of the primary interface, their sub-packages, and the messages.
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        return self._robot_states("primary")
+
+    @cached_property
+    def secondary(self) -> RobotStates:
+        """The robot states of the secondary interface.
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        return self._robot_states("secondary")
+
+    @cached_property
+    def rtde(self) -> Table:
+        """The variables of an RTDE stream, by name.
+
+        Raises:
+            BadRecording: the recording does not hold them.
+        """
+        plan = recorded_plan(self._info("rtde"), Outputs)
+        return self._table("rtde", self._channel("rtde", lambda: RtdeProtocol(plan), Outputs))
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """Every stream that was recorded, by its name."""
+        return {
+            name: getattr(self, name) for name in ("realtime", "primary", "secondary", "rtde") if name in self.channels
+        }
+
+    def _info(self, name: str) -> Mapping[str, Any]:
+        if name not in self.channels:
+            there = ", ".join(self.channels) or "nothing"
+            raise BadRecording(f"{self.path} holds no {name}; it holds {there}")
+        return self.channels[name]
+
+    def _channel(
+        self, name: str, protocol: Callable[[], PacketProtocol], kind: type[State], *, is_uniform: bool = True
+    ) -> Channel:
+        self._info(name)
+        return read_channel(self._index, self._numbers[name], protocol, kind, is_uniform=is_uniform)
+
+    def _robot_states(self, name: str) -> RobotStates:
+        channel = self._channel(name, PrimaryProtocol, RobotState, is_uniform=False)
+        return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel))
+
+    def _table(self, name: str, channel: Channel) -> Table:
+        records = _records(channel.parts)
+        time, wall = self._timed(records)
+        begins = np.searchsorted(records, channel.begins).tolist()
+        missing = self._missing(name, channel)
+        columns = PacketColumns(channel.parts)
+        if columns.partial:
+            missing.append(f"only in some of its parts, since the firmware changed: {', '.join(columns.partial)}")
+        return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing)
+
+    def _timed(self, records: Any) -> tuple[Any, Any]:
+        """Seconds since the recording began, and wall time, of records by their numbers."""
+        index = self._index
+        return (index.monotonic[records] - self._start) / 1e9, index.wall[records].astype("M8[ns]")
+
+    def _missing(self, name: str, channel: Channel) -> list[str]:
+        said = [f"connected again {len(channel.begins)} times"] if channel.begins else []
+        if channel.skipped:
+            said.append(f"{channel.skipped} bytes belong to no whole packet")
+        if channel.failed:
+            said.append(f"{len(channel.failed)} packets could not be read; the first: {channel.failed[0]}")
+        return said
+
+    # -- how it shows ------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        streams = ", ".join(self.channels) or "nothing"
+        who = f"{self.model or 'robot'} firmware {self.firmware or 'unknown'}"
+        return f"<Recording {self.path}: {streams} of {who}, {self.duration:.3f} s>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{html.escape(name)}</td><td>{len(table)}</td><td>{len(table.fields)}</td></tr>"
+            for name, table in self.tables.items()
+        )
+        head = "<tr><th>stream</th><th>rows</th><th>fields</th></tr>"
+        missing = "".join(f"<li>{html.escape(each)}</li>" for each in self.missing)
+        listed = f"<ul>{missing}</ul>" if missing else ""
+        return f"<table><caption>{html.escape(repr(self))}</caption>{head}{rows}</table>{listed}"
+
+
+def _records(parts: list[Part]) -> Any:
+    return np.concatenate([part.record for part in parts]) if parts else np.empty(0, np.int64)
+
+
+def _described(path: Path, payload: bytes) -> dict[str, Any]:
+    try:
+        info = json.loads(payload)
+    except (ValueError, RecursionError):
+        info = None
+    if not isinstance(info, dict) or not isinstance(info.get("name"), str):
+        raise BadRecording(f"{path}: a channel is not described by a JSON object with a name")
+    return info
