@@ -102,9 +102,9 @@ def interop(session: nox.Session) -> None:
 
 @nox.session
 def kinematics(session: nox.Session) -> None:
-    """Compare kinematics and dynamics with ur-analytic-ik and Pinocchio, and their speed with that of ikpy as well."""
+    """Compare kinematics, dynamics and profiles with those of ur-analytic-ik, Pinocchio, ruckig and ikpy."""
     session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))
-    session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py"]))
+    session.run("pytest", *(session.posargs or ["tests/interop/test_kinematics.py", "tests/interop/test_ruckig.py"]))
     if not session.posargs:
         session.run("python", "benchmarks/kinematics.py")
 

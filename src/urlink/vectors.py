@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from linkcore.errors import BadValue
 
-__all__ = ["JOINTS", "FloatArray", "numbers", "six"]
+__all__ = ["JOINTS", "FloatArray", "numbers", "six", "six_limits"]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,3 +46,19 @@ def six(values: ArrayLike, name: str) -> FloatArray:
         raise BadValue(f"{name}[{int(np.argmin(np.isfinite(array)))}] is not finite: {array.tolist()}")
     array.flags.writeable = False
     return array
+
+
+def six_limits(values: ArrayLike, name: str) -> FloatArray:
+    """One limit for each joint, of a number for all of them or of six.
+
+    Raises:
+        BadValue: neither one nor six, or not finite and above zero.
+
+    >>> six_limits(2, "speed").tolist()
+    [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
+    """
+    given = numbers(values, name)
+    limits = six(np.full(6, given) if given.ndim == 0 else given, name)
+    if not (limits > 0.0).all():
+        raise BadValue(f"{name} is {limits.tolist()}; expected positive limits")
+    return limits

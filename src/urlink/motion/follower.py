@@ -134,7 +134,7 @@ class Follower(Following):
         """
         passed = self._clock.passed(state.time, now)
         if self._t is None:
-            if not self._rests(state, now):
+            if not self._rest.is_reached(state, now):
                 return WAIT_WORD
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
@@ -154,7 +154,7 @@ class Follower(Following):
         excess = None
         # Where that many cycles cannot have passed, by this computer's clock, none was missed.
         for missed in (told, 0):
-            coasted = self._coasting(missed)
+            coasted = self._servoing.coasting(missed)
             here = _sum(self._q, [coasted * each for each in self._step])
             s = self._s + self._pace * coasted
             gap = self._gap
@@ -182,12 +182,6 @@ class Follower(Following):
         self._step, self._pace = [self._cycle * each for each in qd], self._cycle * pace
         self._q, self._s, self._since = q, s, 0.0
         return setpoint(q, qd)
-
-    def _coasting(self, missed: int) -> float:
-        """How many steps the program on the robot goes on in so many cycles without a set-point."""
-        missable = self._servoing.missable
-        n = min(missed, missable)
-        return n - n * (n + 1) / (2.0 * missable)
 
 
 def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:

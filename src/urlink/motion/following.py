@@ -17,7 +17,7 @@ from ..urscript.programs import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, FloatArray
 from .trajectory import Trajectory
 
-__all__ = ["ControllerClock", "Following", "Tolerances", "TrajectoryFeedback"]
+__all__ = ["ControllerClock", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
 
 #: rad/s below which an arm stands.
 _STANDING = 0.02
@@ -94,6 +94,32 @@ class ControllerClock:
         return told if 0.0 <= told <= own + _BUNCHING else max(own, self._cycle)
 
 
+class Rest:
+    """Waits for the arm to stand, so that something can begin.
+
+    Args:
+        what: is to begin, for messages.
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._moving_since: float | None = None
+
+    def is_reached(self, state: RealtimeState, now: float) -> bool:
+        """Whether the arm stands.
+
+        Raises:
+            LinkTimeout: it does not come to rest.
+        """
+        if self._moving_since is None:
+            self._moving_since = now
+        if _stands(state.qd_target):
+            return True
+        if now - self._moving_since > _REST_TIMEOUT:
+            raise LinkTimeout(f"the arm did not come to rest within {_REST_TIMEOUT:g} s, so {self._what} did not begin")
+        return False
+
+
 class Following(ABC):
     """A trajectory that is being followed: what both `Dialogue`s of `urlink.motion.linked` share.
 
@@ -120,7 +146,7 @@ class Following(ABC):
         self._trajectory = trajectory
         self._tolerances = tolerances
         self._clock = ControllerClock(cycle)
-        self._moving_since: float | None = None
+        self._rest = Rest("the trajectory")
 
     @abstractmethod
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
@@ -137,22 +163,6 @@ class Following(ABC):
         """Positions and velocities that the arm is to have at a time."""
         q, qd, _ = self._trajectory.sample(t)
         return q, qd
-
-    def _rests(self, state: RealtimeState, now: float) -> bool:
-        """Whether the arm stands, so that a trajectory can begin.
-
-        Raises:
-            LinkTimeout: it does not come to rest.
-        """
-        if self._moving_since is None:
-            self._moving_since = now
-        if _stands(state.qd_target):
-            return True
-        if now - self._moving_since > _REST_TIMEOUT:
-            raise LinkTimeout(
-                f"the arm did not come to rest within {_REST_TIMEOUT:g} s, so the trajectory did not begin"
-            )
-        return False
 
     def _check_start(self, state: RealtimeState) -> list[float]:
         """Where the arm's targets are, which is near the first point.

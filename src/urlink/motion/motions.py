@@ -20,6 +20,7 @@ from ..vectors import JOINTS, FloatArray, six
 from .context import MotionContext
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback
+from .jerk_limited import joint_limits
 from .linked import Link, LinkedProgram
 from .path import PathMotion, Rates, Waypoint, plan
 from .servo import Servo
@@ -39,6 +40,8 @@ _REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
 #: What becomes of a motion that nobody here can follow any more, for messages.
 _MAY_GO_ON = "the arm may still move, to the end of the motion"
 
+#: What is made of the targets of a servo.
+TargetFilterName = Literal["jerk_limited"]
 #: How set-points get to the robot.
 LinkName = Literal["reverse", "rtde"]
 
@@ -316,6 +319,10 @@ class Motions:
         self,
         rate: float | None = None,
         *,
+        target_filter: TargetFilterName | None = None,
+        speed: ArrayLike = 1.05,
+        acceleration: ArrayLike = 3.0,
+        jerk: ArrayLike = 30.0,
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
@@ -327,15 +334,26 @@ class Motions:
                 for state in robot.realtime:
                     servo.send(law(state))
 
+        With ``target_filter="jerk_limited"`` what is sent are targets: any, at any time, however far away. The arm goes
+        to the newest one, and never exceeds the limits of speed, acceleration and jerk (`urlink.motion.jerk_limited`).
+
         Args:
-            rate: set-points a second that the loop means to send, for the statistics; None for the controller's rate.
+            rate: set-points or targets a second that the loop means to send, for the statistics; None for the
+                controller's rate.
+            target_filter: "jerk_limited", or None for a loop that sends set-points.
+            speed, acceleration, jerk: rad/s, rad/s² and rad/s³ of a target filter at most, of all joints or (6,) of
+                each.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
         servoing = self._servoing(watchdog, lookahead_time, gain)
         pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
-        return Servo(self._context, pace, servoing, self._opener(link))
+        limits = None
+        if target_filter is not None:
+            check_choice(target_filter, "target_filter", get_args(TargetFilterName))
+            limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
+        return Servo(self._context, pace, servoing, self._opener(link), limits)
 
     # ----------------------------------------------------------------------------------------------------
 

@@ -2,50 +2,41 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections import deque
-from collections.abc import Callable
-from concurrent.futures import Future, InvalidStateError
-from concurrent.futures import TimeoutError as FutureTimeout
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue, Closed, LinkError, LinkTimeout, LocalError
-from linkcore.handle import Motion
+from linkcore.errors import BadValue
 
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.programs import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, six
 from .context import MotionContext
-from .linked import CONNECT_TIMEOUT, Link, LinkedProgram
+from .jerk_limited import JointLimit, TargetFilter
+from .linked import Link
+from .linked_block import LinkedBlock
+from .paced import PacedSetpoints
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import SpeedLimit
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
-__all__ = ["Servo", "ServoStatistics"]
+__all__ = ["FilteredTargets", "Servo", "ServoStatistics"]
 
 #: Intervals that the statistics look back on: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
 #: rad that the first set-point may be away from where the arm is led.
 _NEAR = 0.05
-#: Seconds that the reason of a lost connection has to arrive.
-_REASON = 1.5
-#: Seconds that the program has to end when the block is left.
-_END_TIMEOUT = 2.0
 
 
 @dataclass(frozen=True)
 class ServoStatistics:
-    """How evenly set-points were sent.
+    """How evenly set-points, or targets, were sent.
 
     Attributes:
-        count: set-points sent.
+        count: how many were sent.
         mean: s between two of them.
         p50, p99, max: s, of the deviations of that from the period: half of them, 99 % of them and all are no larger.
         late: intervals longer than one and a half periods.
@@ -59,15 +50,62 @@ class ServoStatistics:
     late: int
 
 
-class _Waiting:
-    """What is said to the streaming program by itself: that somebody is there, until the first set-point is sent."""
+class FilteredTargets:
+    """What `Servo.send` was told last, on its way through a target filter.
+
+    Args:
+        limits: of each joint.
+        cycle: s of the controller's cycle.
+
+    Attributes:
+        newest: (6,) rad; set by whichever thread sends.
+    """
+
+    def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
+        self.newest: list[float] | None = None
+        self._limits, self._cycle = limits, cycle
+        self._filter = TargetFilter([0.0] * 6, limits)
+
+    @property
+    def has_targets(self) -> bool:
+        return self.newest is not None
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        self._filter = TargetFilter(q, self._limits)
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        self._filter.advance(seconds)
+        return list(self._filter.q), list(self._filter.qd)
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        self._filter.restart(q, qd)
+
+    def at(self, time: float) -> tuple[list[float], list[float]]:
+        if self.newest is not None:
+            self._filter.aim(self.newest)
+        return self._filter.after(self._cycle)
+
+    def accept(self, time: float) -> None:
+        self._filter.advance(self._cycle)
+
+
+class _Leading:
+    """What is said to the streaming program when a state has come: the next set-point, where they are made here.
+
+    Before the first one, and for a loop that sends its own, only that somebody is there.
+
+    Args:
+        servoing: how set-points are followed.
+        paced: makes them; None for a loop that sends its own.
+    """
 
     farewell = STOP_WORD
     is_over = False
     survives_its_program = False
 
-    def __init__(self, servoing: Servoing) -> None:
+    def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
         self._servoing = servoing
+        self._paced = paced
         #: rad; where the arm is led
         self.here: list[float] | None = None
         self.has_begun = False
@@ -76,6 +114,8 @@ class _Waiting:
         return self._servoing.body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        if self._paced is not None:
+            return self._paced.answer(state, now)
         if self.has_begun:
             return b""
         self.here = state.q_target.tolist()
@@ -84,99 +124,66 @@ class _Waiting:
     def conclude(self) -> None: ...
 
 
-class Servo(Motion):
+class Servo(LinkedBlock):
     """A loop's line to the joints; made by `robot.motion.servo`, and open within a ``with`` block.
 
-    Send a set-point in each of the controller's cycles, or in each of your own. Leaving the block stops the arm.
+    Send a set-point in each of the controller's cycles, or in each of your own; with a target filter, a target whenever
+    there is one. Leaving the block stops the arm.
 
     Attributes:
-        rate: set-points a second that are meant to be sent.
+        rate: set-points or targets a second that are meant to be sent.
     """
 
-    def __init__(self, context: MotionContext, rate: float, servoing: Servoing, open_link: Callable[[], Link]) -> None:
-        life = context.programs.life("servo")
-        super().__init__(life)
+    def __init__(
+        self,
+        context: MotionContext,
+        rate: float,
+        servoing: Servoing,
+        open_link: Callable[[], Link],
+        limits: Sequence[JointLimit] | None = None,
+    ) -> None:
+        model = context.who.identity.arm
+        cycle = 1.0 / servoing.firmware.rate
+        self._targets = None if limits is None else FilteredTargets(limits, cycle)
+        self._dialogue = _Leading(
+            servoing, None if self._targets is None else PacedSetpoints(servoing, model, self._targets)
+        )
+        super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
-        self._context = context
-        self._dialogue = _Waiting(servoing)
-        self._is_entered = False
-        #: settled once the program has connected, or will not any more
-        self._linked: Future[None] = Future()
-        self._program = LinkedProgram(life, context, self._dialogue, open_link, on_linked=self._link_up)
         self._last: list[float] | None = None
         self._sent_at = 0.0
         self._count = self._late = 0
         self._began = 0.0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
-        model = context.who.identity.arm
         self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()
         self._limit = SpeedLimit(model, 1.0 / rate)
-        self._cycle = 1.0 / servoing.firmware.rate
-
-    def __enter__(self) -> Self:
-        """Upload the program and wait until it has connected.
-
-        Raises:
-            ConnectFailed: it did not.
-            SafetyStop, NotRunning: the arm may not be moved now.
-            LocalError: the servo was used before; or in a callback that was subscribed with ``inline=True``.
-            LinkError: what else kept it from beginning.
-        """
-        if self._is_entered:
-            raise LocalError("the servo has been used before; each is good for one block")
-        self._is_entered = True
-        self._program.begin()
-        try:
-            with self._context.section.waiting():
-                self._linked.result(CONNECT_TIMEOUT + 1.0)
-        except (FutureTimeout, TimeoutError):
-            self.cancel()
-            raise LinkTimeout(f"{self.name}: no connection within {CONNECT_TIMEOUT:g} s") from None
-        except BaseException:
-            self.cancel()
-            raise
-        if self.error is not None:
-            raise self.error
-        return self
-
-    def _link_up(self) -> None:
-        if not self._linked.done():
-            # Two threads may come here at once.
-            with contextlib.suppress(InvalidStateError):
-                self._linked.set_result(None)
-
-    def __exit__(self, *exc: object) -> None:
-        """Stop the arm, and wait until it stands or two seconds are over. Does not raise what ended it before."""
-        try:
-            self._program.finish()
-            self.wait(_END_TIMEOUT)
-        except LinkError:
-            self.cancel()
+        self._cycle = cycle
 
     def send(self, q: ArrayLike) -> None:
-        """Send one set-point.
+        """Send one set-point; with a target filter, a target.
 
         Args:
-            q: (6,) joint positions, rad. The first is no further than 0.05 rad from where the arm is. After that no
-                joint is led faster than it can move; what is refused, and how uneven a loop may be, says
-                `urlink.motion.speed_limit`.
+            q: (6,) joint positions, rad. With a target filter, anywhere within the limits of the arm. Without one, the
+                first is no further than 0.05 rad from where the arm is; after that no joint is led faster than it can
+                move; what is refused, and how uneven a loop may be, says `urlink.motion.speed_limit`.
 
         Raises:
             BadValue: not six finite numbers, too fast, or beyond a limit of the arm; nothing was sent.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
             LocalError: not within the block.
         """
-        if not self._linked.done():
-            raise LocalError("a servo takes set-points within its block: with robot.motion.servo() as servo: ...")
-        if self.done or self._program.is_finishing:
-            raise self.error or Closed("the block of the servo was left")
+        self._check_open()
         now = self._context.clock()
-        values = self._checked(q, now)
-        try:
-            self._program.say(setpoint(values, self._speeds(values, now)))
-        except LinkError as error:
-            raise self._reason(error) from error
-        self._limit.take(self._last or values, values, now)
+        values = self._in_range(q)
+        if self._targets is not None:
+            self._targets.newest = values
+        else:
+            self._check_step(values, now)
+            self._say(setpoint(values, self._speeds(values, now)))
+            self._limit.take(self._last or values, values, now)
+        self._count_one(values, now)
+
+    def _count_one(self, values: list[float], now: float) -> None:
         if self._last is None:
             self._dialogue.has_begun = True
             self._began = now
@@ -190,7 +197,7 @@ class Servo(Motion):
 
     @property
     def stats(self) -> ServoStatistics:
-        """How evenly set-points were sent; deviations are of the last 50000 intervals."""
+        """How evenly set-points, or targets, were sent; deviations are of the last 50000 intervals."""
         intervals = np.array(self._intervals)
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
@@ -207,16 +214,19 @@ class Servo(Motion):
         seconds = max(now - self._sent_at, self._cycle)
         return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
 
-    def _checked(self, q: ArrayLike, now: float) -> list[float]:
+    def _in_range(self, q: ArrayLike) -> list[float]:
         values: list[float] = six(q, "q").tolist()
         for joint, (value, (low, high)) in enumerate(zip(values, self._ranges, strict=True)):
             if not low <= value <= high:
                 raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; expected {low:.4f} to {high:.4f}")
+        return values
+
+    def _check_step(self, values: list[float], now: float) -> None:
         if self._last is not None:
             excess = self._limit.excess(self._last, values, now)
             if excess is not None:
                 raise BadValue(excess)
-            return values
+            return
         here = self._dialogue.here
         if here is None:
             here = self._context.state().q_target.tolist()
@@ -226,12 +236,3 @@ class Servo(Motion):
                     f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from where the "
                     f"arm is; at most {_NEAR:.4f} rad"
                 )
-        return values
-
-    def _reason(self, error: LinkError) -> Exception:
-        """Why nothing can be sent: what the robot says of it, where it says something in time."""
-        if not self.done:
-            self._program.lose(error)
-            with contextlib.suppress(LinkError):
-                self.wait(_REASON)
-        return self.error or error

@@ -60,6 +60,15 @@ class Servoing:
         """Cycles without a set-point after which the robot brakes."""
         return missable(self.watchdog, self.firmware.rate)
 
+    def coasting(self, missed: int) -> float:
+        """For how many cycles at full speed the program on the robot goes on in so many without a set-point."""
+        n = min(missed, self.missable)
+        return n - n * (n + 1) / (2.0 * self.missable)
+
+    def share(self, missed: int) -> float:
+        """The part of its speed that it has in the last of them."""
+        return 1.0 - min(missed, self.missable) / self.missable
+
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program that gets its set-points by `link`."""
         return streaming(

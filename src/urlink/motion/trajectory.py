@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 
 from ..models import Model
-from ..vectors import JOINTS, FloatArray, numbers, six
+from ..vectors import JOINTS, FloatArray, numbers, six, six_limits
 from .retiming import retime
 from .trajectory_csv import read_points, write_points
 
@@ -315,7 +315,7 @@ class Trajectory:
         Raises:
             BadValue: a limit that is not positive, or a trajectory that stays where it is.
         """
-        limits = _limits(speed, "speed"), _limits(acceleration, "acceleration")
+        limits = six_limits(speed, "speed"), six_limits(acceleration, "acceleration")
         segments = len(self) - 1
         places = min(max(math.ceil(200 / segments), 20), max(math.ceil(2000 / segments), 3))
         # Closer to each other beside the points, where the curve bends most.
@@ -398,15 +398,6 @@ class Trajectory:
             f"{values[segment, place, joint]:.4f} {unit}; the limit of a {model.name} is "
             f"{limits[segment, place, joint]:.4f} {unit}"
         )
-
-
-def _limits(values: ArrayLike, name: str) -> FloatArray:
-    """One limit for each joint."""
-    given = numbers(values, name)
-    limits = six(np.full(6, given) if given.ndim == 0 else given, name)
-    if not (limits > 0.0).all():
-        raise BadValue(f"{name} is {limits.tolist()}; expected positive limits")
-    return limits
 
 
 def _no_time(time: object) -> float:

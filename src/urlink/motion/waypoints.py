@@ -111,7 +111,7 @@ class WaypointServer(Following):
         if request == waypoints.BEAT:
             return b"(1)\r\n"
         if request == 0:
-            return self._point(0, self._check_start(state)) if self._rests(state, now) else None
+            return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
         if request == 2 and self._t is None:
             # It has just handed over the first point to go to, and moves from now on.
             self._t = 0.0

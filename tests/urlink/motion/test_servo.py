@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, ConnectionLost, LocalError
@@ -149,6 +150,33 @@ def test_a_jump_is_refused(led: Rehearsal) -> None:
         assert not servo.done
 
 
+def test_targets_for_a_filter(led: Rehearsal) -> None:
+    """Far away, and at no rate at all: one is sent, and set-points follow from it by themselves."""
+    with opened(led, rate=5.0, target_filter="jerk_limited", speed=2.0, acceleration=10.0, jerk=200.0) as servo:
+        with pytest.raises(BadValue, match=r"q\[5\] \(wrist 3\) is 7\.0000 rad; expected -6\.2832 to 6\.2832"):
+            servo.send(turned(7.0))
+        servo.send(turned(0.5))
+        way: list[float] = []
+        while not way or abs(led.q[5] - 0.5) > 1e-6:
+            word = led.obey()
+            assert word is not None
+            if word[1] == FOLLOW:
+                way.append(word[0][5])
+        # 0.5 rad at 10 rad/s² and 200 rad/s³ take 0.5 s.
+        assert len(way) * led.cycle == pytest.approx(0.5, abs=0.02)
+        assert np.diff(way).max() <= 2.0 * led.cycle + 1e-6
+        assert servo.stats.count == 1
+    assert servo.phase is Phase.DONE
+
+
+def test_a_filter_that_nobody_knows(led: Rehearsal) -> None:
+    with pytest.raises(BadValue, match="target_filter='smooth'; expected 'jerk_limited'"):
+        led.motion.servo(target_filter="smooth")  # type: ignore[arg-type]
+    with pytest.raises(BadValue, match="expected positive limits"):
+        led.motion.servo(target_filter="jerk_limited", jerk=-1.0)
+    assert led.sent == []
+
+
 def test_a_stop(led: Rehearsal) -> None:
     with opened(led) as servo:
         servo.send(HOME)
@@ -170,7 +198,7 @@ def test_the_link_is_cut(robot: Rehearsal) -> None:
 
 
 def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.servo._REASON", 0.05)
+    monkeypatch.setattr("urlink.motion.linked_block._REASON", 0.05)
     with opened(robot) as servo:
         assert robot.link is not None
         robot.link.close()

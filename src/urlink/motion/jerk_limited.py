@@ -1,0 +1,298 @@
+"""From any state of a joint to rest at a target, as fast as limits of speed, acceleration and jerk allow.
+
+Of one joint, with position x, speed v and acceleration a. Braking as hard as the limits allow, it comes to rest at some
+place. If the target lies beyond that place, the joint is pushed towards it for a while, with all the jerk there is
+until the largest acceleration is reached, and then brakes. The longer the push, the further away it comes to rest, so
+the length of the push is the root of a function that only grows. Where the push would go on until the largest speed is
+reached, the joint goes on at that speed for as long as is needed. That makes seven segments of constant jerk at most:
+up, hold, down, cruise, down, hold, up. If the target lies the other way, all of it is mirrored.
+
+Braking is the same with the speed in place of the position: the acceleration grows, is held, and dies away.
+
+Each joint gets to its target in its own time; they are not slowed down to arrive together.
+
+Everything is plain floats: for six joints numpy takes longer for one operation than this for a joint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue
+
+from ..models import Model
+from ..vectors import JOINTS, six_limits
+
+__all__ = ["JointLimit", "Profile", "TargetFilter", "joint_limits"]
+
+#: Part of a way by which a push may miss it. What is left is a billionth of the resolution of a set-point.
+_PRECISION = 1e-15
+#: Steps of the search for a push; ten are usual, and halving alone would take fifty.
+_MOST_STEPS = 100
+
+#: s, and rad/s³: a segment of constant jerk.
+_Segment = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class JointLimit:
+    """What one joint may do at most: rad/s, rad/s² and rad/s³."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+def joint_limits(
+    model: Model | None, speed: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike
+) -> tuple[JointLimit, ...]:
+    """The limits of six joints, each given as one number for all of them or as (6,).
+
+    Args:
+        model: the arm, which can do no more; None where it is not known. The vendor gives no limits of acceleration:
+            see `urlink.models`.
+        speed, acceleration, jerk: rad/s, rad/s², rad/s³.
+
+    Raises:
+        BadValue: a limit that is not positive, or that is beyond those of the arm.
+    """
+    rows = [six_limits(speed, "speed"), six_limits(acceleration, "acceleration"), six_limits(jerk, "jerk")]
+    if model is not None:
+        for name, values, most in zip(
+            ("speed", "acceleration"), rows, (model.max_speed, model.max_acceleration), strict=False
+        ):
+            for joint, (value, limit) in enumerate(zip(values.tolist(), most.tolist(), strict=True)):
+                if value > limit:
+                    raise BadValue(
+                        f"{name}[{joint}] ({JOINTS[joint]}) is {value:g}; a {model.name} reaches {limit:.4g} at most"
+                    )
+    return tuple(JointLimit(*values) for values in zip(*(row.tolist() for row in rows), strict=True))
+
+
+class Profile:
+    """How one joint gets from a state to rest at a target.
+
+    Args:
+        x, v, a: rad, rad/s, rad/s²; within the limits, and such that the speed stays within them where the acceleration
+            dies away at once.
+        target: rad.
+        limit: of the joint.
+
+    Attributes:
+        duration: s.
+    """
+
+    __slots__ = ("_pieces", "_target", "duration")
+
+    def __init__(self, x: float, v: float, a: float, target: float, limit: JointLimit) -> None:
+        self._target = target
+        #: (end, begin, x, v, a, jerk) of each segment
+        self._pieces: list[tuple[float, float, float, float, float, float]] = []
+        t = 0.0
+        for seconds, jerk in _segments(x, v, a, target, limit):
+            if seconds > 0.0:
+                self._pieces.append((t + seconds, t, x, v, a, jerk))
+                x, v, a = _after(x, v, a, jerk, seconds)
+                t += seconds
+        self.duration = t
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Position, speed and acceleration `t` s after it began; at its end and after it, the target."""
+        for end, begin, x, v, a, jerk in self._pieces:
+            if t < end:
+                return _after(x, v, a, jerk, t - begin)
+        return self._target, 0.0, 0.0
+
+
+class TargetFilter:
+    """Six joints on their way to targets that may change at any time.
+
+    Each new target is a new plan from where the joints are, at the speed and the acceleration that they have. So
+    whatever the targets are and whenever they come, no limit is exceeded; and what the joints do is between where they
+    were and where they were told to go.
+
+    Args:
+        q: (6,) rad, where they rest.
+        limits: of each joint.
+
+    Attributes:
+        q, qd, qdd: (6,) rad, rad/s, rad/s²: where they are led, and how that moves.
+        target: (6,) rad.
+    """
+
+    def __init__(self, q: Sequence[float], limits: Sequence[JointLimit]) -> None:
+        self._limits = tuple(limits)
+        self.q, self.qd, self.qdd = list(q), [0.0] * 6, [0.0] * 6
+        self.target = list(q)
+        self._profiles = [Profile(x, 0.0, 0.0, x, limit) for x, limit in zip(q, self._limits, strict=True)]
+        #: s since each profile began
+        self._times = [0.0] * 6
+
+    def aim(self, target: Sequence[float]) -> None:
+        """Go to another target (6, rad) from now on."""
+        for joint, (old, new) in enumerate(zip(self.target, target, strict=True)):
+            if old != new:
+                self._plan(joint, new)
+        self.target = list(target)
+
+    def restart(self, q: Sequence[float], qd: Sequence[float]) -> None:
+        """Go on to the target from elsewhere (6, rad), at other speeds (6, rad/s).
+
+        The accelerations stay what they are, but for what is more than the speeds allow.
+        """
+        self.q = list(q)
+        for joint, (speed, limit) in enumerate(zip(qd, self._limits, strict=True)):
+            self.qd[joint] = v = max(-limit.speed, min(speed, limit.speed))
+            # As it dies away, the acceleration must not lead beyond the largest speed.
+            up, down = (math.sqrt(2.0 * limit.jerk * (limit.speed - each)) for each in (v, -v))
+            self.qdd[joint] = max(-down, min(self.qdd[joint], up))
+        for joint, x in enumerate(self.target):
+            self._plan(joint, x)
+
+    def _plan(self, joint: int, target: float) -> None:
+        self._profiles[joint] = Profile(self.q[joint], self.qd[joint], self.qdd[joint], target, self._limits[joint])
+        self._times[joint] = 0.0
+
+    def after(self, seconds: float) -> tuple[list[float], list[float]]:
+        """Where the joints will be so many seconds later, and how fast: (6,) rad, and (6,) rad/s."""
+        states = [profile.at(t + seconds) for profile, t in zip(self._profiles, self._times, strict=True)]
+        return [x for x, _, _ in states], [v for _, v, _ in states]
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        for joint, profile in enumerate(self._profiles):
+            self._times[joint] = t = self._times[joint] + seconds
+            self.q[joint], self.qd[joint], self.qdd[joint] = profile.at(t)
+
+    @property
+    def is_at_target(self) -> bool:
+        """All of them rest where they were told to go."""
+        return all(t >= profile.duration for profile, t in zip(self._profiles, self._times, strict=True))
+
+
+def _after(x: float, v: float, a: float, jerk: float, t: float) -> tuple[float, float, float]:
+    """The state after `t` s of constant jerk."""
+    return x + t * (v + t * (0.5 * a + t * jerk / 6.0)), v + t * (a + 0.5 * t * jerk), a + t * jerk
+
+
+def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _Segment]:
+    """The fastest way to rest, wherever that is."""
+    most, jerk = limit.acceleration, limit.jerk
+    # What the speed comes to where the acceleration dies away at once says which way to accelerate.
+    if v + 0.5 * a * abs(a) / jerk > 0.0:
+        jerk, a, gain = -jerk, -a, v
+    else:
+        gain = -v
+    each = limit.jerk
+    peak = math.sqrt(max(each * gain + 0.5 * a * a, 0.0))
+    held = 0.0
+    if peak > most:
+        peak = most
+        held = max(gain - (most * most - 0.5 * a * a) / each, 0.0) / most
+    return (max(peak - a, 0.0) / each, jerk), (held, 0.0), (peak / each, -jerk)
+
+
+def _way(v: float, a: float, segments: Sequence[_Segment]) -> float:
+    """How far the segments lead."""
+    x = 0.0
+    for t, jerk in segments:
+        x += t * (v + t * (0.5 * a + t * jerk / 6.0))
+        v += t * (a + 0.5 * t * jerk)
+        a += t * jerk
+    return x
+
+
+def _segments(x: float, v: float, a: float, target: float, limit: JointLimit) -> list[_Segment]:
+    way = target - x
+    braking = _brake(v, a, limit)
+    rest = way - _way(v, a, braking)
+    if rest >= 0.0:
+        return _pushed(way, v, a, braking, limit)
+    mirrored = tuple((t, -jerk) for t, jerk in braking)
+    return [(t, -jerk) for t, jerk in _pushed(-way, -v, -a, mirrored, limit)]
+
+
+def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: JointLimit) -> list[_Segment]:
+    """A push, and the way to rest from there; `way` is no shorter than that of braking at once."""
+    most, jerk = limit.acceleration, limit.jerk
+    until_held = max(most - a, 0.0) / jerk
+    held_x, held_v, _ = _after(0.0, v, a, jerk, until_held)
+    fading = most**3 / (6.0 * jerk * jerk)
+
+    def pushed(seconds: float) -> tuple[float, float, float]:
+        if seconds <= until_held:
+            return _after(0.0, v, a, jerk, seconds)
+        held = seconds - until_held
+        return held_x + held * (held_v + 0.5 * held * most), held_v + held * most, most
+
+    def missing(seconds: float) -> float:
+        # As `_way` of `_brake`, multiplied out, since nearly all of the time goes here.
+        x, speed, acceleration = pushed(seconds)
+        square = max(jerk * speed + 0.5 * acceleration * acceleration, 0.0)
+        if square <= most * most:
+            peak = math.sqrt(square)
+            t = (peak + acceleration) / jerk
+            x += square * peak / (6.0 * jerk * jerk)
+        else:
+            t = (most + acceleration) / jerk
+            held = (square / jerk - most * most / jerk) / most
+            x += held * (0.5 * most * most / jerk + 0.5 * most * held) + fading
+        return x + t * (speed + t * (0.5 * acceleration - t * jerk / 6.0)) - way
+
+    # Braking may itself begin with a push; so much of it is sure.
+    (first, its_jerk), (held, _), _ = braking
+    least = first + held if its_jerk > 0.0 else 0.0
+    # The longest push is that after which the acceleration dies away just as the largest speed is reached.
+    slack = max(limit.speed - v + 0.5 * a * a / jerk, 0.0)
+    if jerk * slack <= most * most:
+        peak = math.sqrt(jerk * slack)
+        longest = (peak - a) / jerk
+    else:
+        peak = most
+        longest = until_held + (slack - most * most / jerk) / most
+    longest = max(longest, least)
+    too_short = -missing(longest)
+    if too_short > 0.0:
+        end = [(peak / jerk, -jerk), (too_short / limit.speed, 0.0), *_brake(limit.speed, 0.0, limit)]
+        seconds = longest
+    else:
+        seconds = _root(missing, least, longest, _PRECISION * (1.0 + abs(way)))
+        _, speed, acceleration = pushed(seconds)
+        end = list(_brake(speed, acceleration, limit))
+    return [(min(seconds, until_held), jerk), (max(seconds - until_held, 0.0), 0.0), *end]
+
+
+def _root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
+    """Where a growing function is zero, by the method of Chandrupatla (1997): inverse quadratic interpolation where the
+    last three places promise that it is good, halves elsewhere."""
+    a, b = high, low
+    at_a, at_b = function(a), function(b)
+    if at_b >= 0.0:
+        return b
+    if at_a <= 0.0:
+        return a
+    c, at_c = a, at_a
+    part = 0.5
+    for _ in range(_MOST_STEPS):
+        x = a + part * (b - a)
+        at_x = function(x)
+        if (at_x > 0.0) == (at_a > 0.0):
+            c, at_c = a, at_a
+        else:
+            c, b, at_c, at_b = b, a, at_b, at_a
+        a, at_a = x, at_x
+        if abs(at_a) <= precision or abs(b - a) <= _PRECISION * (abs(a) + abs(b)):
+            break
+        xi, phi = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+            part = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+            part += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+            margin = _PRECISION * (abs(a) + abs(b)) / abs(b - a)
+            part = min(max(part, margin), 1.0 - margin)
+        else:
+            part = 0.5
+    return a if abs(at_a) <= abs(at_b) else b

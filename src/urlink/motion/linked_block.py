@@ -1,0 +1,114 @@
+"""A motion that lasts as long as a ``with`` block, and whose program on the robot is talked to meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
+from concurrent.futures import TimeoutError as FutureTimeout
+from typing import TYPE_CHECKING
+
+from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
+from linkcore.handle import Motion
+
+from .context import MotionContext
+from .linked import CONNECT_TIMEOUT, Dialogue, Link, LinkedProgram
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["LinkedBlock"]
+
+#: Seconds that the reason of a lost connection has to arrive.
+_REASON = 1.5
+#: Seconds that the program has to end when the block is left.
+_END_TIMEOUT = 2.0
+
+
+class LinkedBlock(Motion):
+    """What a servo and a jog have in common. It is good for one block.
+
+    Args:
+        context: the robot.
+        name: of the motion, for messages.
+        dialogue: what is said to the program.
+        open_link: makes the way to it.
+    """
+
+    def __init__(self, context: MotionContext, name: str, dialogue: Dialogue, open_link: Callable[[], Link]) -> None:
+        life = context.programs.life(name)
+        super().__init__(life)
+        self._context = context
+        self._is_entered = False
+        #: settled once the program has connected, or will not any more
+        self._linked: Future[None] = Future()
+        self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
+
+    def __enter__(self) -> Self:
+        """Upload the program and wait until it has connected.
+
+        Raises:
+            ConnectFailed: it did not.
+            SafetyStop, NotRunning: the arm may not be moved now.
+            LocalError: it was used before; or in a callback that was subscribed with ``inline=True``.
+            LinkError: what else kept it from beginning.
+        """
+        if self._is_entered:
+            raise LocalError(f"the {self.name} has been used before; each is good for one block")
+        self._is_entered = True
+        self._program.begin()
+        try:
+            with self._context.section.waiting():
+                self._linked.result(CONNECT_TIMEOUT + 1.0)
+        except (FutureTimeout, TimeoutError):
+            self.cancel()
+            raise LinkTimeout(f"{self.name}: no connection within {CONNECT_TIMEOUT:g} s") from None
+        except BaseException:
+            self.cancel()
+            raise
+        if self.error is not None:
+            raise self.error
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Stop the arm, and wait until it stands or two seconds are over. Does not raise what ended it before."""
+        try:
+            self._program.finish()
+            self.wait(_END_TIMEOUT)
+        except LinkError:
+            self.cancel()
+
+    def _check_open(self) -> None:
+        """Refuse to be told anything outside the block, or after the end.
+
+        Raises:
+            LocalError: not within the block.
+            LinkError: what has ended it.
+        """
+        if not self._linked.done():
+            raise LocalError(
+                f"a {self.name} is told something within its block: with robot.motion.{self.name}() as {self.name}: ..."
+            )
+        if self.done or self._program.is_finishing:
+            raise self.error or Closed(f"the block of the {self.name} was left")
+
+    def _say(self, data: bytes) -> None:
+        """Send to the program.
+
+        Raises:
+            LinkError: why nothing can be sent: what the robot says of it, where it says something in time.
+        """
+        try:
+            self._program.say(data)
+        except LinkError as error:
+            if not self.done:
+                self._program.lose(error)
+                with contextlib.suppress(LinkError):
+                    self.wait(_REASON)
+            raise (self.error or error) from error
+
+    def _link_up(self) -> None:
+        if not self._linked.done():
+            # Two threads may come here at once.
+            with contextlib.suppress(InvalidStateError):
+                self._linked.set_result(None)

@@ -1,0 +1,168 @@
+"""From any state to rest at a target within limits of speed, acceleration and jerk; and servos that go by that."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from linkcore.errors import BadValue
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import HOME, turned
+from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.models import model
+from urlink.motion.jerk_limited import JointLimit, Profile, TargetFilter, joint_limits
+from urlink.motion.paced import PacedSetpoints
+from urlink.motion.servo import FilteredTargets
+from urlink.motion.setpoints import WAIT_WORD, Servoing, read_word
+from urlink.motion.speed_limit import largest_speeds
+from urlink.urscript.programs import ReverseSocket
+
+_limits = st.builds(JointLimit, st.floats(0.05, 4.0), st.floats(0.1, 40.0), st.floats(0.5, 500.0))
+_part = st.one_of(st.just(0.0), st.floats(-1.0, 1.0))
+_FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.11", "5.25")]
+
+
+@pytest.mark.property
+@given(limit=_limits, v=_part, a=_part, way=st.one_of(st.just(0.0), st.floats(-7.0, 7.0), st.floats(-1e-6, 1e-6)))
+def test_a_profile_keeps_its_limits_and_arrives(limit: JointLimit, v: float, a: float, way: float) -> None:
+    v, a = v * limit.speed, a * limit.acceleration
+    assume(abs(v + 0.5 * a * abs(a) / limit.jerk) <= limit.speed)
+    profile = Profile(1.0, v, a, 1.0 + way, limit)
+    times = np.linspace(0.0, profile.duration, 101)
+    states = np.array([profile.at(t) for t in times])
+    assert np.abs(states[:, 1]).max() <= limit.speed * (1 + 1e-9)
+    assert np.abs(states[:, 2]).max() <= limit.acceleration * (1 + 1e-9)
+    if profile.duration > 1e-9:
+        changes = np.diff(states[:, 2]) / times[1]
+        assert np.abs(changes).max() <= limit.jerk * (1 + 1e-6) + 1e-9 / times[1]
+        assert states[0] == pytest.approx([1.0, v, a], abs=1e-12)
+    assert profile.at(profile.duration) == (1.0 + way, 0.0, 0.0)
+    # It gets there by itself, and is not put there at the end.
+    assert profile.at(math.nextafter(profile.duration, 0.0)) == pytest.approx((1.0 + way, 0.0, 0.0), abs=1e-6)
+    assert profile.at(math.nextafter(profile.duration, 0.0))[0] == pytest.approx(1.0 + way, abs=1e-11)
+
+
+def test_from_rest_to_rest_it_takes_as_long_as_it_has_to() -> None:
+    """By the formulas of textbooks: of each shape one."""
+    assert Profile(0, 0, 0, 2.0, JointLimit(10, 10, 1)).duration == pytest.approx(4.0)  # 4 (x / 2j)^(1/3)
+    assert Profile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(6.0)  # with the acceleration held
+    assert Profile(0, 0, 0, 10.0, JointLimit(1, 1, 1)).duration == pytest.approx(12.0)  # and the speed
+    assert Profile(3, 0, 0, 3.0, JointLimit(1, 1, 1)).duration == 0.0
+
+
+@pytest.mark.property
+@given(
+    limits=st.lists(_limits, min_size=6, max_size=6),
+    course=st.lists(
+        st.tuples(st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), st.floats(0.0, 0.5)), min_size=1, max_size=6
+    ),
+)
+def test_targets_whatever_they_are_and_whenever_they_come(
+    limits: list[JointLimit], course: list[tuple[list[float], float]]
+) -> None:
+    """Also between two cycles; sampled as finely as a robot would see it."""
+    led = TargetFilter([0.5] * 6, limits)
+    most = np.array([[each.speed, each.acceleration, each.jerk] for each in limits]).T
+    low, high = np.full(6, 0.5), np.full(6, 0.5)
+    for target, seconds in course:
+        led.aim(target)
+        low, high = np.minimum(low, target), np.maximum(high, target)
+        for _ in range(4):
+            before = np.array([led.q, led.qd, led.qdd])
+            promised = led.after(seconds / 4)
+            led.advance(seconds / 4)
+            assert (led.q, led.qd) == promised
+            now = np.array([led.q, led.qd, led.qdd])
+            if seconds > 1e-3:
+                # As seen from outside: mean speed, acceleration and jerk in between.
+                means = np.abs(now - before) / (seconds / 4)
+                assert (means <= most * (1 + 1e-9) + 1e-9).all()
+            assert (np.abs(now[1:]) <= most[:2] * (1 + 1e-9)).all()
+            assert ((low - 1e-9 <= now[0]) & (now[0] <= high + 1e-9)).all()
+    led.advance(2000.0)
+    assert led.is_at_target
+    assert led.q == course[-1][0]
+    assert led.qd == led.qdd == [0.0] * 6
+
+
+class Loop:
+    """A servo with a target filter and the program that it leads, on an arm whose clock the test has."""
+
+    def __init__(self, firmware: Firmware, speed: float, acceleration: float, jerk: float) -> None:
+        arm = model("UR5e" if firmware.is_e_series else "UR5")
+        servoing = Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
+        self.targets = FilteredTargets(joint_limits(arm, speed, acceleration, jerk), 1.0 / firmware.rate)
+        self.paced = PacedSetpoints(servoing, arm, self.targets)
+        self.bench = Bench(servoing.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware)
+        self.sent: list[list[float]] = []
+
+    def run(self, cycles: int, missed: int = 0) -> None:
+        """So many cycles, of which the first few pass without a state."""
+        for i in range(cycles):
+            if i >= missed:
+                now, at = self.bench.cycle * self.bench.period, self.bench.motion.setpoint
+                state = SimpleNamespace(time=50.0 + now, q_target=np.array(at.q), qd_target=np.array(at.qd))
+                word = self.paced.answer(cast(RealtimeState, state), 1000.0 + now)
+                self.bench.sockets.waiting.extend(word)
+                if word and word != WAIT_WORD:
+                    self.sent.append(read_word(word)[0])
+            self.bench.run()
+
+
+@pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
+def test_a_servo_whose_targets_jump(firmware: Firmware) -> None:
+    """The program on the robot, and the arm behind it, on each generation."""
+    loop = Loop(firmware, 1.0, 4.0, 60.0)
+    loop.run(5)
+    assert loop.sent == []
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        loop.targets.newest = turned(float(rng.uniform(-1, 1)), [h + float(rng.uniform(-0.4, 0.4)) for h in HOME])
+        loop.run(int(rng.integers(1, firmware.rate // 3)))
+    loop.run(3 * firmware.rate)
+    assert loop.bench.said == []
+    assert loop.bench.path[-1] == pytest.approx(loop.targets.newest, abs=1e-5)
+    # Set-points are rounded to millionths, which is noise on the third difference.
+    cycle = loop.bench.period
+    for order, most in ((1, 1.0), (2, 4.0), (3, 60.0)):
+        seen = np.abs(np.diff(np.array(loop.sent), order, axis=0)).max() / cycle**order
+        assert seen <= most + 2 ** (order - 1) * 1e-6 / cycle**order
+        assert seen > 0.6 * most
+
+
+@pytest.mark.parametrize("firmware", [_FIRMWARES[0], _FIRMWARES[2]], ids=str)
+def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
+    """It goes on from where the program on the robot has gone meanwhile, and does not make the arm leap."""
+    loop = Loop(firmware, 1.0, 4.0, 60.0)
+    loop.targets.newest = turned(2.0)
+    loop.run(firmware.rate // 2)
+    for missed in (1, 3, 8):
+        loop.run(20, missed=missed)
+        steps = np.diff(np.array(loop.bench.path)[-20:, 5]) / loop.bench.period
+        assert steps.max() < 1.01
+        assert np.abs(np.diff(steps)).max() < 0.15 + 0.1 * firmware.is_cb2  # rad/s from cycle to cycle
+    loop.run(3 * firmware.rate)
+    assert loop.bench.path[-1] == pytest.approx(turned(2.0), abs=1e-5)
+    loop.run(firmware.rate // 4, missed=firmware.rate // 4)
+    assert loop.bench.said == ["urlink: nothing to go to"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ((4.0, 1.0, 1.0), r"speed\[0\] \(base\) is 4; a UR5e reaches 3.142 at most"),
+        ((1.0, [1, 1, 1, 50, 1, 1], 1.0), r"acceleration\[3\] \(wrist 1\) is 50"),
+        ((1.0, 1.0, 0.0), "jerk is .* expected positive limits"),
+        ((1.0, [1, 2], 1.0), "shape"),
+    ],
+)
+def test_limits_that_make_no_sense(limits: tuple[float, float, float], message: str) -> None:
+    with pytest.raises(BadValue, match=message):
+        joint_limits(model("UR5e"), *limits)
