@@ -59,7 +59,7 @@ def lint(session: nox.Session) -> None:
 def types(session: nox.Session) -> None:
     """Check the types of the packages, the tests and the benchmarks."""
     session.install("-e", f".{EXTRAS}", *group("types"))
-    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks")))
+    session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "adapters")))
     if not session.posargs:
         # Finds uses of a standard library newer than the oldest supported Python. Seen from there, the types
         # of a newer numpy are Any, hence the separate run that is milder about Any.
@@ -98,6 +98,19 @@ def interop(session: nox.Session) -> None:
         "ignore:notifyAll:DeprecationWarning",
         *(session.posargs or ["tests/interop"]),
     )
+
+
+#: adapter -> what its tests need beside what it requires itself.
+ADAPTERS = {"zenoh": ()}
+
+
+@nox.session
+@nox.parametrize("adapter", sorted(ADAPTERS))
+def adapters(session: nox.Session, adapter: str) -> None:
+    """Try each adapter with the real middleware that it is for."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.install("-e", f"./adapters/{adapter}", *ADAPTERS[adapter])
+    session.run("pytest", *(session.posargs or [f"adapters/{adapter}/tests"]))
 
 
 @nox.session

@@ -118,7 +118,7 @@ def within(module: str, package: str) -> bool:
 def test_the_imports_are_read() -> None:
     """Of one module of each way to import, so that the rules below are not true of nothing."""
     assert {"linkcore", "urlink"} <= {module.partition(".")[0] for module in MODULES}
-    assert {"json", "linkcore.errors", "linkcore.streaming.stream"} <= imports("linkcore.recording.recorder")
+    assert {"functools", "linkcore.errors", "linkcore.streaming.stream"} <= imports("linkcore.recording.recorder")
     simulator = imports("urlink.simulator.controller")
     assert {"urlink.models", "urlink.firmware", "urlink.simulator.server"} <= simulator
     framing = imports("urlink.interfaces.realtime.framing")

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         WrongPeer as WrongPeer,
     )
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
+    from linkcore.recording.file import RecordingWriter as RecordingWriter
     from linkcore.recording.recorder import Recorder as Recorder
     from linkcore.recording.table import Table as Table
     from linkcore.stamp import Stamp as Stamp
@@ -153,6 +154,7 @@ else:
                 LinkTimeout LocalError PacketError RemoteError WrongPeer
             """,
             "linkcore.handle": "Handle Motion Phase",
+            "linkcore.recording.file": "RecordingWriter",
             "linkcore.recording.recorder": "Recorder",
             "linkcore.recording.table": "Table",
             "linkcore.stamp": "Stamp",

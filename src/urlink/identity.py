@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from linkcore.errors import BadValue, BadVersion, ConnectionLost, LinkTimeout, LocalError, PacketError, WrongPeer
 from linkcore.net.transport import TcpTransport
@@ -70,6 +70,17 @@ class Identity:
             return Arm.calibrated(arm, self.dh_table)
         except BadValue as error:
             raise WrongPeer(f"the controller of a {arm.name} sends unusable DH parameters: {error}") from None
+
+    def description(self) -> dict[str, Any]:
+        """What a recording has to say of the controller, since its first state, which has this too, is seldom recorded.
+
+        JSON can hold it.
+        """
+        said: dict[str, Any] = {"firmware": str(self.firmware), "model": self.model}
+        if self.dh_table is not None:
+            names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
+            said["dh_table"] = {name: list(map(float, getattr(self.dh_table, name))) for name in names}
+        return said
 
 
 class KnownIdentity:

@@ -271,7 +271,8 @@ class Robot:
         try:
             for name, stream in streams:
                 recorder.add(
-                    stream, {"name": name, "address": self.address, **_described(self.identity), **stream.description()}
+                    stream,
+                    {"name": name, "address": self.address, **self.identity.description(), **stream.description()},
                 )
         except BaseException:
             # A robot that is away leaves no file behind.
@@ -400,15 +401,6 @@ class Robot:
             made = self._source.stream(name, f"{self.address} {name}", self._who.doubt)
             known = self._streams.setdefault(name, made)
         return known
-
-
-def _described(identity: Identity) -> dict[str, Any]:
-    """Who the controller is, as a recording says it: the first state, which has this too, is seldom recorded."""
-    said: dict[str, Any] = {"firmware": str(identity.firmware), "model": identity.model}
-    if identity.dh_table is not None:
-        names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
-        said["dh_table"] = {name: list(map(float, getattr(identity.dh_table, name))) for name in names}
-    return said
 
 
 def _rtde_of(robot: Robot) -> Callable[[], Rtde]:

@@ -71,6 +71,7 @@ NAMES = [
     "RealtimeState",
     "Recorder",
     "Recording",
+    "RecordingWriter",
     "RemoteError",
     "ReportLevel",
     "RequestValueMessage",
@@ -150,7 +151,7 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 SURFACES = {
     "robot": """address close controller dashboard firmware identity io kinematics model motion popup primary realtime
         record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
-    "robot.identity": "arm dh_table firmware kinematics model said_so",
+    "robot.identity": "arm description dh_table firmware kinematics model said_so",
     "robot.motion": "current follow move_circular move_joints move_linear path servo speed_joints speed_linear stop",
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.path([urlink.Joint([0, -1.5, 1.5, -1.5, -1.5, 0])])": f"{HANDLE} progress segment segments",

@@ -28,6 +28,7 @@ from typing import Any
 
 from ..errors import BadRecording, BadValue, Closed
 from ..stamp import Stamp
+from ..streaming.events import Chunk, ConnectionEvent
 from .records import FRAME, HEAD, LARGEST, MAGIC, Kind, Record, pack
 
 __all__ = ["Kind", "Record", "Recording", "RecordingWriter"]
@@ -92,6 +93,19 @@ class RecordingWriter:
             if self._file.closed:
                 raise Closed(f"{self.path} is closed")
             self._append(data)
+
+    def add(self, channel: int, item: Chunk | ConnectionEvent) -> None:
+        """Append bytes as they came, or what became of the connection that they came by.
+
+        Raises:
+            BadRecording, Closed: as `write`.
+        """
+        if isinstance(item, Chunk):
+            self.write(Kind.BYTES, channel, item.received, item.data)
+        else:
+            error = None if item.error is None else str(item.error)
+            event = json.dumps({"state": item.state.value, "error": error}).encode()
+            self.write(Kind.EVENT, channel, item.received, event)
 
     def close(self, *, complete: bool = True) -> None:
         """Close; idempotent. Unless `complete` is False, the end record says that nothing is missing.

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import json
+import functools
 import os
 import time
 from collections.abc import Mapping
 from typing import Any
 
 from ..errors import BadRecording, LinkTimeout
-from ..streaming.events import Chunk, ConnectionEvent, Traffic
+from ..streaming.events import Traffic
 from ..streaming.policy import block
 from ..streaming.stream import Stream
 from ..streaming.subscription import Subscription
-from .file import Kind, RecordingWriter
+from .file import RecordingWriter
 
 __all__ = ["Recorder"]
 
@@ -52,15 +52,7 @@ class Recorder:
         """
         writer = self._writer
         channel = writer.add_channel(info)
-
-        def write(item: Chunk | ConnectionEvent) -> None:
-            if isinstance(item, Chunk):
-                writer.write(Kind.BYTES, channel, item.received, item.data)
-            else:
-                error = None if item.error is None else str(item.error)
-                event = json.dumps({"state": item.state.value, "error": error}).encode()
-                writer.write(Kind.EVENT, channel, item.received, event)
-
+        write = functools.partial(writer.add, channel)
         subscription = stream._connection.subscribe(Traffic, write, policy=block, gather=_GATHER, owner=stream)
         self._subscriptions.append(subscription)
         return subscription

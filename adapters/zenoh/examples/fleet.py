@@ -1,0 +1,205 @@
+"""A fleet on one computer: simulated robots in several processes, a router, and a collector that records all of them.
+
+    python fleet.py --robots 8 --processes 2 --seconds 20
+    python fleet.py --robots 100 --processes 4 --pace 0.1 --seconds 30
+
+Half-way the router dies, and comes back two seconds later. At the end it says what reached the collector of each robot,
+what was lost while there was no router, and how much processor time each part took.
+
+A simulated arm takes some 5 % of a processor at 125 Hz, so a hundred of them need more than one computer. With --pace
+the robots are recordings of a simulated arm, played so many times as fast: 0.1 makes 12.5 packets a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import urlink
+import urlink_zenoh
+from urlink import Chunk, RecordingWriter, Stamp
+from urlink.simulator import Controller
+
+FIRMWARE = "3.15"
+#: Seconds from the start within which every robot has to be seen.
+PATIENCE = 90.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", type=int, default=4)
+    parser.add_argument("--processes", type=int, default=2, help="that the robots are served by")
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--pace", type=float, help="play recordings so many times as fast, rather than simulate")
+    parser.add_argument("--directory", help="where recordings go (a temporary one)")
+    parser.add_argument("--part", help=argparse.SUPPRESS)
+    parser.add_argument("--endpoint", help=argparse.SUPPRESS)
+    parser.add_argument("rest", nargs="*", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.part is not None:
+        parts = {"router": router, "robots": robots}
+        parts[args.part](args.endpoint, args.rest)
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        demonstrate(args, Path(args.directory or scratch))
+
+
+# -- the processes ---------------------------------------------------------------------------------------
+
+
+def router(endpoint: str, rest: Sequence[str]) -> None:
+    """A router until stdin ends. Any router of Zenoh would do, `zenohd` for one."""
+    with urlink_zenoh.open_session(listen=[endpoint], mode="router"):
+        report()
+
+
+def robots(endpoint: str, rest: Sequence[str]) -> None:
+    """Some robots until stdin ends, each `NAME` simulated, or `NAME=ADDRESS`."""
+    addresses: dict[str, str] = {}
+    controllers: list[Controller] = []
+    for each in rest:
+        name, _, address = each.partition("=")
+        if not address:
+            controllers.append(Controller("UR5", FIRMWARE))
+            controllers[-1].start()
+            address = controllers[-1].address
+        addresses[name] = address
+    connected = {name: urlink.connect(address) for name, address in addresses.items()}
+    with (
+        urlink_zenoh.open_session([endpoint]) as session,
+        urlink_zenoh.Server(session, connected, status_rate=1.0, interfaces=("realtime",)),
+    ):
+        report()
+    for robot in connected.values():
+        robot.close()
+    for controller in controllers:
+        controller.close()
+
+
+def report() -> None:
+    """Tell that all is up; when stdin ends, tell the processor time since then."""
+    print("up", flush=True)
+    began, cpu = time.monotonic(), time.process_time()
+    sys.stdin.read()
+    print(json.dumps({"seconds": time.monotonic() - began, "cpu": time.process_time() - cpu}), flush=True)
+
+
+class Part:
+    """One of these processes."""
+
+    def __init__(self, part: str, endpoint: str, *rest: str) -> None:
+        command = [sys.executable, __file__, "--part", part, "--endpoint", endpoint, *rest]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def wait_up(self) -> None:
+        line = self._process.stdout.readline() if self._process.stdout else ""
+        if line != "up\n":
+            raise SystemExit(f"a process did not come up: {line!r}")
+
+    def end(self) -> float:
+        """End it in order; the part of one processor that it took."""
+        out, _ = self._process.communicate(timeout=60)
+        said = json.loads(out.splitlines()[-1])
+        return float(said["cpu"] / said["seconds"])
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+# -- the demonstration -----------------------------------------------------------------------------------
+
+
+def demonstrate(args: argparse.Namespace, directory: Path) -> None:
+    endpoint = free_endpoint()
+    names = [f"arm{number:03}" for number in range(args.robots)]
+    if args.pace is None:
+        given = names
+    else:
+        seconds = (args.seconds + PATIENCE) * args.pace
+        recording = record(directory / "source.urlog", seconds)
+        given = [f"{name}=replay://{recording}?rate={args.pace}" for name in names]
+    print(f"{args.robots} robots in {args.processes} processes, {os.cpu_count()} processors", flush=True)
+    parts = [Part("router", endpoint)]
+    parts[0].wait_up()
+    try:
+        with urlink_zenoh.open_session([endpoint]) as session:
+            collector = urlink_zenoh.Collector(session, directory / "fleet")
+            began, cpu = time.monotonic(), time.process_time()
+            parts += [Part("robots", endpoint, *given[first :: args.processes]) for first in range(args.processes)]
+            for part in parts[1:]:
+                part.wait_up()
+            wait_for(lambda: sorted(collector.robots) == names, PATIENCE)
+            print(f"all recorded after {time.monotonic() - began:.1f} s", flush=True)
+            time.sleep(args.seconds / 2)
+
+            before = collector.robots
+            parts[0].kill()
+            away = time.monotonic()
+            time.sleep(2.0)
+            parts[0] = Part("router", endpoint)
+            parts[0].wait_up()
+            wait_for(lambda: all(collector.robots[each].packets > before[each].packets + 1 for each in names), 30.0)
+            print(f"router killed; all recorded again {time.monotonic() - away:.1f} s later", flush=True)
+            settled, counted = time.monotonic(), collector.robots
+            time.sleep(args.seconds / 2)
+            found, seconds = collector.robots, time.monotonic() - settled
+            collector.close()
+            own = (time.process_time() - cpu) / (time.monotonic() - began)
+        shares = [part.end() for part in reversed(parts)]
+        parts.clear()
+    finally:
+        for part in parts:
+            part.kill()
+    rates = [(found[each].packets - counted[each].packets) / seconds for each in names]
+    lost = [found[each].missed - counted[each].missed for each in names]
+    print(f"packets a second of each robot: {min(rates):.1f} to {max(rates):.1f}, together {sum(rates):.0f}")
+    print(f"missed while there was no router: {sum(each.missed for each in counted.values())}; with it: {sum(lost)}")
+    print(f"recordings: {sum(each.packets for each in found.values())} packets in {len(found)} files")
+    serving = sum(shares[:-1])
+    print(
+        f"processor: robots and servers {serving:.2f} ({100 * serving / len(names):.2f} % a robot), "
+        f"collector {own:.2f} ({1e6 * own / max(sum(rates), 1):.0f} us a packet), router {shares[-1]:.2f}"
+    )
+    for file in (found[names[0]], found[names[-1]]):
+        with urlink.connect(f"replay://{file.path}?rate=0") as robot:
+            count = sum(1 for _ in robot.realtime.iterate(urlink.block))
+            assert count == file.packets, f"{count} of {file.packets}"
+
+
+def record(path: Path, seconds: float) -> Path:
+    """Record a simulated arm, written rather than waited for: the arm is stepped without a clock."""
+    controller = Controller("UR5", FIRMWARE)
+    writer = RecordingWriter(path)
+    channel = writer.add_channel({"name": "realtime", "firmware": FIRMWARE, "model": "UR5"})
+    for number in range(int(seconds * 125)):
+        controller.step()
+        writer.add(channel, Chunk(controller.realtime_packet(), Stamp(number * 0.008, number * 0.008)))
+    writer.close()
+    return path
+
+
+def wait_for(condition: Callable[[], bool], seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise SystemExit(f"it did not come about within {seconds:g} s")
+        time.sleep(0.1)
+
+
+def free_endpoint() -> str:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+"""Robots as Zenoh has them: what they say is published, and what they are told comes as queries."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import zenoh
+
+from urlink import (
+    BadValue,
+    ConnectionEvent,
+    LinkError,
+    LocalError,
+    Motion,
+    RealtimeState,
+    Robot,
+    State,
+    Subscription,
+)
+
+from .clients import Clients
+from .commands import COMMANDS, Kind, failed, read_arguments
+from .description import described, json_of, status_of
+from .keys import JSON, PREFIX, attachment, check_name, packets_of
+from .publication import Publication
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Server"]
+
+_log = logging.getLogger("urlink.zenoh")
+
+
+class Server:
+    """Serves robots over Zenoh from now until it is closed; a context manager.
+
+    Args:
+        session: of Zenoh; neither it nor the robots are closed with the server.
+        robots: name -> robot; each name is one part of a key.
+        prefix: what all keys begin with.
+        rate: packets a second of the real-time interface that are published, at most; None for all of them.
+        status_rate: status messages a second.
+        interfaces: whose packets are published, of "realtime" and "primary".
+
+    Raises:
+        BadValue: a name that cannot be part of a key, or a rate that is not positive.
+        LocalError: somebody serves a robot of this name already.
+        RemoteError: a robot cannot be reached.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        robots: Mapping[str, Robot],
+        *,
+        prefix: str = PREFIX,
+        rate: float | None = None,
+        status_rate: float = 10.0,
+        interfaces: tuple[str, ...] = ("realtime", "primary"),
+    ) -> None:
+        for value, name in ((rate, "rate"), (status_rate, "status_rate")):
+            if value is not None and not 0 < value <= 1000:
+                raise BadValue(f"{name}={value!r}; expected more than 0 and at most 1000 a second")
+        self._ended = threading.Event()
+        self._period = 1.0 / status_rate
+        self._served: list[_Served] = []
+        self._stack = contextlib.ExitStack()
+        try:
+            for name, robot in robots.items():
+                served = _Served(session, f"{prefix}/{check_name(name)}", robot, rate, interfaces)
+                self._served.append(served)
+                self._stack.callback(served.close)
+        except BaseException:
+            self._stack.close()
+            raise
+        self._thread = threading.Thread(target=self._tell, name="urlink-zenoh status", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the motions of clients, and be gone from the name space; idempotent."""
+        self._ended.set()
+        self._thread.join(5.0)
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _tell(self) -> None:
+        """Publish how each robot is, evenly."""
+        due = time.monotonic()
+        while not self._ended.wait(max(due - time.monotonic(), 0.0)):
+            for served in self._served:
+                try:
+                    served.tell_status()
+                except (LinkError, zenoh.ZError) as error:
+                    _log.warning("%s: no status: %s", served.key, error)
+            due = max(due + self._period, time.monotonic() - self._period)
+
+
+class _Served:
+    """One robot."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        robot: Robot,
+        rate: float | None,
+        interfaces: tuple[str, ...],
+    ) -> None:
+        self.key = key
+        self._robot = robot
+        self._numbers = itertools.count(1)
+        self._stack = contextlib.ExitStack()
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            alive = f"{key}/alive"
+            if list(session.liveliness().get(alive, timeout=1.0)):
+                raise LocalError(f"{key} is served already; choose another name")
+            self._is_commanded = _takes_commands(robot)
+            self._info, self._status, self._connection, self._motion = (
+                self._published(session, name, JSON) for name in ("info", "status", "connection", "motion")
+            )
+            packets: list[Publication] = []
+            for interface in interfaces:
+                publication = self._published(session, interface, packets_of(interface, robot.firmware))
+                packets.append(publication)
+                self._publish_packets(interface, publication, rate if interface == "realtime" else None)
+            publications = [self._info, self._status, self._connection, self._motion, *packets]
+            self._describe()
+
+            def answer(query: zenoh.Query) -> None:
+                for publication in publications:
+                    publication.answer(query)
+
+            self._stack.callback(session.declare_queryable(f"{key}/*", answer).undeclare)
+            if self._is_commanded:
+                lanes = {kind: ThreadPoolExecutor(1, f"{key} {kind.value}") for kind in Kind}
+                for lane in lanes.values():
+                    self._stack.callback(lane.shutdown, cancel_futures=True)
+                self._lanes = lanes
+                self._clients = Clients(session, f"{key}/client", self._lost)
+                self._stack.callback(self._clients.close)
+                self._stack.callback(session.declare_queryable(f"{key}/command/*", self._asked).undeclare)
+            # Last, so that who sees it finds everything.
+            self._stack.callback(session.liveliness().declare_token(alive).undeclare)
+            undo.pop_all()
+
+    def close(self) -> None:
+        self._stack.close()
+
+    # -- what the robot says ---------------------------------------------------------------------------
+
+    def _published(self, session: zenoh.Session, name: str, encoding: zenoh.Encoding) -> Publication:
+        publication = Publication(session, f"{self.key}/{name}", encoding)
+        self._stack.callback(publication.close)
+        return publication
+
+    def _publish_packets(self, interface: str, publication: Publication, rate: float | None) -> None:
+        robot = self._robot
+        stream = getattr(robot, interface)
+        sequence, came = itertools.count(), itertools.count()
+        firmware = robot.firmware
+        encoding = packets_of(interface, firmware)
+        every = 1 if rate is None else max(round(firmware.rate / rate), 1)
+
+        def put(packet: State) -> None:
+            nonlocal firmware, encoding
+            if next(came) % every or packet.received is None:
+                return
+            with contextlib.suppress(LinkError):
+                # Known, but for the first packet after a reconnect: it may have come back with another firmware.
+                now = robot.firmware
+                if now != firmware:
+                    firmware, encoding = now, packets_of(interface, now)
+                    self._describe()
+            publication.put(bytes(packet), encoding, attachment(next(sequence), packet.received))
+
+        def tell(event: ConnectionEvent) -> None:
+            error = None if event.error is None else str(event.error)
+            said = {"interface": interface, "state": event.state.value, "error": error, "time": event.received.wall}
+            self._connection.put(json_of(said))
+
+        subscriptions: list[Subscription] = [
+            stream.subscribe(tell, ConnectionEvent),
+            stream.subscribe(put, RealtimeState if interface == "realtime" else State),
+        ]
+        for subscription in subscriptions:
+            self._stack.callback(subscription.close)
+
+    def _describe(self) -> None:
+        commands = sorted([*COMMANDS, "cancel"]) if self._is_commanded else []
+        self._info.put(json_of({**described(self._robot), "commands": commands}))
+
+    def tell_status(self) -> None:
+        """Publish how the robot is."""
+        held = self._clients.current if self._is_commanded else None
+        motion = None if held is None else _of_motion(*held)
+        self._status.put(json_of({**status_of(self._robot, self._is_commanded), "motion": motion}))
+
+    # -- what it is told -------------------------------------------------------------------------------
+
+    def _asked(self, query: zenoh.Query) -> None:
+        """A command has come, in a thread of Zenoh's that must not be kept."""
+        name = str(query.key_expr).rpartition("/")[2]
+        command = COMMANDS.get(name)
+        kind = Kind.STOP if name == "cancel" else Kind.SETTING if command is None else command.kind
+        with contextlib.suppress(RuntimeError):  # shut down
+            self._lanes[kind].submit(self._carry_out, name, query)
+
+    def _carry_out(self, name: str, query: zenoh.Query) -> None:
+        try:
+            handle = self._begun(name, query)
+        except Exception as error:
+            if not isinstance(error, LinkError):
+                _log.exception("%s: %s failed", self.key, name)
+            _refuse(query, error)
+            return
+        if handle is None:
+            self._reply(query, {"phase": "done"})
+        elif query.parameters.get("wait") is None:
+            self._reply(query, handle)
+        else:
+            motion: Motion = handle["handle"]
+            motion.add_done_callback(functools.partial(self._over, query, handle))
+
+    def _begun(self, name: str, query: zenoh.Query) -> dict[str, Any] | None:
+        arguments = read_arguments(None if query.payload is None else bytes(query.payload))
+        client = query.parameters.get("client")
+        if name == "cancel":
+            if arguments:
+                raise BadValue("cancel takes no arguments")
+            held = self._clients.current
+            if held is not None:
+                held[1].cancel()
+            return None
+        command = COMMANDS.get(name)
+        if command is None:
+            raise BadValue(f"no command {name!r}; expected one of cancel, {', '.join(sorted(COMMANDS))}")
+        if command.kind is Kind.MOTION:
+            motion = self._clients.begin(client, lambda: command.call(self._robot, arguments))
+        else:
+            result = command.call(self._robot, arguments)
+            if not isinstance(result, Motion):
+                return None
+            motion = result
+        number = next(self._numbers)
+        said = {"id": number, **_of_motion(client, motion)}
+        self._motion.put(json_of(said))
+        motion.add_done_callback(lambda motion: self._motion.put(json_of({"id": number, **_of_motion(client, motion)})))
+        return {**said, "handle": motion}
+
+    def _over(self, query: zenoh.Query, begun: dict[str, Any], motion: Motion) -> None:
+        if motion.error is None:
+            self._reply(query, {**begun, **_of_motion(begun["client"], motion)})
+        else:
+            _refuse(query, motion.error)
+
+    def _reply(self, query: zenoh.Query, said: dict[str, Any]) -> None:
+        said = {name: value for name, value in said.items() if name != "handle"}
+        with contextlib.suppress(zenoh.ZError), query:  # nobody waits any more
+            query.reply(query.key_expr, json_of(said), encoding=JSON)
+
+    def _lost(self, client: str, motion: Motion) -> None:
+        _log.warning("%s: client %s is lost; its %s is cancelled", self.key, client, motion.name)
+        with contextlib.suppress(RuntimeError):
+            self._lanes[Kind.STOP].submit(motion.cancel)
+
+
+def _refuse(query: zenoh.Query, error: BaseException) -> None:
+    with contextlib.suppress(zenoh.ZError), query:
+        query.reply_err(json_of(failed(error)), encoding=JSON)
+
+
+def _of_motion(client: str | None, motion: Motion) -> dict[str, Any]:
+    error = None if motion.error is None else failed(motion.error)
+    return {
+        "client": client,
+        "name": motion.name,
+        "phase": motion.phase.value,
+        "progress": motion.progress,
+        "error": error,
+    }
+
+
+def _takes_commands(robot: Robot) -> bool:
+    try:
+        return robot.motion is not None
+    except LocalError:
+        return False

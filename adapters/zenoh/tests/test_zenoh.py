@@ -1,0 +1,280 @@
+"""Robots over Zenoh: each test has a router, a server and a client, with sessions of their own over TCP."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+import urlink
+from tests.waiting import until
+from urlink.simulator import Controller
+from urlink_zenoh import Collector, RemoteRobot, Sample, Server, open_session, robots
+from urlink_zenoh.keys import attachment, stamped
+
+HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
+FAR = [1.5, -1.5, 1.5, -1.5, -1.5, 0.0]
+
+
+@pytest.mark.property
+@given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(0, 2**40))
+def test_an_attachment_is_read_as_it_was_written(sequence: int, monotonic: int, wall: int) -> None:
+    stamp = urlink.Stamp(monotonic / 1024, wall / 1024)
+    number, read = stamped(attachment(sequence, stamp))
+    assert number == sequence
+    assert read == pytest.approx(stamp, abs=1e-6)
+
+
+def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, robot: urlink.Robot) -> None:
+    assert robots(session) == ["arm"]
+    came: list[Sample] = []
+    with RemoteRobot(session, "arm") as remote, remote.watch(came.append) as watch:
+        until(lambda: len(came) > 200)
+        seen = came[-1].state.to_dict()["time"]
+        assert remote.latest.time >= seen
+        until(lambda: "q" in remote.status)
+        status, info = remote.status, remote.info
+    assert {sample.robot for sample in came} == {"arm"}
+    # All that were published, in order, each with the time at which the server got it.
+    assert [sample.sequence for sample in came] == list(range(came[0].sequence, came[0].sequence + len(came)))
+    assert all(before.received <= after.received for before, after in itertools.pairwise(came))
+    assert (watch.missed, watch.failed) == (0, 0)
+    assert (status["connection"], status["safety_mode"], status["refusal"]) == ("connected", "NORMAL", None)
+    assert (info["model"], info["firmware"]) == ("UR5e", "5.11")
+    # The description is enough to read a packet without the library.
+    field = next(field for field in info["realtime"]["fields"] if field["name"] == "q_actual")
+    state = came[-1].state
+    assert isinstance(state, urlink.RealtimeState)
+    read = np.frombuffer(bytes(state), field["type"], field["count"], field["offset"])
+    assert read.tolist() == state.q_actual.tolist()
+
+
+def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
+    router: zenoh.Session, endpoint: str, session: zenoh.Session, robot: urlink.Robot
+) -> None:
+    states: list[Sample] = []
+    packages: list[Sample] = []
+    with (
+        open_session([endpoint]) as other,
+        Server(other, {"arm": robot}, prefix="hall/3", rate=50.0),
+        RemoteRobot(session, "arm", prefix="hall/3") as remote,
+        remote.watch(packages.append, "primary"),
+        remote.watch(states.append),
+    ):
+        until(lambda: len(packages) > 5 and len(states) > 20)
+    times = [sample.state.to_dict()["time"] for sample in states]
+    assert np.diff(times) == pytest.approx(0.02, abs=1e-6)
+    assert any(isinstance(sample.state, urlink.RobotState) for sample in packages)
+
+
+def test_a_client_moves_a_robot_and_sets_outputs(server: Server, session: zenoh.Session, robot: urlink.Robot) -> None:
+    with RemoteRobot(session, "arm") as remote:
+        done = remote.call("move_joints", q=np.array(HOME), wait=True)
+        assert (done["phase"], done["progress"]) == ("done", 1.0)
+        assert robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)
+        remote.call("set_digital_out", number=3, on=True)
+        assert robot.io.digital_out(3)
+        begun = remote.call("follow", time=[0, 2], q=[HOME, FAR], wait=False)
+        until(lambda: remote.status["motion"] is not None and remote.status["motion"]["progress"] > 0.1)
+        remote.call("stop")
+        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
+        assert begun["phase"] in ("sent", "running")
+        assert 0.01 < robot.realtime.wait().q_actual[0] < 1.4
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "says"),
+    [
+        ("move_joints", {"q": [0, 1]}, "q has the shape"),
+        ("move_joints", {"q": HOME, "wait_": 1}, "unexpected keyword argument"),
+        ("move_joints", {"q": ["a"] * 6}, "q"),
+        ("move_joints", {}, "missing a required argument"),
+        ("follow", {"time": [0, 1], "q": [HOME, FAR], "feedback": "x"}, "unexpected argument 'feedback'"),
+        ("close", {}, "no command 'close'"),
+    ],
+)
+def test_bad_arguments_are_refused_by_the_robots_own_errors(
+    server: Server, session: zenoh.Session, robot: urlink.Robot, command: str, arguments: dict[str, Any], says: str
+) -> None:
+    with RemoteRobot(session, "arm") as remote, pytest.raises(urlink.BadValue, match=says):
+        remote.call(command, **arguments)
+    assert robot.motion.current is None
+
+
+def test_commands_pass_the_interlock(
+    server: Server, session: zenoh.Session, controller: Controller, robot: urlink.Robot
+) -> None:
+    robot.safety.policy = "always"
+    with RemoteRobot(session, "arm") as remote:
+        with pytest.raises(urlink.NotEnabled):
+            remote.call("move_joints", q=HOME)
+        remote.call("enable")
+        remote.call("move_joints", q=FAR, speed=0.2)
+        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() > 0.05)
+        controller.faults.protective_stop()
+        until(lambda: robot.motion.current is None)
+        with pytest.raises(urlink.SafetyStop) as stop:
+            remote.call("move_joints", q=HOME)
+        assert stop.value.cause == "protective stop"
+        until(lambda: "protective stop" in (remote.status["refusal"] or ""))
+
+
+def test_a_motion_needs_a_client_that_is_alive_and_is_not_preempted_by_another(
+    server: Server, session: zenoh.Session, robot: urlink.Robot
+) -> None:
+    with RemoteRobot(session, "arm") as first, RemoteRobot(session, "arm") as second:
+        first.call("move_joints", q=FAR, speed=0.2)
+        with pytest.raises(urlink.LocalError, match=first.client):
+            second.call("move_joints", q=HOME)
+        second.call("cancel")  # anybody may stop it
+        until(lambda: robot.motion.current is None)
+        second.call("move_joints", q=HOME, speed=0.2)
+        second.close()
+        until(lambda: robot.motion.current is None)
+        with pytest.raises(urlink.LocalError, match="no client is alive"):
+            second.call("move_joints", q=HOME)
+    replies = list(session.get("urlink/arm/command/move_joints", payload=b'{"q": [0,0,0,0,0,0]}', timeout=2.0))
+    assert b"needs a client" in bytes(replies[0].err.payload) if replies[0].err else False
+    assert robot.motion.current is None
+
+
+_MOVE = """
+import sys, time, urlink_zenoh
+session = urlink_zenoh.open_session([sys.argv[1]])
+robot = urlink_zenoh.RemoteRobot(session, "arm")
+robot.call("move_joints", q=[1.5, -1.5, 1.5, -1.5, -1.5, 0.0], speed=0.1)
+print("moving", flush=True)
+time.sleep(60)
+"""
+
+
+def test_the_motion_of_a_process_that_dies_ends(server: Server, endpoint: str, robot: urlink.Robot) -> None:
+    process = subprocess.Popen([sys.executable, "-c", _MOVE, endpoint], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "moving\n"
+        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() > 0.05)
+        motion = robot.motion.current
+        assert motion is not None
+        process.kill()
+        until(lambda: motion.done, 5.0)
+        assert isinstance(motion.error, urlink.Cancelled)
+        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
+        assert robot.realtime.wait().q_actual[0] < 1.4
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_router_dies_and_comes_back(endpoint: str, robot: urlink.Robot, tmp_path: Path) -> None:
+    router = open_session(listen=[endpoint], mode="router")
+    with (
+        open_session([endpoint]) as ours,
+        open_session([endpoint]) as theirs,
+        Server(ours, {"arm": robot}),
+        Collector(theirs, tmp_path) as collector,
+        RemoteRobot(theirs, "arm") as remote,
+    ):
+        until(lambda: "arm" in collector.robots)
+        remote.call("move_joints", q=FAR, speed=0.1)
+        motion = robot.motion.current
+        assert motion is not None
+        router.close()
+        # Nobody can reach the robot now, so nobody could stop it.
+        until(lambda: motion.done, 5.0)
+        assert isinstance(motion.error, urlink.Cancelled)
+        with open_session(listen=[endpoint], mode="router"):
+            until(lambda: robots(theirs) == ["arm"], 15.0)
+            before = collector.robots["arm"].packets
+            until(lambda: collector.robots["arm"].packets > before + 100, 15.0)
+            assert remote.call("move_joints", q=HOME, wait=True)["phase"] == "done"
+        found = collector.robots["arm"]
+    # What was published meanwhile is gone, and counted.
+    assert found.missed > 0
+    assert found.restarts == 0
+    with urlink.connect(f"replay://{found.path}?rate=0") as recording:
+        states = recording.realtime.iterate(urlink.block)
+        assert sum(1 for _ in states) == found.packets
+        assert (recording.model, str(recording.firmware)) == ("UR5e", "5.11")
+
+
+def test_a_robot_that_is_lost_and_comes_back(
+    server: Server, session: zenoh.Session, controller: Controller, robot: urlink.Robot
+) -> None:
+    events: list[str] = []
+    came: list[Sample] = []
+    listener = session.declare_subscriber("urlink/arm/connection", lambda sample: events.append(str(sample.payload)))
+    with RemoteRobot(session, "arm") as remote, remote.watch(came.append):
+        until(lambda: came)
+        controller.faults.reboot()
+        until(lambda: any('"lost"' in event and "realtime" in event for event in events))
+        seen = len(came)
+        until(lambda: len(came) > seen + 50, 30.0)
+        until(lambda: remote.status["age"] < 0.5)
+    listener.undeclare()
+    assert any('"connected"' in event for event in events)
+
+
+def test_a_name_is_served_once(server: Server, session: zenoh.Session, robot: urlink.Robot) -> None:
+    with pytest.raises(urlink.LocalError, match="served already"):
+        Server(session, {"arm": robot})
+    with pytest.raises(urlink.BadValue, match="part of a key"):
+        Server(session, {"a/b": robot})
+
+
+def test_a_robot_that_is_only_read_takes_no_commands(
+    router: zenoh.Session, endpoint: str, session: zenoh.Session, controller: Controller
+) -> None:
+    with (
+        urlink.connect(controller.address, read_only=True) as robot,
+        open_session([endpoint]) as ours,
+        Server(ours, {"arm": robot}),
+        RemoteRobot(session, "arm", timeout=1.0) as remote,
+    ):
+        assert remote.info["commands"] == []
+        with pytest.raises(urlink.LinkTimeout):
+            remote.call("move_joints", q=HOME)
+
+
+def test_serve_from_the_command_line(router: zenoh.Session, endpoint: str, session: zenoh.Session) -> None:
+    command = ["serve", "zenoh", "left=sim://ur5e", "right=sim://ur10", "--connect", endpoint, "--rate", "20"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "serving left, right over zenoh; Ctrl-C ends it\n"
+        assert robots(session) == ["left", "right"]
+        with RemoteRobot(session, "right") as remote:
+            assert remote.info["model"] == "UR10"
+        gone = threading.Event()
+        session.liveliness().declare_subscriber("urlink/left/alive", lambda _: gone.set())
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10.0) == 128 + signal.SIGTERM
+        assert gone.wait(5.0)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_nobody_is_there(session: zenoh.Session) -> None:
+    began = time.monotonic()
+    with RemoteRobot(session, "nobody", timeout=0.5) as remote:
+        for ask in (lambda: remote.info, lambda: remote.latest, lambda: remote.call("stop")):
+            with pytest.raises(urlink.LinkTimeout):
+                ask()
+    assert time.monotonic() - began < 5.0

@@ -1,0 +1,179 @@
+"""`urlink serve`: robots in a middleware, by distributions that are installed beside this one."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.metadata
+import re
+import time
+from collections.abc import Iterable, Mapping
+from typing import Protocol, get_args
+
+from linkcore.cli.interruption import Interruption
+from linkcore.errors import BadAddress, LocalError
+
+from ..address import RobotAddress, SimulatorAddress, parse_address
+from ..commanding.interlock import Policy
+from ..robot import Robot, connect
+from .options import Subparsers, add_command, seconds
+from .tap import tell
+
+__all__ = ["GROUP", "Adapter", "add_parser", "named"]
+
+#: The group of entry points in which a distribution names its adapter.
+GROUP = "urlink.serve"
+
+#: The adapters of this project: name -> distribution, and what it makes of a robot.
+_DISTRIBUTIONS = {
+    "zenoh": ("urlink-zenoh", "a fleet over Zenoh: states as streams, commands as queries"),
+    "rr": ("urlink-rr", "a Robot Raconteur robot service"),
+    "ros2": ("urlink-ros2", "a ROS 2 node with topics, services and FollowJointTrajectory"),
+}
+
+_DESCRIPTION = """\
+Make robots citizens of a middleware. Each adapter is a distribution of its own, so that this one needs no
+middleware; without KIND it is listed which there are and which are installed.
+
+Options after KIND are those of the adapter, and of connecting: `urlink serve KIND --help` lists them. Motions that a
+client asks for pass the same interlock as those of a program here, and end when that client is lost."""
+
+_EXAMPLES = (
+    "urlink serve",
+    "urlink serve zenoh 192.168.56.101",
+    "urlink serve zenoh left=192.168.56.101 right=192.168.56.102 --connect tcp/fleet.local:7447",
+    "urlink serve -v ros2 arm=sim://ur5e",
+)
+
+#: A name that every middleware takes: of a topic, a key or a node.
+_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL)
+
+
+class Adapter(Protocol):
+    """What an entry point of the group `urlink.serve` refers to: a module, or an object."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the options of this adapter."""
+
+    def serve(self, robots: Mapping[str, Robot], args: argparse.Namespace) -> contextlib.AbstractContextManager[object]:
+        """Serve the robots, by name, for as long as the context lasts; it does not close them."""
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "serve", "serve robots to a middleware", _DESCRIPTION, _EXAMPLES)
+    parser.add_argument("kind", metavar="KIND", nargs="?", help="which middleware; without it they are listed")
+    parser.add_argument(
+        "rest", metavar="[NAME=]ADDRESS ...", nargs=argparse.REMAINDER, help="the robots, and options of the adapter"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until told to stop.
+
+    Raises:
+        LocalError: no such adapter is installed, or two robots have one name.
+        RemoteError: a robot, or the middleware, is not there.
+    """
+    installed = {entry.name: entry for entry in importlib.metadata.entry_points(group=GROUP)}
+    if args.kind is None:
+        print("\n".join(_listed(installed)))
+        return 0
+    if args.kind not in installed:
+        raise LocalError(_missing(args.kind, installed))
+    adapter: Adapter = installed[args.kind].load()
+    parser = argparse.ArgumentParser(prog=f"urlink serve {args.kind}")
+    _add_arguments(parser)
+    adapter.add_arguments(parser)
+    options = parser.parse_args(args.rest)
+    try:
+        addresses = named(options.addresses)
+    except BadAddress as error:
+        parser.error(str(error))
+    with Interruption() as interruption, contextlib.ExitStack() as stack:
+        robots = {
+            name: stack.enter_context(
+                connect(
+                    address,
+                    timeout=options.connect_timeout,
+                    read_only=options.read_only,
+                    require_enable=options.require_enable,
+                )
+            )
+            for name, address in addresses.items()
+        }
+        stack.enter_context(adapter.serve(robots, options))
+        until = None if options.duration is None else time.monotonic() + options.duration
+        for name, robot in robots.items():
+            tell(f"{name}: {robot.model or 'an arm'}, firmware {robot.firmware}, at {robot.address}")
+        print(f"serving {', '.join(robots)} over {args.kind}; Ctrl-C ends it", flush=True)
+        while until is None or time.monotonic() < until:
+            if interruption.wait(1.0 if until is None else min(1.0, max(until - time.monotonic(), 0.0))):
+                break
+    interruption.raise_if_any()
+    return 0
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What every adapter has: whom to connect to, and how."""
+    parser.add_argument(
+        "addresses",
+        metavar="[NAME=]ADDRESS",
+        nargs="+",
+        help="a robot, and what it is called; without NAME, it is called by its address",
+    )
+    parser.add_argument(
+        "--connect-timeout", type=seconds, default=5.0, metavar="S", help="give up connecting after S seconds (5)"
+    )
+    parser.add_argument("--read-only", action="store_true", help="serve states only, and take no commands")
+    parser.add_argument(
+        "--require-enable",
+        choices=get_args(Policy),
+        default="never",
+        help="when motions have to be enabled first: on_startup, or always, after each stop too (never)",
+    )
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
+
+
+def named(texts: Iterable[str]) -> dict[str, str]:
+    """Name -> address, of ``NAME=ADDRESS`` and of bare addresses, which are called by their host, model or file.
+
+    Raises:
+        BadAddress: no address, or two of one name.
+
+    >>> named(["left=10.0.0.7", "10.0.0.8", "sim://ur5e?firmware=5.11"])
+    {'left': '10.0.0.7', 'ur_10_0_0_8': '10.0.0.8', 'sim_ur5e': 'sim://ur5e?firmware=5.11'}
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        match = _NAME.fullmatch(text)
+        name, address = match.groups() if match else ("", text)
+        place = parse_address(address)
+        if not name:
+            if isinstance(place, RobotAddress):
+                name = f"ur_{place.host}"
+            elif isinstance(place, SimulatorAddress):
+                name = "_".join(filter(None, ("sim", place.model)))
+            else:
+                name = f"run_{place.path.stem}"
+            name = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+        if name in found:
+            raise BadAddress(f"{found[name]} and {address} are both called {name}; give them names: NAME={address}")
+        found[name] = address
+    return found
+
+
+def _listed(installed: Iterable[str]) -> list[str]:
+    lines = [
+        f"{name:8} {summary} ({'installed' if name in installed else f'pip install {distribution}'})"
+        for name, (distribution, summary) in _DISTRIBUTIONS.items()
+    ]
+    return lines + [f"{name:8} (installed)" for name in sorted(set(installed) - _DISTRIBUTIONS.keys())]
+
+
+def _missing(kind: str, installed: Iterable[str]) -> str:
+    if kind in _DISTRIBUTIONS:
+        return f"nothing that serves {kind} is installed: pip install {_DISTRIBUTIONS[kind][0]}"
+    there = ", ".join(sorted({*installed, *_DISTRIBUTIONS}))
+    return f"nothing that serves {kind!r} is installed; expected one of {there} (`urlink serve` lists them)"

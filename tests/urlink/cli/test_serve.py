@@ -1,0 +1,89 @@
+"""`urlink serve`, with an adapter that is no distribution. The real ones are tested in adapters/*/tests."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.metadata
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pytest
+
+import urlink
+from urlink.cli.serve import named
+
+from .conftest import Run
+
+
+class Entry:
+    """An entry point whose adapter notes what it is given."""
+
+    name = "fake"
+
+    def __init__(self) -> None:
+        self.served: list[Any] = []
+
+    def load(self) -> Entry:
+        return self
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--topic", default="robots")
+
+    @contextlib.contextmanager
+    def serve(self, robots: Mapping[str, urlink.Robot], args: argparse.Namespace) -> Iterator[None]:
+        self.served.append((args.topic, {name: str(robot.firmware) for name, robot in robots.items()}))
+        with pytest.raises(urlink.NotEnabled):
+            robots["arm"].motion.move_joints([0.0] * 6)
+        yield
+        self.served.append("over")
+
+
+@pytest.fixture
+def entry(monkeypatch: pytest.MonkeyPatch) -> Entry:
+    entry = Entry()
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry] if group == "urlink.serve" else [])
+    return entry
+
+
+def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [])
+    status, out, err = run("serve")
+    assert (status, err) == (0, "")
+    for distribution in ("urlink-zenoh", "urlink-rr", "urlink-ros2"):
+        assert f"pip install {distribution}" in out
+    for kind, says in (("rr", "pip install urlink-rr"), ("carrier-pigeon", "expected one of ros2, rr, zenoh")):
+        status, out, err = run("serve", kind, "sim://")
+        assert (status, out) == (1, "")
+        assert says in err
+
+
+def test_an_adapter_is_listed_and_serves_robots_by_name(run: Run, entry: Entry) -> None:
+    assert "fake     (installed)" in run("serve")[1]
+    options = ("--duration", "0.1", "--topic", "hall", "--require-enable", "on_startup")
+    status, out, err = run("serve", "fake", "arm=sim://ur5e?firmware=5.11", *options)
+    assert (status, out) == (0, "serving arm over fake; Ctrl-C ends it\n")
+    assert "arm: UR5e, firmware 5.11" in err
+    assert entry.served == [("hall", {"arm": "5.11"}), "over"]
+
+
+@pytest.mark.parametrize("argv", [("fake",), ("fake", "a=sim://", "a=sim://ur10"), ("fake", "sim://", "--no-such")])
+def test_wrong_usage_is_2(run: Run, entry: Entry, argv: tuple[str, ...]) -> None:
+    status, out, err = run("serve", *argv)
+    assert (status, out) == (2, "")
+    assert "urlink serve fake" in err
+    assert entry.served == []
+
+
+def test_its_help_has_the_options_of_the_adapter(run: Run, entry: Entry) -> None:
+    status, out, _ = run("serve", "fake", "--help")
+    assert status == 0
+    assert "--topic" in out
+    assert "--require-enable" in out
+
+
+def test_robots_without_a_name_are_called_by_their_address() -> None:
+    given = ["ur://robot-3.local?primary=40001", "replay:///data/run%201.urlog", "sim://", "b=sim://"]
+    assert list(named(given)) == ["ur_robot_3_local", "run_run_1", "sim", "b"]
+    with pytest.raises(urlink.BadAddress, match="both called sim"):
+        named(["sim://", "sim://"])
