@@ -220,6 +220,7 @@ ROLES = {
     "commands": "the table of what can be said to a controller in one language",
     "errors": "the exceptions of its folder",
     "framing": "the frame boundaries of one interface",
+    "gripper": "the simulated gripper, and the port that serves it",
     "packets": "the declared packets of one interface",
     "programs": "the programs that are running, and the text of those that are sent",
     "protocol": "the protocol of one interface",

@@ -77,6 +77,12 @@ if TYPE_CHECKING:
     from .firmware import Firmware as Firmware
     from .interfaces.dashboard.client import Dashboard as Dashboard, DashboardRefused as DashboardRefused
     from .interfaces.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
+    from .interfaces.gripper.client import (
+        Gripper as Gripper,
+        GripperFault as GripperFault,
+        GripperStatus as GripperStatus,
+        ObjectStatus as ObjectStatus,
+    )
     from .interfaces.enums import (
         AnalogDomain as AnalogDomain,
         ControlMode as ControlMode,
@@ -178,6 +184,7 @@ else:
             ".firmware": "Firmware",
             ".interfaces.dashboard.client": "Dashboard DashboardRefused",
             ".interfaces.dashboard.protocol": "ProgramStatus SavedProgram",
+            ".interfaces.gripper.client": "Gripper GripperFault GripperStatus ObjectStatus",
             ".interfaces.enums": """
                 AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState
                 ReportLevel RobotMode RobotModeCB2 RobotType SafetyMode ToolMode

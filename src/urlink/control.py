@@ -24,6 +24,7 @@ from .commanding.setting_channel import CommandsVia, SettingChannel
 from .commanding.settings import Settings
 from .identity import KnownIdentity
 from .interfaces.dashboard.client import Dashboard
+from .interfaces.gripper.client import Gripper
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .motion.context import MotionContext
@@ -93,6 +94,7 @@ class Control:
         self._is_closed = False
         #: under the one key "one", since `setdefault` is one step for signal handlers too
         self._dashboards: dict[str, Dashboard] = {}
+        self._grippers: dict[str, Gripper] = {}
         self._callbacks = callbacks = CallbackThread(f"{name} callbacks")
         # The library's side of the streams, which users do not hold.
         slow, fast = primary._connection, realtime._connection
@@ -146,6 +148,29 @@ class Control:
             timeout=timeout,
         )
 
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper on the flange.
+
+        Raises:
+            LocalError: a simulated controller that was told not to serve its port.
+            Closed: the robot was closed before it was used.
+        """
+        known = self._grippers.get("one")
+        if known is not None:
+            return known
+        if "gripper" not in self._ports:
+            raise LocalError("the controller serves no gripper")
+        if self._is_closed:
+            raise Closed("the robot was closed")
+        made = Gripper(
+            self._host,
+            self._ports["gripper"],
+            timeout=self._timeout,
+            refused=lambda: "a Robotiq gripper is served by the URCap that is installed for it",
+        )
+        return self._grippers.setdefault("one", made)
+
     def _is_remote(self) -> bool | None:
         """Whether the robot is in remote control, asked on a connection of its own; None if nobody can tell."""
         firmware = self._who.identity.firmware
@@ -156,11 +181,13 @@ class Control:
             return dashboard.is_in_remote_control()
 
     def close(self, timeout: float) -> None:
-        """End motions, programs, callbacks and the dashboard's connection, in `timeout` seconds."""
+        """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
         until = time.monotonic() + timeout
         self._is_closed = True
         self._programs.close()
         self._monitor.close()
         for dashboard in self._dashboards.values():
             dashboard.close()
+        for gripper in self._grippers.values():
+            gripper._disconnect()
         self._callbacks.close(max(until - time.monotonic(), 0.0))

@@ -1,4 +1,4 @@
-"""The ports of the client interfaces, of the dashboard and of the Robot API."""
+"""The ports of the client interfaces, of the dashboard and of the Robot API, and of the gripper's URCap."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "rtde": 30004,
         "dashboard": 29999,
         "robot_api": 80,
+        "gripper": 63352,
     }
 )
 

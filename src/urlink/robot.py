@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from .interfaces.dashboard.client import Dashboard
+    from .interfaces.gripper.client import Gripper
     from .kinematics import Arm
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
@@ -307,6 +308,11 @@ class Robot:
     def dashboard(self) -> Dashboard:
         """Power, brakes, installed programs, and unlocking after a protective stop."""
         return self._commanded().dashboard
+
+    @property
+    def gripper(self) -> Gripper:
+        """A Robotiq gripper whose URCap runs on the controller (port 63352). Nothing of it is interlocked."""
+        return self._commanded().gripper
 
     def set_payload(
         self,

@@ -34,6 +34,9 @@ NAMES = [
     "Feed",
     "Firmware",
     "ForceModeData",
+    "Gripper",
+    "GripperFault",
+    "GripperStatus",
     "Handle",
     "History",
     "IO",
@@ -55,6 +58,7 @@ NAMES = [
     "NotConfirmed",
     "NotEnabled",
     "NotRunning",
+    "ObjectStatus",
     "OtherPackage",
     "PackageType",
     "PacketError",
@@ -149,8 +153,10 @@ def test_each_is_there_and_says_what_it_is() -> None:
 HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
-    "robot": """address close controller dashboard firmware identity io kinematics model motion popup primary realtime
-        record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot": """address close controller dashboard firmware gripper identity io kinematics model motion popup primary
+        realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
+        wait""",
     "robot.identity": "arm description dh_table firmware kinematics model said_so",
     "robot.motion": "current follow move_circular move_joints move_linear path servo speed_joints speed_linear stop",
     "robot.motion.stop()": f"{HANDLE} progress",
@@ -174,11 +180,12 @@ SURFACES = {
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv from_poses
         has_velocities is_quintic points q qd qdd retimed sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags follow
-        greeting host is_running_program is_serving is_up model modes pendant ports program_name push
+        greeting gripper host is_running_program is_serving is_up model modes pendant ports program_name push
         realtime_packet received registers remote_control robot_api rtde schedule serial signals speed_fraction start
         state_package step stopped_since take take_messages time world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
         remove wrench""",
+    "robot.controller.gripper": "fault holds_object is_active is_connected place position registers reply take_away",
     "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
         reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
         rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply

@@ -23,6 +23,7 @@ from .control_loop import ControlLoop
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
 from .ports.dashboard import DashboardPort
+from .ports.gripper import GripperPort
 from .ports.port import Client, Port, ScriptReceiver
 from .ports.primary import PrimaryPort, RobotStates, SecondaryPort
 from .ports.realtime import RealtimePort
@@ -33,6 +34,7 @@ from .programs.pendant import Pendant
 from .programs.runner import ProgramRunner
 from .registers import Registers
 from .robot.arm import Arm
+from .robot.gripper import SimulatedGripper
 from .robot.modes import Modes
 from .robot.signals import Signals
 from .robot.sources import Demonstration, SetpointSource
@@ -84,6 +86,7 @@ class Controller:
         reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
             clients always are.
         calibration: DH parameters of the arm; it then moves as they say and sends them. None for those published.
+        gripper: a Robotiq gripper is mounted, and its URCap serves it.
 
     Attributes:
         host: address that it listens on.
@@ -112,6 +115,7 @@ class Controller:
         files: Mapping[str, str] | None = None,
         reachable: Iterable[str] = (),
         calibration: DenavitHartenberg | None = None,
+        gripper: bool = True,
     ) -> None:
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
@@ -144,6 +148,7 @@ class Controller:
         self._states = RobotStates(state)
         self._dashboard = DashboardPort(state, self.pendant)
         self._robot_api = RobotApiPort(state, self._dashboard)
+        self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
         self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
         self._ports: dict[str, Port] = {
             "primary": PrimaryPort(state, self._states, lambda client: self._script_receiver("primary", client)),
@@ -152,6 +157,7 @@ class Controller:
             "rtde": self._rtde,
             "dashboard": self._dashboard,
             "robot_api": self._robot_api,
+            "gripper": GripperPort(state, self._gripper),
         }
 
     def _script_receiver(self, port: str, client: Client) -> ScriptReceiver:
@@ -245,6 +251,17 @@ class Controller:
     def robot_api(self) -> RobotApiPort:
         """Answers the HTTP requests of PolyScope X; its operational mode."""
         return self._robot_api
+
+    @property
+    def gripper(self) -> SimulatedGripper:
+        """The gripper that is mounted: what is between its fingers, and what is wrong with it.
+
+        Raises:
+            LocalError: the controller was made without one.
+        """
+        if self._gripper is None:
+            raise LocalError("no gripper is mounted: the controller was made with gripper=False")
+        return self._gripper
 
     @property
     def rtde(self) -> RtdePort:

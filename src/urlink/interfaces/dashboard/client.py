@@ -11,7 +11,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
-from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.version import version_text
@@ -108,9 +109,7 @@ class Dashboard:
         self._api = RobotApi(self._http, timeout)
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._name = f"the dashboard server at {self._transport.name}"
-        self._lock = threading.Lock()
-        self._protocol: DashboardProtocol | None = None
-        self._is_closed = False
+        self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
         self._switched_off = -math.inf
 
     # -- power ---------------------------------------------------------------------------------------
@@ -330,9 +329,8 @@ class Dashboard:
 
     def close(self) -> None:
         """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
-        self._is_closed = True
         self._http.close()
-        self._transport.close()
+        self._dialogue.close()
 
     def __enter__(self) -> Self:
         return self
@@ -345,7 +343,7 @@ class Dashboard:
 
     def _present(self) -> Firmware:
         """What runs on the controller at present; raises `Closed` after `close`."""
-        if self._is_closed:
+        if self._dialogue.is_closed:
             raise Closed(f"{self._name} was closed")
         return self._firmware()
 
@@ -379,64 +377,7 @@ class Dashboard:
 
     def _exchange(self, line: str, timeout: float, stays: Callable[[str], bool]) -> str:
         """Send a line and wait for the reply; `stays` says by the reply whether the connection is kept."""
-        until = time.monotonic() + timeout
-        if not self._lock.acquire(timeout=timeout):
-            raise LinkTimeout(
-                f"{self._name}: {line!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
-            )
-        try:
-            protocol = self._connected(min(until, time.monotonic() + self._timeout))
-            self._transport.send(protocol.ask(line), max(until - time.monotonic(), 0.0))
-            reply = None
-            while reply is None:
-                reply = protocol.feed(self._received(until, f"no reply to {line!r} within {timeout:g} s"))
-            if not stays(reply):
-                self._disconnect()
-        except BaseException as error:
-            # Whatever comes on this connection now might be taken for the reply to the next command.
-            self._disconnect()
-            if self._is_closed and isinstance(error, ConnectionLost):
-                raise Closed(f"{self._name} was closed while {line!r} waited") from error
-            raise
-        finally:
-            self._lock.release()
-        return reply
-
-    def _connected(self, until: float) -> DashboardProtocol:
-        """The protocol of a connection on which nothing is under way; a new one if need be."""
-        if self._protocol is not None and not self._is_in_step(self._protocol):
-            self._disconnect()
-        if self._protocol is None:
-            if self._is_closed:
-                raise Closed(f"{self._name} was closed")
-            protocol = DashboardProtocol()
-            self._transport.open(max(until - time.monotonic(), 0.0))
-            if self._is_closed:
-                raise ConnectionLost(f"{self._name} was closed here")
-            while not protocol.is_greeted:
-                protocol.feed(self._received(until, "no greeting came"))
-            self._protocol = protocol
-        return self._protocol
-
-    def _is_in_step(self, protocol: DashboardProtocol) -> bool:
-        """Nothing has been sent yet, so a connection that was lost, or on which something came unasked, can be left."""
-        try:
-            return self._transport.receive_waiting() is None and protocol.is_in_step
-        except ConnectionLost:
-            return False
-
-    def _received(self, until: float, otherwise: str) -> bytes:
-        try:
-            left = until - time.monotonic()
-            if left > 0:
-                return self._transport.receive(left)[0]
-        except LinkTimeout:
-            pass
-        raise LinkTimeout(f"{self._name}: {otherwise}")
-
-    def _disconnect(self) -> None:
-        self._protocol = None
-        self._transport.close()
+        return self._dialogue.ask(line, timeout, stays)
 
 
 def _positive(timeout: float) -> float:

@@ -119,7 +119,10 @@ class DashboardProtocol:
 
     Attributes:
         is_greeted: the greeting has come, so that something can be asked.
+        settling: None, since a line says where it ends; see `linkcore.net.dialogue`.
     """
+
+    settling: float | None = None
 
     def __init__(self) -> None:
         self.is_greeted = False

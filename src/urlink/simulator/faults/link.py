@@ -105,7 +105,7 @@ class LinkFaults:
         tail = self._tails.get(port)
         if interface(port) == "realtime":
             return packet if tail is None else corruption.with_tail(packet, tail)
-        if interface(port) in ("dashboard", "rtde") or packet[4] != 16:
+        if interface(port) not in ("primary", "secondary") or packet[4] != 16:
             return packet
         if tail is not None:
             packet = corruption.with_tails(packet, tail)

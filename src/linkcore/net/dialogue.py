@@ -1,0 +1,143 @@
+"""Question and answer over TCP, a line or so each, on a connection that is made when it is needed.
+
+Where nothing in an answer says which question it answers, the order is all there is. So threads take turns, and a
+connection on which anything went wrong is closed: whatever comes on it now might be taken for the answer to the next
+question. The next one begins on a new connection. A question that may have reached the peer is never asked again.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from ..errors import Closed, ConnectionLost, LinkTimeout
+from .transport import TcpTransport
+
+__all__ = ["Dialogue", "DialogueProtocol"]
+
+
+class DialogueProtocol(Protocol):
+    """One connection, sans-IO; a new one for each connection."""
+
+    @property
+    def is_greeted(self) -> bool:
+        """The peer has said what it says first, so that something can be asked."""
+
+    @property
+    def is_in_step(self) -> bool:
+        """Greeted, nothing asked that was not answered, and nothing said that was not asked."""
+
+    @property
+    def settling(self) -> float | None:
+        """Seconds without more after which what has come is the answer; None where its end can be seen."""
+
+    def ask(self, text: str) -> bytes:
+        """The bytes that ask."""
+
+    def feed(self, data: bytes) -> str | None:
+        """The answer, once it is whole. No bytes are fed where nothing more has come for `settling`."""
+
+
+class Dialogue:
+    """Asks one peer, which threads may share.
+
+    Args:
+        transport: of the connection.
+        protocol: makes the protocol of one connection.
+        name: of the peer, for messages.
+        timeout: seconds for a connection to be made.
+
+    Attributes:
+        is_closed: `close` was called.
+    """
+
+    def __init__(
+        self, transport: TcpTransport, protocol: Callable[[], DialogueProtocol], name: str, timeout: float
+    ) -> None:
+        self.is_closed = False
+        self._transport = transport
+        self._make = protocol
+        self._name = name
+        self._timeout = timeout
+        self._lock = threading.Lock()
+        self._protocol: DialogueProtocol | None = None
+
+    def ask(self, text: str, timeout: float, stays: Callable[[str], bool] = lambda answer: True) -> str:
+        """Ask, and wait for the answer.
+
+        Args:
+            text: the question.
+            timeout: seconds for all of it.
+            stays: says by the answer whether the connection is kept.
+
+        Raises:
+            LinkTimeout: no answer came in time, or other threads had their turn for so long.
+            ConnectFailed, ConnectionLost: the peer is not there, or went away.
+            Closed: `close` was called.
+            LinkError: whatever the protocol raises.
+        """
+        until = time.monotonic() + timeout
+        if not self._lock.acquire(timeout=timeout):
+            raise LinkTimeout(
+                f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
+            )
+        try:
+            protocol = self._connected(min(until, time.monotonic() + self._timeout))
+            self._transport.send(protocol.ask(text), max(until - time.monotonic(), 0.0))
+            answer = None
+            while answer is None:
+                answer = protocol.feed(self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s"))
+            if not stays(answer):
+                self._disconnect()
+        except BaseException as error:
+            self._disconnect()
+            if self.is_closed and isinstance(error, ConnectionLost):
+                raise Closed(f"{self._name} was closed while {text!r} waited") from error
+            raise
+        finally:
+            self._lock.release()
+        return answer
+
+    def close(self) -> None:
+        """Disconnect for good; what waits in another thread ends with `Closed`. Idempotent."""
+        self.is_closed = True
+        self._transport.close()
+
+    def _connected(self, until: float) -> DialogueProtocol:
+        """The protocol of a connection on which nothing is under way; a new one if need be."""
+        if self._protocol is not None and not self._is_in_step(self._protocol):
+            self._disconnect()
+        if self._protocol is None:
+            if self.is_closed:
+                raise Closed(f"{self._name} was closed")
+            protocol = self._make()
+            self._transport.open(max(until - time.monotonic(), 0.0))
+            if self.is_closed:
+                raise ConnectionLost(f"{self._name} was closed here")
+            while not protocol.is_greeted:
+                protocol.feed(self._received(protocol, until, "no greeting came"))
+            self._protocol = protocol
+        return self._protocol
+
+    def _is_in_step(self, protocol: DialogueProtocol) -> bool:
+        """Nothing has been sent yet, so a connection that was lost, or on which something came unasked, can be left."""
+        try:
+            return self._transport.receive_waiting() is None and protocol.is_in_step
+        except ConnectionLost:
+            return False
+
+    def _received(self, protocol: DialogueProtocol, until: float, otherwise: str) -> bytes:
+        left, settling = until - time.monotonic(), protocol.settling
+        try:
+            if left > 0:
+                return self._transport.receive(left if settling is None else min(left, settling))[0]
+        except LinkTimeout:
+            if settling is not None:
+                return b""
+        raise LinkTimeout(f"{self._name}: {otherwise}")
+
+    def _disconnect(self) -> None:
+        self._protocol = None
+        self._transport.close()
