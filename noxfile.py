@@ -114,6 +114,13 @@ def adapters(session: nox.Session, adapter: str) -> None:
 
 
 @nox.session
+def data(session: nox.Session) -> None:
+    """Export recordings to every format, and open them again with the readers that people use."""
+    session.install("-e", f".{EXTRAS}", *group("tests", "data"))
+    session.run("pytest", *(session.posargs or ["tests/urlink/data"]))
+
+
+@nox.session
 def kinematics(session: nox.Session) -> None:
     """Compare kinematics, dynamics and profiles with those of ur-analytic-ik, Pinocchio, ruckig and ikpy."""
     session.install("-e", f".{EXTRAS}", *group("tests", "kinematics"))

@@ -21,10 +21,11 @@ from .models import Model
 from .poses import rotvec_to_rpy
 from .rigid import Rigid
 
-__all__ = ["to_urdf"]
+__all__ = ["JOINTS", "to_urdf"]
 
 _LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
-_JOINTS = (
+#: The joints, from the base on.
+JOINTS = (
     "shoulder_pan_joint",
     "shoulder_lift_joint",
     "elbow_joint",
@@ -56,7 +57,7 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None) -> str:
     root = ElementTree.Element("robot", name=name or model.name.lower().replace(" ", ""))
     ElementTree.SubElement(root, "link", name="base_link")
     parent, origin = "base_link", rigid.IDENTITY
-    for i, (link, child, joint) in enumerate(zip(arm.geometry.links, _LINKS, _JOINTS, strict=True)):
+    for i, (link, child, joint) in enumerate(zip(arm.geometry.links, _LINKS, JOINTS, strict=True)):
         # The joint turns about the z axis of the frame before the link. Along that axis a joint may sit anywhere: as in
         # the vendor's description, it sits where the link begins, at the link's offset d.
         origin = rigid.product(origin, rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset]))

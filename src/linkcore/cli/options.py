@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["Subparsers", "add_command", "positive_int", "seconds"]
+__all__ = ["Subparsers", "add_command", "positive_int", "positive_number", "seconds"]
 
 Subparsers = Any  # argparse's own class for it is private
 
@@ -32,12 +32,21 @@ def add_command(
 
 def seconds(text: str) -> float:
     """A positive number of seconds."""
+    return _positive(text, "a positive number of seconds")
+
+
+def positive_number(text: str) -> float:
+    """A positive number."""
+    return _positive(text, "a positive number")
+
+
+def _positive(text: str, expected: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not {expected}")
     return value
 
 

@@ -137,6 +137,16 @@ class Table:
         begin, end = np.searchsorted(self._time, [t0, t1]).tolist()
         return self._with_rows(begin, end)
 
+    def with_fields(self, *names: str) -> Table:
+        """The same rows with some of the columns.
+
+        Raises:
+            BadValue: no such field; says which are like it.
+        """
+        arrays = self.arrays(*names)
+        known = {name: self._columns.known[name] for name in arrays}
+        return Table(self.name, ArrayColumns(known, arrays), self._time, self._wall, self._begins, self.missing)
+
     @property
     def parts(self) -> list[Table]:
         """The rows of each layout by themselves, where the firmware or the recipe changed while it was recorded.

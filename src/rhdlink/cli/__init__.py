@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import dissect, hosting, mission, recordings, values, watch
+from . import dissect, export, hosting, mission, recordings, values, watch
 
 __all__ = ["main"]
 
-_COMMANDS = (hosting, mission, values, watch, recordings, dissect)
+_COMMANDS = (hosting, mission, values, watch, recordings, export, dissect)
 
 _DESCRIPTION = """\
 Look at, drive, host and imitate mobile robots that run the Robot Hardware Daemon (RHD)."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
+from linkcore.cli.options import Subparsers, add_command, positive_int, positive_number, seconds
 
-__all__ = ["Subparsers", "add_address", "add_command", "add_interface", "positive_int", "seconds"]
+__all__ = ["Subparsers", "add_address", "add_command", "add_interface", "positive_int", "positive_number", "seconds"]
 
 _ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,24 +15,34 @@ import numpy as np
 
 from linkcore.errors import BadRecording
 from linkcore.recording.columns import PacketColumns
+from linkcore.recording.exporting import Progress, chosen, export
 from linkcore.recording.index import Index
 from linkcore.recording.packets import Channel, Part, read_channel
 from linkcore.recording.records import Kind
 from linkcore.recording.table import Table
+from linkcore.recording.table_files import TABLE_WRITERS
 from linkcore.wire.packet import State
 from linkcore.wire.protocol import PacketProtocol
 
 from ..firmware import Firmware
 from ..interfaces.primary.protocol import PrimaryProtocol
+from ..interfaces.primary.robot_message import RobotMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..interfaces.realtime.protocol import RealtimeProtocol
 from ..interfaces.rtde.protocol import RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
+from ..models import UnknownModel
 from ..rtde.outputs import recorded_plan
+from ..urdf import to_urdf
+from .mcap_file import McapFile
 from .robot_states import RobotStates
+from .ros_messages import Topic, description_topic, log_topic, topics_of
 
 __all__ = ["Recording", "load"]
+
+#: Seconds of a recording of which the messages are made together.
+_STRETCH = 10.0
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
@@ -153,6 +164,63 @@ class Recording:
         return {
             name: getattr(self, name) for name in ("realtime", "primary", "secondary", "rtde") if name in self.channels
         }
+
+    # -- out of it ---------------------------------------------------------------------------------
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        fields: Sequence[str] | None = None,
+        rate: float | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write it to a file of another program, which replaces one of the same name once it is whole.
+
+        Args:
+            path: its suffix says the format: .csv or .parquet for one table, .mat, .h5 or .mcap for all of them.
+            fields: names, such as ``"q_actual"``, ``"joint_data.T_motor"`` or ``"rtde.actual_q"``; None for all. A
+                .csv or .parquet file is then of the first table that was recorded.
+            rate: rows a second to which it is resampled; None for the packets as they came.
+            progress: called with the part that is done, 0 to 1.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadValue: no such format or field, or fields of several tables for a format that holds one.
+            BadRecording: the file cannot be written.
+            LocalError: what writes the format is not installed; says how to.
+        """
+        tables = self.tables
+        is_of_one = Path(path).suffix.lower() in (".csv", ".parquet")
+        if fields is None and is_of_one:
+            tables = dict(list(tables.items())[:1])
+        writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
+        return export(path, chosen(tables, fields, rate), writers, progress)
+
+    def _write_mcap(self, path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
+        tables = {name: table for name, table in tables.items() if len(table)}
+        first = min((table.time[0] for table in tables.values()), default=0.0)
+        last = max((table.time[-1] for table in tables.values()), default=0.0)
+        with path.open("xb") as file:
+            mcap = McapFile(file)
+            if tables and self.model is not None:
+                with contextlib.suppress(UnknownModel):
+                    mcap.write([description_topic(to_urdf(self.model), min(each.wall[0] for each in tables.values()))])
+            # A stretch of time after the other: all messages at once might be more than there is memory.
+            for start in np.arange(first, last + _STRETCH, _STRETCH).tolist():
+                topics: dict[str, Topic] = {}
+                for name, table in tables.items():
+                    for topic in topics_of(name, table.between(start, start + _STRETCH)):
+                        topics.setdefault(topic.name, topic)  # of a topic that several streams have, the first
+                    if isinstance(stream := self.tables[name], RobotStates):
+                        said = stream.of(RobotMessage)
+                        begin, end = np.searchsorted(said.time, [start, start + _STRETCH]).tolist()
+                        topics.setdefault("/log", log_topic(stream.robot_messages[begin:end], said.wall[begin:end]))
+                mcap.write(topics.values())
+                progress(min((start - first) / max(last - first, _STRETCH), 1.0))
+            mcap.finish()
 
     def _info(self, name: str) -> Mapping[str, Any]:
         if name not in self.channels:

@@ -36,7 +36,7 @@ class RobotStates(Table):
     times; so have the attributes ``joint_data``, ``tool_data`` and so on. Made by `Recording`.
 
     Attributes:
-        messages: robot messages as they came, in order, with their stamps.
+        messages: robot messages and other packages as they came, in order, with their stamps.
     """
 
     def __init__(
@@ -60,6 +60,11 @@ class RobotStates(Table):
         begins = np.searchsorted(records, begins).tolist()
         super().__init__(name, JoinedColumns(everywhere), time, wall, begins, missing)
         self.messages = [state for _, state in decoded if isinstance(state, (RobotMessage, OtherPackage))]
+
+    @property
+    def robot_messages(self) -> list[State]:
+        """Those of `messages` that are robot messages: the rows of ``of(RobotMessage)``."""
+        return [state for state in self.messages if isinstance(state, RobotMessage)]
 
     def of(self, kind: type[State]) -> Table:
         """What came of one class, a row for each: of a sub-package, of a message, or of the other packages.

@@ -9,7 +9,7 @@ from rhdlink import Host
 
 from .conftest import Run, Spawn
 
-COMMANDS = ("serve", "turtle", "mission", "vars", "get", "set", "watch", "record", "replay", "dissect")
+COMMANDS = ("serve", "turtle", "mission", "vars", "get", "set", "watch", "record", "replay", "export", "dissect")
 
 
 def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
@@ -52,7 +52,7 @@ def test_version(run: Run) -> None:
         ("turtle", "--drive", "car"),
         ("turtle", "--port", "65536"),
         ("serve",),
-        ("dissect", "x", "--width", "3"),
+        ("export", "dissect", "x", "--width", "3"),
     ],
 )
 def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:

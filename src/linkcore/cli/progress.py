@@ -1,0 +1,47 @@
+"""A bar on stderr while something long goes on; nothing where stderr is no terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+__all__ = ["ProgressBar"]
+
+#: Characters of a bar.
+_WIDTH = 30
+#: Seconds between two pictures of it, and before the first: what is done sooner needs no bar.
+_PERIOD = 0.2
+
+
+class ProgressBar:
+    """A context manager; call it with the part that is done, 0 to 1.
+
+    Args:
+        text: what is going on.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._is_terminal = sys.stderr.isatty()
+        self._next = time.monotonic() + _PERIOD
+        self._is_drawn = False
+
+    def __call__(self, part: float) -> None:
+        """Draw it, if it is time to."""
+        now = time.monotonic()
+        if not self._is_terminal or now < self._next:
+            return
+        self._next = now + _PERIOD
+        done = round(min(max(part, 0.0), 1.0) * _WIDTH)
+        print(f"\r{self._text} [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}", end="", file=sys.stderr, flush=True)
+        self._is_drawn = True
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._is_drawn:  # erased, so that what is printed next stands alone
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,85 @@
+"""Tables to the files of other programs: the format goes by the suffix, and a file is there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from ..errors import BadRecording, BadValue
+from .table import Table
+
+__all__ = ["FileWriter", "Progress", "chosen", "export"]
+
+#: Called with the part of the work that is done, 0 to 1.
+Progress = Callable[[float], object]
+#: Writes tables, by name, to a path.
+FileWriter = Callable[[Path, Mapping[str, Table], Progress], None]
+
+
+def export(
+    path: str | os.PathLike[str],
+    tables: Mapping[str, Table],
+    writers: Mapping[str, FileWriter],
+    progress: Progress | None = None,
+) -> Path:
+    """Write tables to a file, which replaces one of the same name.
+
+    It is written under another name beside it and renamed when it is whole.
+
+    Args:
+        writers: suffix -> what writes such a file.
+
+    Raises:
+        BadValue: no such format, or the format cannot hold these tables.
+        BadRecording: the file cannot be written.
+        LocalError: what writes the format is not installed.
+    """
+    path = Path(path)
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise BadValue(f"{path}: no format has the suffix {path.suffix!r}; expected one of {', '.join(writers)}")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+    try:
+        writer(unfinished, tables, progress or (lambda part: None))
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise BadRecording(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path
+
+
+def chosen(
+    tables: Mapping[str, Table], fields: Sequence[str] | None = None, rate: float | None = None
+) -> dict[str, Table]:
+    """The tables that have the fields, with no other columns.
+
+    Args:
+        tables: by name.
+        fields: names; one that several tables have is that of the first. ``rtde.actual_q`` is that of the table of this
+            name. None for all fields of all tables.
+        rate: rows a second to which they are resampled; None leaves them as they came.
+
+    Raises:
+        BadValue: no table has such a field, or a rate that is none.
+    """
+    found: dict[str, list[str]] = {}
+    for field in fields or ():
+        first, _, rest = field.partition(".")
+        if first in tables and rest in tables[first]:
+            found.setdefault(first, []).append(rest)
+            continue
+        table = next((name for name, table in tables.items() if field in table), None)
+        if table is None:
+            first_table = next(iter(tables.values()), None)
+            if first_table is None:
+                raise BadValue(f"there is no field {field!r}: nothing was recorded")
+            first_table.arrays(field)  # says what is like it
+        else:
+            found.setdefault(table, []).append(field)
+    kept = {name: table.with_fields(*found[name]) for name, table in tables.items() if name in found}
+    kept = kept if fields else dict(tables)
+    if rate is not None:
+        kept = {name: table.resampled(rate) for name, table in kept.items() if len(table)}
+    return kept

@@ -1,0 +1,63 @@
+"""MCAP files, which Foxglove, `ros2 bag` and PlotJuggler open: messages of ROS 2 by topic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import IO
+
+import numpy as np
+
+from linkcore.extras import needs
+
+from .ros_messages import Topic
+
+__all__ = ["McapFile"]
+
+
+class McapFile:
+    """Writes messages into an open file; a file that was not finished can be read up to its last whole chunk.
+
+    Args:
+        file: open for writing bytes.
+        chunk: bytes of messages that are compressed together, and can be lost together.
+
+    Raises:
+        LocalError: the extra ``mcap`` is not installed.
+    """
+
+    def __init__(self, file: IO[bytes], chunk: int = 1 << 20) -> None:
+        with needs("mcap", "an .mcap file"):
+            from mcap.writer import CompressionType, Writer
+        self._writer = Writer(file, chunk_size=chunk, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="urlink")
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._channels: dict[tuple[str, int], int] = {}
+
+    def write(self, topics: Iterable[Topic]) -> None:
+        """Append messages, in the order of their stamps."""
+        topics = list(topics)
+        channels = [self._channel(topic) for topic in topics]
+        stamps = [topic.wall.astype("M8[ns]").astype(np.int64) for topic in topics]
+        of_topic = np.repeat(np.arange(len(topics)), [len(each) for each in stamps])
+        number = np.concatenate([np.arange(len(each)) for each in stamps]) if stamps else np.empty(0, int)
+        every = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
+        order = np.argsort(every, kind="stable")
+        add = self._writer.add_message
+        rows = zip(of_topic[order].tolist(), number[order].tolist(), every[order].tolist(), strict=True)
+        for topic, message, stamp in rows:
+            add(channels[topic], stamp, topics[topic].messages[message], stamp)
+
+    def _channel(self, topic: Topic) -> int:
+        definition = (topic.type, topic.definition)
+        if definition not in self._schemas:
+            self._schemas[definition] = self._writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
+        key = (topic.name, self._schemas[definition])
+        if key not in self._channels:
+            # rosbag2 takes the quality of service from here; an empty text is the default one.
+            about = {"offered_qos_profiles": ""}
+            self._channels[key] = self._writer.register_channel(topic.name, "cdr", key[1], about)
+        return self._channels[key]
+
+    def finish(self) -> None:
+        """Write the index; nothing can be added after it."""
+        self._writer.finish()

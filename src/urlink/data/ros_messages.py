@@ -1,0 +1,188 @@
+"""What was recorded of a robot as messages of ROS 2, with the definitions that go into a file beside them.
+
+Joint states, poses, twists, wrenches and logs are those that every viewer knows. Each packet as a whole goes into a
+message of a type that is defined by the fields of its stream.
+
+`JointState.effort` has the joint currents in A, as the vendor's ROS driver puts them there. Poses, twists and wrenches
+are as the controller reports them: in the frame of the base, and wrenches about the TCP.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linkcore.recording.table import Table
+from linkcore.wire.packet import State
+
+from ..interfaces.enums import ReportLevel
+from ..interfaces.primary.robot_message import KeyMessage, PopupMessage, RobotCommMessage, RuntimeExceptionMessage
+from ..poses import rotvec_to_quaternion
+from ..urdf import JOINTS
+from .cdr import Message
+
+__all__ = ["Topic", "description_topic", "log_topic", "topics_of"]
+
+_FRAME = "base_link"
+
+_TIME = "builtin_interfaces/Time", "int32 sec\nuint32 nanosec"
+_HEADER = "std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"
+_VECTOR = "geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"
+_POINT = "geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z"
+_QUATERNION = "geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"
+_POSE = "geometry_msgs/Pose", "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation"
+_TWIST = "geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular"
+_WRENCH = "geometry_msgs/Wrench", "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque"
+
+
+def _definition(text: str, *others: tuple[str, str]) -> str:
+    """A definition with those that it is made of, as ROS joins them."""
+    return "\n".join([text, *(f"{'=' * 80}\nMSG: {name}\n{each}" for name, each in others)])
+
+
+_STAMPED = "std_msgs/Header header\n"
+_DEFINITIONS = {
+    "sensor_msgs/msg/JointState": _definition(
+        f"{_STAMPED}string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort", _HEADER, _TIME
+    ),
+    "geometry_msgs/msg/PoseStamped": _definition(
+        f"{_STAMPED}geometry_msgs/Pose pose", _HEADER, _TIME, _POSE, _POINT, _QUATERNION
+    ),
+    "geometry_msgs/msg/TwistStamped": _definition(
+        f"{_STAMPED}geometry_msgs/Twist twist", _HEADER, _TIME, _TWIST, _VECTOR
+    ),
+    "geometry_msgs/msg/WrenchStamped": _definition(
+        f"{_STAMPED}geometry_msgs/Wrench wrench", _HEADER, _TIME, _WRENCH, _VECTOR
+    ),
+    "rcl_interfaces/msg/Log": _definition(
+        "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\nbuiltin_interfaces/Time stamp\n"
+        "uint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line",
+        _TIME,
+    ),
+    "std_msgs/msg/String": "string data",
+}
+
+#: Fields of the real-time interface and of RTDE that mean the same.
+_POSITION, _VELOCITY, _CURRENT = ("q_actual", "actual_q"), ("qd_actual", "actual_qd"), ("I_actual", "actual_current")
+_TCP_POSE, _TCP_SPEED, _TCP_FORCE = (
+    ("tool_vector_actual", "actual_TCP_pose"),
+    ("tcp_speed_actual", "actual_TCP_speed"),
+    ("tcp_force", "actual_TCP_force"),
+)
+
+_NAMES = {"f8": "float64", "i8": "int64", "u8": "uint64", "i4": "int32", "u4": "uint32", "i2": "int16", "u2": "uint16"}
+_NAMES |= {"i1": "int8", "u1": "uint8", "b1": "bool"}
+
+_INFO, _WARN, _ERROR, _FATAL = 20, 30, 40, 50
+_LEVELS = {
+    ReportLevel.WARNING: _WARN,
+    ReportLevel.VIOLATION: _ERROR,
+    ReportLevel.FAULT: _FATAL,
+    ReportLevel.CRITICAL: _FATAL,
+}
+
+
+class Topic(NamedTuple):
+    """Messages of one topic.
+
+    Attributes:
+        name: of the topic.
+        type: of the messages.
+        definition: of that type.
+        wall: the stamp of each, (n,) datetime64[ns].
+        messages: in CDR.
+    """
+
+    name: str
+    type: str
+    definition: str
+    wall: NDArray[np.datetime64]
+    messages: list[bytes]
+
+
+def topics_of(name: str, table: Table) -> Iterator[Topic]:
+    """The messages of a stream called `name`, as far as it has the fields for them. Text goes into none."""
+    wall = table.wall
+
+    def topic(path: str, kind: str, message: Message) -> Topic:
+        return Topic(path, kind, _DEFINITIONS[kind], wall, message.encoded())
+
+    def column(names: Sequence[str]) -> NDArray[np.float64] | None:
+        found = next((each for each in names if each in table), None)
+        return None if found is None else table[found]
+
+    nothing = np.empty((len(table), 0))
+    position, velocity, current = column(_POSITION), column(_VELOCITY), column(_CURRENT)
+    if position is not None:
+        message = Message(len(table)).header(wall, "").texts(JOINTS).sequence(position)
+        message.sequence(nothing if velocity is None else velocity)
+        message.sequence(nothing if current is None else current)
+        yield topic("/joint_states", "sensor_msgs/msg/JointState", message)
+    if (pose := column(_TCP_POSE)) is not None:
+        # While a connection was lost, what is resampled is NaN.
+        orientation = rotvec_to_quaternion(np.nan_to_num(pose[:, 3:]))
+        orientation[np.isnan(pose[:, 3:]).any(axis=1)] = np.nan
+        message = Message(len(table)).header(wall, _FRAME).numbers(pose[:, :3]).numbers(orientation)
+        yield topic("/tcp_pose", "geometry_msgs/msg/PoseStamped", message)
+    for path, kind, names in (
+        ("/tcp_speed", "geometry_msgs/msg/TwistStamped", _TCP_SPEED),
+        ("/wrench", "geometry_msgs/msg/WrenchStamped", _TCP_FORCE),
+    ):
+        if (six := column(names)) is not None:
+            yield topic(path, kind, Message(len(table)).header(wall, _FRAME).numbers(six))
+    yield _everything(name, table)
+
+
+def _everything(name: str, table: Table) -> Topic:
+    """A message for each packet with all of its fields, by their names in lower case, as ROS demands."""
+    message = Message(len(table)).header(table.wall, "")
+    lines = ["std_msgs/Header header"]
+    for field, array in table.arrays().items():
+        if array.dtype == object:
+            continue
+        count = "" if array.ndim == 1 else f"[{array.shape[1]}]"
+        lines.append(f"{_NAMES[array.dtype.str[1:]]}{count} {re.sub('[^a-z0-9]+', '_', field.lower())}")
+        message.numbers(array)
+    definition = _definition("\n".join(lines), _HEADER, _TIME)
+    return Topic(f"/{name}", f"urlink_msgs/msg/{name.capitalize()}", definition, table.wall, message.encoded())
+
+
+def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
+    """What the controller said in words."""
+    kind = "rcl_interfaces/msg/Log"
+    encoded = []
+    for message, stamp in zip(messages, wall, strict=True):
+        one = Message(1).stamp(np.array([stamp])).numbers(np.array([_level(message)], np.uint8))
+        source = getattr(getattr(message, "source", None), "name", "")
+        one.text(str(source)).text(_words(message)).text("").text("").numbers(np.zeros(1, np.uint32))
+        encoded += one.encoded()
+    return Topic("/log", kind, _DEFINITIONS[kind], wall, encoded)
+
+
+def _level(message: State) -> int:
+    """As `rcl_interfaces/msg/Log` counts."""
+    if isinstance(message, RobotCommMessage):
+        return _INFO if message.report_level is None else _LEVELS.get(message.report_level, _INFO)
+    if isinstance(message, PopupMessage):
+        return _ERROR if message.is_error else _WARN if message.is_warning else _INFO
+    return _ERROR if isinstance(message, RuntimeExceptionMessage) else _INFO
+
+
+def _words(message: State) -> str:
+    if isinstance(message, RobotCommMessage):
+        return f"C{message.code}A{message.argument}: {message.text}"
+    if isinstance(message, (KeyMessage, PopupMessage)):
+        return f"{message.title}: {message.text}"
+    text = getattr(message, "text", None)
+    # A NUL would end the text for readers in C.
+    return (text if isinstance(text, str) else str(message)).replace("\0", "")
+
+
+def description_topic(urdf: str, wall: np.datetime64) -> Topic:
+    """The description of the arm, once, for viewers that draw it."""
+    kind = "std_msgs/msg/String"
+    return Topic("/robot_description", kind, _DEFINITIONS[kind], np.array([wall]), Message(1).text(urdf).encoded())

@@ -1,0 +1,164 @@
+"""Export: each format is opened again by a reader that is not ours, and holds what was recorded."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhdlink
+import rhdlink.cli
+import urlink
+import urlink.cli
+from linkcore.recording.exporting import export
+from rhdlink.plugins.turtle import Turtle
+from urlink.poses import quaternion_to_rotvec
+
+CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.urlog"
+
+
+def reader(name: str) -> Any:
+    """A package that reads a format again."""
+    package = name.partition(".")[0]
+    pytest.importorskip(package, reason=f"{package} is not installed; the session `data` of nox has it")
+    return importlib.import_module(name)
+
+
+def read_mcap(path: Path) -> dict[str, list[Any]]:
+    """topic -> its messages as a reader of ROS 2 files decodes them."""
+    with path.open("rb") as file:
+        messages = reader("mcap.reader").make_reader(
+            file, decoder_factories=[reader("mcap_ros2.decoder").DecoderFactory()]
+        )
+        found: dict[str, list[Any]] = {}
+        for message in messages.iter_decoded_messages():
+            found.setdefault(message.channel.topic, []).append(message)
+    return found
+
+
+@pytest.fixture
+def recording() -> urlink.Recording:
+    return urlink.load(CAPTURE)
+
+
+def test_csv(recording: urlink.Recording, tmp_path: Path) -> None:
+    path = recording.export(tmp_path / "run.csv", ["q_actual", "robot_mode"])
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["t", "wall", *(f"q_actual_{number}" for number in range(6)), "robot_mode"]
+    assert [[float(each) for each in row[2:8]] for row in rows[1:]] == recording.realtime["q_actual"].tolist()
+    assert np.datetime64(rows[1][1].rstrip("Z")) == recording.realtime.wall[0]
+    recording.export(path, ["q_actual"], rate=10)
+    assert len(path.read_text().splitlines()) == 1 + len(recording.realtime.resampled(10))
+
+
+def test_parquet(recording: urlink.Recording, tmp_path: Path) -> None:
+    parquet = reader("pyarrow.parquet")
+    table = parquet.read_table(recording.export(tmp_path / "run.parquet"))
+    assert table.num_rows == len(recording.realtime)
+    assert table["q_actual_3"].to_pylist() == recording.realtime["q_actual"][:, 3].tolist()
+    assert table["robot_mode"].to_pylist() == recording.realtime["robot_mode"].tolist()
+    assert table["wall"].cast("int64").to_pylist() == recording.realtime.wall.astype(int).tolist()
+    assert table.schema.field("tcp_force_2").metadata[b"unit"] == b"N, Nm"
+
+
+def test_mat(recording: urlink.Recording, tmp_path: Path) -> None:
+    scipy = reader("scipy.io")
+    found = scipy.loadmat(recording.export(tmp_path / "run.mat"), simplify_cells=True)
+    np.testing.assert_array_equal(found["realtime"]["q_actual"], recording.realtime["q_actual"])
+    np.testing.assert_array_equal(found["realtime"]["t"], recording.realtime.time)
+    np.testing.assert_array_equal(found["primary"]["joint_data_T_motor"], recording.primary["joint_data.T_motor"])
+
+
+def test_h5(recording: urlink.Recording, tmp_path: Path) -> None:
+    h5py = reader("h5py")
+    with h5py.File(recording.export(tmp_path / "run.h5", ["tcp_force", "joint_data.q_actual"])) as file:
+        np.testing.assert_array_equal(file["realtime/tcp_force"], recording.realtime["tcp_force"])
+        assert file["realtime/tcp_force"].attrs["unit"] == "N, Nm"
+        assert sorted(file["realtime"]) == ["t", "tcp_force", "wall"]
+        assert file["primary/joint_data.q_actual"].shape == recording.primary["joint_data.q_actual"].shape
+
+
+def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> None:
+    found = read_mcap(recording.export(tmp_path / "run.mcap"))
+    realtime = recording.realtime
+    counts = Counter({topic: len(messages) for topic, messages in found.items()})
+    each = dict.fromkeys(("/realtime", "/joint_states", "/tcp_pose", "/tcp_speed", "/wrench"), len(realtime))
+    robot_messages = recording.primary.of(urlink.RobotMessage)
+    assert counts == {**each, "/primary": len(recording.primary), "/log": len(robot_messages), "/robot_description": 1}
+    types = {topic: messages[0].schema.name for topic, messages in found.items()}
+    assert types["/joint_states"] == "sensor_msgs/msg/JointState"
+    assert types["/tcp_pose"] == "geometry_msgs/msg/PoseStamped"
+    assert types["/wrench"] == "geometry_msgs/msg/WrenchStamped"
+    assert types["/log"] == "rcl_interfaces/msg/Log"
+    states = [message.decoded_message for message in found["/joint_states"]]
+    assert [list(state.position) for state in states] == realtime["q_actual"].tolist()
+    assert [list(state.effort) for state in states] == realtime["I_actual"].tolist()
+    assert states[0].name[0] == "shoulder_pan_joint"
+    assert [message.message.log_time for message in found["/joint_states"]] == realtime.wall.astype(int).tolist()
+    stamp = states[-1].header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == realtime.wall[-1].astype(int)
+    pose = found["/tcp_pose"][-1].decoded_message.pose
+    turn = pose.orientation
+    assert [pose.position.x, pose.position.y, pose.position.z] == realtime["tool_vector_actual"][-1, :3].tolist()
+    vector = quaternion_to_rotvec([turn.x, turn.y, turn.z, turn.w])
+    np.testing.assert_allclose(vector, realtime["tool_vector_actual"][-1, 3:], atol=1e-9)
+    wrench = found["/wrench"][-1].decoded_message.wrench
+    assert [wrench.force.z, wrench.torque.x] == realtime["tcp_force"][-1, 2:4].tolist()
+    whole = found["/realtime"][-1].decoded_message
+    assert list(whole.i_actual) == realtime["I_actual"][-1].tolist()
+    assert (whole.robot_mode, whole.time) == (realtime["robot_mode"][-1], realtime["time"][-1])
+    said = [message.decoded_message for message in found["/log"]]
+    assert ("C153A0: Protective stop: position deviates from path", 40) in [(text.msg, text.level) for text in said]
+    assert found["/robot_description"][0].decoded_message.data.startswith('<?xml version="1.0"?>\n<robot name="ur5e">')
+
+
+def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urlink.Recording, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("precious")
+    for fields, complaint in (
+        (["q_actuel"], "did you mean q_actual"),
+        (["q_actual", "joint_data.q_actual"], r"holds one table, and these are realtime, primary"),
+    ):
+        with pytest.raises(urlink.BadValue, match=complaint):
+            recording.export(path, fields)
+    with pytest.raises(urlink.BadValue, match=r"no format has the suffix '\.xls'; expected one of \.csv, \.parquet"):
+        recording.export(tmp_path / "run.xls")
+
+    def fail(unfinished: Path, *args: object) -> None:
+        unfinished.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(urlink.BadRecording, match="No space left"):
+        export(path, recording.tables, {".csv": fail})
+    assert path.read_text() == "precious"
+    assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
+    with pytest.raises(urlink.BadRecording, match="cannot write"):
+        recording.export(tmp_path / "nowhere" / "run.csv")
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.csv"
+    assert urlink.cli.main(["export", str(CAPTURE), str(path), "--rate", "20", "tcp_force"]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith(f"{path}: ")
+    assert err == ""
+    assert path.read_text().startswith("t,wall,tcp_force_0")
+    assert urlink.cli.main(["export", str(CAPTURE), str(path), "nothing"]) == 1
+    assert "has no field 'nothing'" in capsys.readouterr().err
+    assert urlink.cli.main(["export", str(CAPTURE), str(path), "--rate", "0"]) == 2
+    capsys.readouterr()
+    with (
+        rhdlink.Host([Turtle()], port=0, pacing="lockstep") as host,
+        rhdlink.connect(host.address, record=tmp_path / "drive.urlog") as robot,
+    ):
+        robot.sync()
+    drive = tmp_path / "drive.csv"
+    assert rhdlink.cli.main(["export", str(tmp_path / "drive.urlog"), str(drive)]) == 0
+    assert "2 batches" in capsys.readouterr().out
+    assert len(drive.read_text().splitlines()) == 3
