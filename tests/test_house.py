@@ -17,10 +17,19 @@ SOCKETS = {
     "linkcore.net.listener",
     "linkcore.net.loop",
     "linkcore.net.polled",
+    "linkcore.net.awaited",
 }
 
 #: The only modules that may import `asyncio`.
-AWAITED = {"linkcore.handle", "rhdlink.aio"}
+AWAITED = {
+    "linkcore.handle",
+    "linkcore.net.awaited",
+    "linkcore.aio.loop_connection",
+    "linkcore.aio.packets",
+    "urlink.aio.calls",
+    "urlink.aio.async_robot",
+    "rhdlink.aio",
+}
 
 #: The only modules that may start threads.
 THREADS = {
@@ -30,7 +39,7 @@ THREADS = {
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
-    "rhdlink.aio",  # one for each robot of a program that uses asyncio
+    "linkcore.aio.workers",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
     "rhdlink.smrcl.server",  # for a server that is started rather than run

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
     from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
     from linkcore.streaming.subscription import Subscription as Subscription
+    from .aio import AsyncRobot as AsyncRobot, connect_async as connect_async
     from .client import Variables as Variables, connect as connect
     from .drive import Drive as Drive
     from .errors import AccessDenied as AccessDenied, NotThere as NotThere, WrongVariables as WrongVariables
@@ -104,6 +105,7 @@ else:
             "linkcore.streaming.events": "ConnectionEvent ConnectionState",
             "linkcore.streaming.policy": "Policy block drop_oldest latest",
             "linkcore.streaming.subscription": "Subscription",
+            ".aio": "AsyncRobot connect_async",
             ".client": "Variables connect",
             ".drive": "Drive",
             ".errors": "AccessDenied NotThere WrongVariables",

@@ -1,23 +1,25 @@
 """A robot for programs that use asyncio: what waits for the robot is awaited, everything else stays as it is.
 
-    async with rhdlink.aio.connect("smr12", rhdlink.Smr, access="w") as robot:
+    async with rhdlink.connect_async("smr12", rhdlink.Smr, access="w") as robot:
         robot.variables.speedl = 20
         await robot.sync()
         print(robot.variables.encl)
 
 Reading and setting variables never waits, so it is done on the robot itself. `sync` runs in a thread that belongs to
-the robot. Missions and motions need nothing of this: their handles can be awaited.
+the robot: RHD answers questions, and a question waits for its answer. Missions and motions need nothing of this: their
+handles can be awaited.
 """
 
 from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import AsyncIterator, Callable, Generator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import AsyncIterator, Generator
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
-from linkcore.errors import Closed, LocalError
+from linkcore.aio.workers import Workers
+from linkcore.errors import Closed
 
 from .client import Variables
 from .client import connect as connect_here
@@ -25,20 +27,19 @@ from .client import connect as connect_here
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["AsyncRobot", "connect"]
+__all__ = ["AsyncRobot", "connect", "connect_async"]
 
 R = TypeVar("R", bound=Variables)
-T = TypeVar("T")
 
 
 class AsyncRobot(Generic[R]):
-    """A connected robot. An asynchronous context manager that closes itself. Made by `connect`.
+    """A connected robot. An asynchronous context manager that closes itself. Made by `connect_async`.
 
     Attributes:
         variables: the robot itself, with its properties. They change with `sync` and only with it.
     """
 
-    def __init__(self, variables: R, thread: ThreadPoolExecutor) -> None:
+    def __init__(self, variables: R, thread: Workers) -> None:
         self.variables = variables
         self._thread = thread
         self._is_closed = False
@@ -54,7 +55,7 @@ class AsyncRobot(Generic[R]):
         """
         if self._is_closed:
             raise Closed(f"{self.variables.address} was closed")
-        await asyncio.wrap_future(_submitted(self._thread, functools.partial(self.variables.sync, timeout)))
+        await asyncio.wrap_future(self._thread.submit(functools.partial(self.variables.sync, timeout)))
 
     async def updates(self, timeout: float | None = None) -> AsyncIterator[R]:
         """Sync again and again, and give the robot after each answer, until the loop is left.
@@ -71,7 +72,7 @@ class AsyncRobot(Generic[R]):
         self._is_closed = True
         # Not in the robot's own thread, which may be in a sync that this is to end.
         await asyncio.get_running_loop().run_in_executor(None, self.variables.close)
-        self._thread.shutdown(wait=False)
+        self._thread.close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -84,7 +85,7 @@ class AsyncRobot(Generic[R]):
 
 
 class _Connecting(Generic[R]):
-    """What `connect` returns: to be awaited, or entered."""
+    """What `connect_async` returns: to be awaited, or entered."""
 
     def __init__(self, address: str, variables: type[R], options: dict[str, Any]) -> None:
         self._arguments = address, variables, options
@@ -92,14 +93,14 @@ class _Connecting(Generic[R]):
 
     async def _connect(self) -> AsyncRobot[R]:
         address, variables, options = self._arguments
-        thread = ThreadPoolExecutor(1, thread_name_prefix=f"rhdlink {address}")
-        connecting = _submitted(thread, lambda: connect_here(address, variables, **options))
+        thread = Workers(f"rhdlink {address}", 1)
+        connecting = thread.submit(lambda: connect_here(address, variables, **options))
         try:
             return AsyncRobot(await asyncio.wrap_future(connecting), thread)
         except BaseException:
             # Given up, it may be connected all the same a moment later.
             connecting.add_done_callback(_discard)
-            thread.shutdown(wait=False)
+            thread.close()
             raise
 
     def __await__(self) -> Generator[Any, None, AsyncRobot[R]]:
@@ -115,15 +116,17 @@ class _Connecting(Generic[R]):
 
 
 @overload
-def connect(address: str, **options: Any) -> _Connecting[Variables]: ...
+def connect_async(address: str, **options: Any) -> _Connecting[Variables]: ...
 
 
 @overload
-def connect(address: str, variables: type[R], **options: Any) -> _Connecting[R]: ...
+def connect_async(address: str, variables: type[R], **options: Any) -> _Connecting[R]: ...
 
 
-def connect(address: str, variables: type[Variables] = Variables, **options: Any) -> _Connecting[Any]:
-    """Connect to a robot: ``async with connect(...) as robot`` or ``robot = await connect(...)``.
+def connect_async(address: str, variables: type[Variables] = Variables, **options: Any) -> _Connecting[Any]:
+    """Connect to a robot, to be entered or awaited.
+
+    ``async with rhdlink.connect_async(...) as robot``, or ``robot = await rhdlink.connect_async(...)``.
 
     Args:
         address: as for `rhdlink.connect`.
@@ -136,16 +139,8 @@ def connect(address: str, variables: type[Variables] = Variables, **options: Any
     return _Connecting(address, variables, options)
 
 
-def _submitted(thread: ThreadPoolExecutor, call: Callable[[], T]) -> Future[T]:
-    """Call in a thread.
-
-    Raises:
-        LocalError: the system has no thread left.
-    """
-    try:
-        return thread.submit(call)
-    except RuntimeError as error:
-        raise LocalError(f"no thread could be started: {error}") from error
+#: The name that it had first.
+connect = connect_async
 
 
 def _discard(connecting: Future[R]) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from linkcore.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from linkcore.aio.async_stream import AsyncFeed as AsyncFeed, AsyncStream as AsyncStream
     from linkcore.errors import (
         BadAddress as BadAddress,
         BadRecording as BadRecording,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
         rtde as rtde,
         urdf as urdf,
     )
+    from .aio.async_robot import AsyncRobot as AsyncRobot, connect_async as connect_async
     from .commanding.io import IO as IO, Analog as Analog
     from .commanding.safety import Safety as Safety
     from .commanding.scripts import Program as Program, Scripts as Scripts
@@ -155,6 +157,7 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
+            "linkcore.aio.async_stream": "AsyncFeed AsyncStream",
             "linkcore.errors": """
                 BadAddress BadRecording BadValue BadVersion Cancelled Closed ConnectFailed ConnectionLost LinkError
                 LinkTimeout LocalError PacketError RemoteError WrongPeer
@@ -172,6 +175,7 @@ else:
             "linkcore.streaming.stream": "Stream",
             "linkcore.streaming.subscription": "Subscription",
             "linkcore.wire.packet": "State",
+            ".aio.async_robot": "AsyncRobot connect_async",
             ".commanding.io": "IO Analog",
             ".commanding.safety": "Safety",
             ".commanding.scripts": "Program Scripts",

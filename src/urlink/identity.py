@@ -20,7 +20,7 @@ from .services import refusal_hint
 if TYPE_CHECKING:
     from .kinematics import Arm, DenavitHartenberg
 
-__all__ = ["Identity", "KnownIdentity", "identify"]
+__all__ = ["Identity", "Introduction", "KnownIdentity", "identify"]
 
 #: How long to wait for the rest once a part is known: the first state follows within 0.1 s.
 _GRACE = 1.0
@@ -88,15 +88,16 @@ class KnownIdentity:
 
     Args:
         ask: asks it.
+        known: what it has answered already; None to ask now.
 
     Attributes:
         last: the last answer.
     """
 
-    def __init__(self, ask: Callable[[], Identity]) -> None:
+    def __init__(self, ask: Callable[[], Identity], known: Identity | None = None) -> None:
         self._ask = ask
         self._is_stale = False
-        self.last = ask()
+        self.last = ask() if known is None else known
 
     def doubt(self) -> None:
         """It was connected to anew, and may be another one."""
@@ -124,58 +125,100 @@ def identify(host: str, port: int, timeout: float) -> Identity:
         LinkTimeout: silent, or not done within `timeout` seconds.
         WrongPeer: something else is talking.
     """
-    until = time.monotonic() + timeout
+    introduction = Introduction(f"{host}:{port}", timeout)
     transport = TcpTransport(host, port, silence=min(0.1, timeout), refused=lambda: refusal_hint(None))
     transport.open(timeout)
-    protocol = PrimaryProtocol()
-    received = b""
-    lost: ConnectionLost | None = None
-    state: RobotState | None = None
-    configuration: ConfigurationData | None = None
-    kinematics: KinematicsInfo | None = None
     try:
-        while time.monotonic() < until:
+        while not introduction.is_over:
             try:
-                data = transport.receive()[0]
+                introduction.hear(transport.receive()[0])
             except LinkTimeout:
-                data = b""
+                continue
             except ConnectionLost as error:
-                lost = error
-                break
-            received = (received + data)[:64]
-            for frame in protocol.framer.feed(data):
-                try:
-                    packet = protocol.decode(frame)
-                except PacketError:
-                    continue  # one bad packet is no reason not to know the others
-                if isinstance(packet, RobotState):
-                    state = state or packet
-                    # They are in one state, the first, if they are sent at all.
-                    configuration = configuration or packet.configuration_data
-                    kinematics = kinematics or packet.kinematics_info
-            if protocol.firmware is not None and (configuration is not None or _says_no_more(protocol.firmware, state)):
-                break
-            if protocol.firmware is not None or state is not None:
-                until = min(until, time.monotonic() + _GRACE)
+                introduction.lose(error)
     finally:
         transport.close()
-    firmware = protocol.firmware or (None if state is None else infer(state.sizes))
-    if firmware is None:
+    return introduction.identity
+
+
+class Introduction:
+    """What a controller says as a connection begins, sans-IO.
+
+    Args:
+        name: of the peer, for messages.
+        timeout: seconds from now on.
+    """
+
+    def __init__(self, name: str, timeout: float) -> None:
+        self._name = name
+        self._timeout = timeout
+        self._until = time.monotonic() + timeout
+        self._protocol = PrimaryProtocol()
+        self._received = b""
+        self._lost: ConnectionLost | None = None
+        self._state: RobotState | None = None
+        self._configuration: ConfigurationData | None = None
+        self._kinematics: KinematicsInfo | None = None
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left to listen."""
+        return max(self._until - time.monotonic(), 0.0)
+
+    @property
+    def is_over(self) -> bool:
+        """Nothing more is to be expected, or time is up."""
+        firmware = self._protocol.firmware
+        is_told = firmware is not None and (self._configuration is not None or _says_no_more(firmware, self._state))
+        return is_told or self._lost is not None or not self.left
+
+    def hear(self, data: bytes) -> None:
+        """Bytes have come."""
+        self._received = (self._received + data)[:64]
+        for frame in self._protocol.framer.feed(data):
+            try:
+                packet = self._protocol.decode(frame)
+            except PacketError:
+                continue  # one bad packet is no reason not to know the others
+            if isinstance(packet, RobotState):
+                self._state = self._state or packet
+                # They are in one state, the first, if they are sent at all.
+                self._configuration = self._configuration or packet.configuration_data
+                self._kinematics = self._kinematics or packet.kinematics_info
+        if self._protocol.firmware is not None or self._state is not None:
+            self._until = min(self._until, time.monotonic() + _GRACE)
+
+    def lose(self, error: ConnectionLost) -> None:
+        """The connection was lost: what was not said will not be."""
+        self._lost = error
+
+    @property
+    def identity(self) -> Identity:
+        """Who it is.
+
+        Raises:
+            ConnectionLost: it closed the connection before it said so.
+            LinkTimeout: it has not said so.
+            WrongPeer: it is no controller.
+        """
+        protocol, state = self._protocol, self._state
+        firmware = protocol.firmware or (None if state is None else infer(state.sizes))
+        if firmware is not None:
+            model = _model_name(self._configuration, firmware)
+            return Identity(firmware, protocol.firmware is not None, model, self._kinematics)
+        began = f"it began with {self._received[:32]!r}"
         if protocol.framer.skipped:
-            raise WrongPeer(f"{transport.name} does not talk like a UR controller; it began with {received[:32]!r}")
+            raise WrongPeer(f"{self._name} does not talk like a UR controller; {began}")
         if state is not None:
             raise WrongPeer(
-                f"{transport.name} talks like a UR controller, but does not say its version, and no firmware that is "
-                f"known sends such states: {dict(state.sizes)}"
+                f"{self._name} talks like a UR controller, but does not say its version, and no firmware that is known "
+                f"sends such states: {dict(state.sizes)}"
             )
-        if lost is not None:
-            raise lost
-        if not received:
-            raise LinkTimeout(f"{transport.name} took the connection but sent nothing within {timeout:g} s")
-        raise LinkTimeout(
-            f"{transport.name} did not say who it is within {timeout:g} s; it began with {received[:32]!r}"
-        )
-    return Identity(firmware, protocol.firmware is not None, _model_name(configuration, firmware), kinematics)
+        if self._lost is not None:
+            raise self._lost
+        if not self._received:
+            raise LinkTimeout(f"{self._name} took the connection but sent nothing within {self._timeout:g} s")
+        raise LinkTimeout(f"{self._name} did not say who it is within {self._timeout:g} s; {began}")
 
 
 def _says_no_more(firmware: Firmware, state: RobotState | None) -> bool:

@@ -7,7 +7,7 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LocalError
@@ -15,7 +15,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 
-from .address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
+from .address import Address, RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .commanding.interlock import STALE_AFTER, Policy
 from .commanding.io import IO
 from .commanding.safety import Safety
@@ -97,6 +97,76 @@ def connect(
         UnknownModel: no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
     """
+    wanted = check(
+        address,
+        timeout,
+        read_only,
+        backoff,
+        silence,
+        require_enable,
+        stale_after,
+        start_timeout,
+        start_flag,
+        reverse_host,
+        reverse_port,
+        reverse_peer,
+        commands_via,
+    )
+    if isinstance(wanted.place, RecordingAddress):
+        return Robot(
+            wanted.address,
+            recorded(wanted.place),
+            refusal=f"{wanted.address} is a recording, so it cannot be commanded",
+        )
+    controller = None
+    place = wanted.place
+    if isinstance(place, SimulatorAddress):
+        controller, place = simulated(place)
+    try:
+        return assemble(wanted, place, source_of(wanted, place), controller)
+    except BaseException:
+        if controller is not None:
+            controller.close()
+        raise
+
+
+class Wanted(NamedTuple):
+    """What `connect` was asked for, checked.
+
+    Attributes:
+        place: what the address means.
+        options: about commanding.
+    """
+
+    address: str
+    place: Address
+    timeout: float
+    read_only: bool
+    backoff: Backoff | None
+    silence: float
+    options: Options
+
+
+def check(
+    address: str | os.PathLike[str],
+    timeout: float,
+    read_only: bool,
+    backoff: Backoff | None,
+    silence: float,
+    require_enable: Policy,
+    stale_after: float,
+    start_timeout: float,
+    start_flag: int | None,
+    reverse_host: str | None,
+    reverse_port: int,
+    reverse_peer: str | None,
+    commands_via: CommandsVia,
+) -> Wanted:
+    """The arguments of `connect`, each as it should be.
+
+    Raises:
+        BadAddress, BadValue: as `connect`.
+    """
     timeout = checked(timeout, "timeout", _SHORTEST)
     silence = checked(silence, "silence", _SHORTEST)
     options = Options(
@@ -114,23 +184,44 @@ def connect(
         raise BadValue(f"require_enable={require_enable!r}; expected one of {', '.join(get_args(Policy))}")
     if backoff is not None and not isinstance(backoff, Backoff):
         raise BadValue(f"backoff is {backoff!r}; expected an urlink.Backoff")
-    place = parse_address(address)
-    address = os.fspath(address)
-    if isinstance(place, RecordingAddress):
-        return Robot(address, recorded(place), refusal=f"{address} is a recording, so it cannot be commanded")
-    controller = None
-    if isinstance(place, SimulatorAddress):
-        from .simulator import Controller
+    return Wanted(os.fspath(address), parse_address(address), timeout, read_only, backoff, silence, options)
 
-        controller = Controller(model=place.model, firmware=place.firmware)
-        controller.start()
-        place = RobotAddress(controller.host, dict(controller.ports))
-    try:
-        source = networked(place, timeout=timeout, read_only=read_only, backoff=backoff, silence=silence)
-        if read_only:
-            refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
-            return Robot(address, source, controller, refusal=refusal)
-        robot = Robot(address, source, controller)
+
+def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
+    """A simulated controller that serves, and where it is.
+
+    Raises:
+        UnknownModel, BadValue: no such arm, or it does not run the firmware.
+    """
+    from .simulator import Controller
+
+    controller = Controller(model=place.model, firmware=place.firmware)
+    controller.start()
+    return controller, RobotAddress(controller.host, dict(controller.ports))
+
+
+def source_of(wanted: Wanted, place: RobotAddress) -> Source:
+    """Where the bytes of a controller on the network come from."""
+    return networked(
+        place, timeout=wanted.timeout, read_only=wanted.read_only, backoff=wanted.backoff, silence=wanted.silence
+    )
+
+
+def assemble(
+    wanted: Wanted, place: RobotAddress, source: Source, controller: Controller | None, known: Identity | None = None
+) -> Robot:
+    """A robot on the network, with what commands it.
+
+    Args:
+        known: what it has said of itself; None to ask.
+
+    Raises:
+        RemoteError: nobody, or somebody else, is there.
+    """
+    address = wanted.address
+    refusal = f"{address} was connected with read_only=True, so it cannot be commanded" if wanted.read_only else ""
+    robot = Robot(address, source, controller, refusal=refusal, known=known)
+    if not wanted.read_only:
         robot._control = Control(
             address,
             place.host,
@@ -138,15 +229,11 @@ def connect(
             robot.primary,
             robot.realtime,
             robot._who,
-            options,
-            timeout,
+            wanted.options,
+            wanted.timeout,
             _rtde_of(robot),
         )
-        return robot
-    except BaseException:
-        if controller is not None:
-            controller.close()
-        raise
+    return robot
 
 
 class Robot:
@@ -157,14 +244,20 @@ class Robot:
     """
 
     def __init__(
-        self, address: str, source: Source, controller: Controller | None = None, *, refusal: str = ""
+        self,
+        address: str,
+        source: Source,
+        controller: Controller | None = None,
+        *,
+        refusal: str = "",
+        known: Identity | None = None,
     ) -> None:
         self.address = address
         self._controller = controller
         self._control: Control | None = None
         self._refusal = refusal
         self._source = source
-        self._who = KnownIdentity(source.ask)
+        self._who = KnownIdentity(source.ask, known)
         #: changed in single steps, so that a signal handler finds it whole
         self._streams: dict[str, Stream[Any]] = {}
         self._rtde: Rtde | None = None

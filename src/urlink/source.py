@@ -29,6 +29,8 @@ from .interfaces.realtime.protocol import RealtimeProtocol
 from .services import refusal_hint
 
 if TYPE_CHECKING:
+    from .interfaces.rtde.protocol import Plan
+    from .interfaces.rtde.transport import RtdeTransport
     from .kinematics import DenavitHartenberg
 
 __all__ = ["Source", "networked", "recorded"]
@@ -45,6 +47,8 @@ class Source(NamedTuple):
         silence: seconds without a packet after which a connection counts as lost; None for ever.
         is_lossless: who takes packets without naming a policy makes the source wait.
         channel: what a recording says of the channel of an interface; None where nothing was recorded.
+        connection: makes what keeps a connection up, with the arguments of `Connection`.
+        rtde: makes the transport of a connection on RTDE; None for the usual.
     """
 
     ask: Callable[[], Identity]
@@ -54,6 +58,8 @@ class Source(NamedTuple):
     silence: float | None
     is_lossless: bool
     channel: Callable[[str], Mapping[str, Any]] | None = None
+    connection: Callable[..., Connection] = Connection
+    rtde: Callable[[Any, Plan], RtdeTransport] | None = None
 
     def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:
         """A stream of one interface. Nothing connects before it is used.
@@ -80,7 +86,7 @@ class Source(NamedTuple):
             fan_out = FanOut(kind)
         else:
             fan_out = FanOut(kind, parts=_parts, others=(SubPackage, RobotMessage, OtherPackage))
-        connection = Connection(
+        connection = self.connection(
             name,
             self.transport(interface),
             protocol,
@@ -98,11 +104,23 @@ def _parts(packet: State) -> Sequence[State]:
 
 
 def networked(
-    place: RobotAddress, *, timeout: float, read_only: bool, backoff: Backoff | None, silence: float
+    place: RobotAddress,
+    *,
+    timeout: float,
+    read_only: bool,
+    backoff: Backoff | None,
+    silence: float,
+    tcp: type[TcpTransport] = TcpTransport,
+    known: Identity | None = None,
 ) -> Source:
-    """A controller on the network, or a simulated one."""
+    """A controller on the network, or a simulated one.
+
+    Args:
+        tcp: what its bytes come by.
+        known: what it has said of itself already.
+    """
     suffix = "_readonly" if read_only else ""
-    last: list[Identity] = []
+    last: list[Identity] = [] if known is None else [known]
 
     def ask() -> Identity:
         try:
@@ -117,7 +135,7 @@ def networked(
         port = "rtde" if interface == "rtde" else interface + suffix
         if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
-        return TcpTransport(
+        return tcp(
             place.host,
             place.ports[port],
             silence=silence,

@@ -18,6 +18,7 @@ from rhdlink.world import World
 NAMES = [
     "AccessDenied",
     "Ackerman",
+    "AsyncRobot",
     "Backoff",
     "BadAddress",
     "BadConfiguration",
@@ -86,6 +87,7 @@ NAMES = [
     "WrongVariables",
     "block",
     "connect",
+    "connect_async",
     "drop_oldest",
     "latest",
     "load",

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+import urlink
+
 #: What the commands, the simulator and the plots need, and a reading program does not.
 NOT_NEEDED = (
     "rich",
@@ -63,8 +65,9 @@ def outcome(statement: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def imported() -> dict[str, Any]:
-    """With every public name, each of which is imported when it is asked for."""
-    return outcome("from urlink import *; import urlink")
+    """With every public name, each of which is imported when it is asked for, but those that are for asyncio."""
+    names = [name for name in vars(urlink)["__all__"] if "async" not in name.lower()]
+    return outcome(f"from urlink import {', '.join(names)}; import urlink")
 
 
 def test_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -> None:

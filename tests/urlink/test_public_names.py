@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 
 import urlink
@@ -10,6 +11,9 @@ NAMES = [
     "AdditionalInfo",
     "Analog",
     "AnalogDomain",
+    "AsyncFeed",
+    "AsyncRobot",
+    "AsyncStream",
     "Backoff",
     "BadAddress",
     "BadRecording",
@@ -125,6 +129,7 @@ NAMES = [
     "WrongPeer",
     "block",
     "connect",
+    "connect_async",
     "decode",
     "drop_oldest",
     "latest",
@@ -191,6 +196,30 @@ SURFACES = {
         rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply
         rtde_text_instead_of_reply split stall unknown_package unknown_sub_package""",
 }
+
+
+#: The same of a robot for programs that use asyncio.
+ASYNC_SURFACES = {
+    "robot": """address call close controller dashboard firmware identify identity io kinematics model motion popup
+        primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot.realtime": "close connection failure iterate latest name of start stats stream subscribe wait wait_until",
+    "robot.realtime.of(urlink.RealtimeState)": "iterate latest subscribe wait wait_until",
+    "robot.realtime.iterate()": "aclose next open stats",
+    "robot.motion": "current follow move_circular move_joints move_linear path servo speed_joints speed_linear stop",
+    "robot.script.run('sync()')": "begun cancel",
+}
+
+
+def test_an_awaited_robot_shows_what_they_should_touch() -> None:
+    async def look() -> dict[str, list[str]]:
+        shown = {}
+        async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
+            for path in ASYNC_SURFACES:
+                held = eval(path, {"robot": robot, "urlink": urlink})
+                shown[path] = sorted(name for name in dir(held) if not name.startswith("_"))
+        return shown
+
+    assert asyncio.run(look()) == {path: sorted(names.split()) for path, names in ASYNC_SURFACES.items()}
 
 
 def test_what_users_hold_shows_what_they_should_touch() -> None:

@@ -26,7 +26,7 @@ import struct
 import sys
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
@@ -116,12 +116,7 @@ class TcpTransport:
             ConnectionLost: it is gone already.
         """
         transport = cls(host, port, silence=silence)
-        try:
-            _prepare(connection, silence)
-        except OSError as error:
-            connection.close()
-            raise mapped(error, transport.name, silence, ConnectionLost) from error
-        transport._adopt(connection)
+        transport.adopt(connection)
         return transport
 
     def open(self, timeout: float) -> None:
@@ -133,14 +128,28 @@ class TcpTransport:
         """
         self.abort()
         try:
-            connection = _connected(self.host, self.port, timeout, self.silence)
+            connection = _connected(self.host, self.port, timeout)
         except (OSError, ValueError) as error:
-            failure = mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed)
-            hint = self._refused() if isinstance(error, ConnectionRefusedError) else ""
-            raise (ConnectFailed(f"{failure}; {hint}") if hint else failure) from error
-        self._adopt(connection)
+            raise self.failure(error, timeout) from error
+        self.adopt(connection, ConnectFailed)
 
-    def _adopt(self, connection: socket.socket) -> None:
+    def failure(self, error: OSError | ValueError, timeout: float) -> RemoteError:
+        """What to raise where a connection could not be made within `timeout` seconds."""
+        failure = mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed)
+        hint = self._refused() if isinstance(error, ConnectionRefusedError) else ""
+        return ConnectFailed(f"{failure}; {hint}") if hint else failure
+
+    def adopt(self, connection: socket.socket, otherwise: type[RemoteError] = ConnectionLost) -> None:
+        """Use a socket that is connected.
+
+        Raises:
+            otherwise: it is gone already, and closed now.
+        """
+        try:
+            _prepare(connection, self.silence)
+        except OSError as error:
+            connection.close()
+            raise mapped(error, self.name, self.silence, otherwise) from error
         self._receive_timeout = self.silence
         self._socket = connection
         _connections.add(self)
@@ -173,6 +182,11 @@ class TcpTransport:
             raise self._ended(connection)
         return data, _new_stamp(Stamp, (time.monotonic(), time.time()))
 
+    def fileno(self) -> int:
+        """The descriptor of the socket, for those who wait for many at once; -1 if there is none."""
+        connection = self._socket
+        return -1 if connection is None else connection.fileno()
+
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
         """The bytes that have come already, or None; never waits.
 
@@ -193,7 +207,7 @@ class TcpTransport:
             raise mapped(error, self.name, 0.0, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
-        return data, Stamp.now()
+        return data, _new_stamp(Stamp, (time.monotonic(), time.time()))
 
     def _set_receive_timeout(self, connection: socket.socket, timeout: float) -> None:
         # One percent more is not worth a system call for each packet, where the timeout is what a deadline leaves.
@@ -274,12 +288,24 @@ class TcpTransport:
         `receive` goes on meanwhile. Where the operating system does not say what is acknowledged (Linux and macOS do,
         Windows does not), it closes at once and the kernel goes on delivering: `abort` what must not arrive any more.
         """
+        for pause in self.closing(timeout):
+            time.sleep(pause)
+
+    def closing(self, timeout: float = _DRAIN) -> Iterator[float]:
+        """What `close` does, step by step: seconds to wait before the next one. To be used up, or `abort`."""
         connection = self._socket
         if connection is None:
             return
         with contextlib.suppress(OSError, ValueError):  # ended by the peer, or by `abort` in another thread
             connection.shutdown(socket.SHUT_WR)  # whoever still sends is refused from now on
-            if _is_delivered(connection, timeout):
+            until = time.monotonic() + timeout
+            # An acknowledgement takes some 50 us on a local network, and up to 40 ms where it is delayed.
+            pause = 0.0002
+            # Nothing is added meanwhile. The end of the stream, which nobody has to wait for, counts as one byte.
+            while (is_under_way := _unacknowledged(connection) > 1) and time.monotonic() < until:
+                yield pause
+                pause = min(2 * pause, 0.01)
+            if not is_under_way:
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))
         self.abort()
 
@@ -303,7 +329,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
     os.register_at_fork(after_in_child=_leave_to_parent)
 
 
-def _connected(host: str, port: int, timeout: float, silence: float) -> socket.socket:
+def _connected(host: str, port: int, timeout: float) -> socket.socket:
     """A connection to the first address of `host` that answers; `timeout` is for all of them together."""
     until = time.monotonic() + timeout
     places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
@@ -315,7 +341,6 @@ def _connected(host: str, port: int, timeout: float, silence: float) -> socket.s
             connection = socket.socket(family, kind, protocol)
             connection.settimeout(max(left, 1e-3))
             connection.connect(address)
-            _prepare(connection, silence)
         except OSError as error:
             failure = error
             if connection is not None:
@@ -365,22 +390,6 @@ def _has_room(connection: socket.socket, seconds: float) -> bool:
     if events & ended and not events & select.POLLOUT:
         raise OSError(errno.EPIPE, "the connection ended")
     return bool(events)
-
-
-def _is_delivered(connection: socket.socket, timeout: float) -> bool:
-    """Wait until the peer's kernel has acknowledged all bytes; False when time is up, True where nobody can tell.
-
-    The sending side has been shut down before, so that nothing is added meanwhile.
-    """
-    until = time.monotonic() + timeout
-    # An acknowledgement takes some 50 us on a local network, and up to 40 ms where it is delayed.
-    pause = 0.0002
-    while _unacknowledged(connection) > 1:  # the end of the stream, which nobody has to wait for, counts as one byte
-        if time.monotonic() >= until:
-            return False
-        time.sleep(pause)
-        pause = min(2 * pause, 0.01)
-    return True
 
 
 def _unacknowledged(connection: socket.socket) -> int:

@@ -82,6 +82,9 @@ class Connection:
         self._changed = threading.Condition()
         self._sending = threading.Lock()
         self._reader: threading.Thread | None = None
+        self._retry = self._backoff.waits()
+        self._received_before = 0  # packets, at the try before this one
+        self._is_launched = False  # something reads, or is about to
         self._is_settled = False  # the first connection was made, or could not be
         self._has_opened = False
         self._is_patient = False  # whoever began it does not wait: failures are retried
@@ -146,16 +149,32 @@ class Connection:
 
     def start_quietly(self) -> None:
         """Begin to connect, if nothing has yet, without waiting; failures are retried by the back-off."""
-        if self._reader is None and not self._is_closing:
+        if not self._is_launched and not self._is_closing:
             with self._changed:
                 self._begin(is_patient=True)
 
     def _begin(self, is_patient: bool) -> None:
-        if self._reader is not None or self._is_closing:
+        if self._is_launched or self._is_closing:
             return
         self.failure = self.error = None
         self._is_patient = is_patient
         self._has_opened = self._is_settled = False
+        self._retry = self._backoff.waits()
+        self._received_before = self.counters.received
+        self._is_launched = True
+        try:
+            self._launch()
+        except LocalError:
+            self._is_launched = False
+            raise
+
+    def _launch(self) -> None:
+        """Start to read.
+
+        Raises:
+            LocalError: the system has no thread left.
+        """
+        # Known before it starts, so that it finds itself there.
         self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
         try:
             started(self._reader)
@@ -163,14 +182,19 @@ class Connection:
             self._reader = None
             raise
 
+    def _join_reader(self, timeout: float) -> bool:
+        """Wait until nothing is read any more; False when time is up."""
+        reader = self._reader
+        if reader is None or self.reads_here():
+            return True
+        reader.join(min(timeout, threading.TIMEOUT_MAX))
+        return not reader.is_alive()
+
     def join(self, timeout: float) -> bool:
         """Wait until no packet will come any more and all are delivered; False when time is up."""
         until = time.monotonic() + timeout
-        reader = self._reader
-        if reader is not None and not self.reads_here():
-            reader.join(min(timeout, threading.TIMEOUT_MAX))
-            if reader.is_alive():
-                return False
+        if not self._join_reader(timeout):
+            return False
         return all(delivery.join(max(until - time.monotonic(), 0.0)) for delivery in self.fan_out.deliveries)
 
     def close(self, timeout: float) -> None:
@@ -178,15 +202,17 @@ class Connection:
         until = time.monotonic() + timeout
         self._stop()
         self.fan_out.close(all=False)
-        self._transport.close()
-        reader = self._reader
-        if reader is not None and not self.reads_here():
-            reader.join(min(timeout, threading.TIMEOUT_MAX))
+        self._hang_up()
+        has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
             delivery.join(max(until - time.monotonic(), 0.0))
-        if reader is not None and reader.is_alive():
+        if not has_ended:
             self.fan_out.close(all=True)
         self.state = ConnectionState.CLOSED
+
+    def _hang_up(self) -> None:
+        """Disconnect once what was sent is delivered, and wake the reader."""
+        self._transport.close()
 
     def abandon(self) -> None:
         """End everything without waiting for anything."""
@@ -332,44 +358,19 @@ class Connection:
     # -- the reader thread -----------------------------------------------------------------------
 
     def _read(self) -> None:
-        waits = self._backoff.waits()
-        failure: Exception | None = None
         while True:
-            before = self.counters.received
             error: Exception | None = None
             try:
                 self._connect_and_receive()
-            except Finished:
-                break
-            except WrongPeer as raised:
-                error = raised
-                if not self.counters.received:  # it never was the right one: trying again would not help
-                    failure = raised
-                    self._disconnected(raised)
-                    break
-            except RemoteError as raised:
-                error = raised
             except Exception as raised:
-                _log.exception("%s: the reader failed", self.name)
-                failure = raised
-                break
-            self._disconnected(error)
-            if self._is_closing:
-                break
-            self.error = error
-            if not self._has_opened and not self._is_patient:
-                failure = error
-                break
-            if self.counters.received > before:
-                waits = self._backoff.waits()  # reset by success: by packets, not by a mere connection
-            wait = next(waits, None)
+                error = raised
+            wait = self._next_try(error)
             if wait is None:
-                failure = error
-                break
+                return
             with self._changed:
                 if self._changed.wait_for(lambda: self._is_closing, wait):
                     break
-        self._finish(failure)
+        self._finish(None)
 
     def _connect_and_receive(self) -> None:
         """One connection, until the transport or the protocol raises, or it is closed."""
@@ -377,37 +378,88 @@ class Connection:
         self._transport.open(self._timeout)
         if self._is_closing:  # closed while connecting: that could not see this socket
             return
+        self._receive(self._opened())
+
+    # -- what becomes of a connection, whatever reads it -----------------------------------------
+
+    def _opened(self) -> Receiver:
+        """The transport is open: everybody is told, and this takes its bytes."""
         protocol = self._protocol()
         self.counters.connected(protocol)
         self._has_opened = True
         self._tell(ConnectionState.CONNECTED)
+        self._settle()
+        return Receiver(self.name, protocol, self.counters)
+
+    def _settle(self) -> None:
         with self._changed:
             self._is_settled = True
             self._changed.notify_all()
-        self._receive(Receiver(self.name, protocol, self.counters))
+
+    def _next_try(self, error: Exception | None) -> float | None:
+        """A connection has ended, or could not be made: seconds until the next try, or None if it is all over.
+
+        Args:
+            error: what ended it; None where it was closed while it was made.
+        """
+        if isinstance(error, Finished):
+            self._finish(None)
+            return None
+        # It never was the right one: trying again would not help.
+        is_hopeless = isinstance(error, WrongPeer) and not self.counters.received
+        if error is not None and not isinstance(error, RemoteError):
+            _log.error("%s: the reader failed", self.name, exc_info=error)
+            self._finish(error)
+            return None
+        self._disconnected(error)
+        if is_hopeless:
+            self._finish(error)
+            return None
+        if self._is_closing:
+            self._finish(None)
+            return None
+        self.error = error
+        if not self._has_opened and not self._is_patient:
+            self._finish(error)
+            return None
+        if self.counters.received > self._received_before:
+            self._received_before = self.counters.received
+            self._retry = self._backoff.waits()  # reset by success: by packets, not by a mere connection
+        wait = next(self._retry, None)
+        if wait is None:
+            self._finish(error)
+        return wait
 
     def _receive(self, receiver: Receiver) -> None:
         """Hand out what comes, until the transport raises or the peer has been silent for too long."""
-        receive, feed = self._transport.receive, receiver.feed
-        silence, fan_out = self.silence, self.fan_out
-        publish = fan_out.publish
+        receive, take, silence = self._transport.receive, self._take, self.silence
         silence.end(time.monotonic())
         while True:
             try:
                 data, stamp = receive(silence.wait)
             except LinkTimeout:
                 silence.timed_out()
-                continue
-            if fan_out.taps:
-                fan_out.tap(data, receiver.rest, stamp)
-            packets = feed(data, stamp)
-            if packets:
-                silence.last = stamp[0]
-                if silence.is_quiet:
-                    silence.end(stamp[0])
-                publish(packets)
             else:
-                silence.no_packet(stamp[0])
+                take(receiver, data, stamp)
+
+    def _take(self, receiver: Receiver, data: bytes, stamp: Stamp) -> None:
+        """Hand out what bytes that have come complete.
+
+        Raises:
+            WrongPeer: they are of no such stream.
+            LinkTimeout: the peer has been silent for too long, but for bytes that complete nothing.
+        """
+        fan_out, silence = self.fan_out, self.silence
+        if fan_out.taps:
+            fan_out.tap(data, receiver.rest, stamp)
+        packets = receiver.feed(data, stamp)
+        if packets:
+            silence.last = stamp[0]
+            if silence.is_quiet:
+                silence.end(stamp[0])
+            fan_out.publish(packets)
+        else:
+            silence.no_packet(stamp[0])
 
     def _disconnected(self, error: Exception | None) -> None:
         self._transport.abort()
@@ -434,10 +486,9 @@ class Connection:
         self.fan_out.end()
         with self._changed:
             if failure is not None:
-                self._reader = None  # the next use tries again
+                self._is_launched = False  # the next use tries again
             self._is_finishing = False
-            self._is_settled = True
-            self._changed.notify_all()
+            self._settle()
 
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
         self.state = state

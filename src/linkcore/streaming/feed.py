@@ -101,10 +101,7 @@ class Feed(Generic[T]):
                         return each
         finally:
             connection.close_queue(queue)
-        if looked_at and connection.failure is None and not connection.is_over:
-            what = f"{looked_at} {kind.__name__} from {connection.name}"
-            raise LinkTimeout(f"the condition held for none of {what} within {timeout:g} s")
-        raise self._why_nothing(timeout)
+        raise self._why_none_of(looked_at, timeout)
 
     def iterate(self, policy: Policy | None = None, timeout: float | None = None) -> Iterator[T]:
         """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
@@ -236,6 +233,14 @@ class Feed(Generic[T]):
         if connection.state is not ConnectionState.CONNECTED and connection.error is not None:
             because = f"; it is not connected: {connection.error}"
         return LinkTimeout(f"no {self._kind.__name__} from {connection.name} within {timeout:g} s{because}")
+
+    def _why_none_of(self, looked_at: int, timeout: float) -> Exception:
+        """What to raise when a condition held for none of so many packets within `timeout` seconds."""
+        connection = self._connection
+        if looked_at and connection.failure is None and not connection.is_over:
+            what = f"{looked_at} {self._kind.__name__} from {connection.name}"
+            return LinkTimeout(f"the condition held for none of {what} within {timeout:g} s")
+        return self._why_nothing(timeout)
 
     def __repr__(self) -> str:
         return f"<Feed of {self._kind.__name__} from {self._connection.name}>"

@@ -323,7 +323,7 @@ class Rtde:
         self, plan: Plan, what: str, *, timeout: float | None = None, backoff: Backoff | None = None
     ) -> tuple[Connection, RtdeTransport]:
         source = self._source
-        transport = RtdeTransport(source.transport("rtde"), plan)
+        transport = (source.rtde or RtdeTransport)(source.transport("rtde"), plan)
         connection = connection_of(
             f"{self._name} {what}",
             transport,
@@ -331,6 +331,7 @@ class Rtde:
             backoff=backoff or source.backoff,
             timeout=timeout or source.timeout,
             silence=source.silence,
+            make=source.connection,
         )
         return connection, transport
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from linkcore.errors import BadRecording, BadValue
@@ -61,14 +61,13 @@ def connection_of(
     backoff: Backoff | None,
     timeout: float,
     silence: float | None,
+    make: Callable[..., Connection] = Connection,
 ) -> Connection:
     """A connection that asks for what the plan says, each time it is made."""
     if silence is not None and plan.frequency is not None:
         silence = max(silence, _LATE / plan.frequency)
     fan_out = FanOut(plan.kind, parts=_no_parts, others=tuple(REPLIES.values()))
-    return Connection(
-        name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence
-    )
+    return make(name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence)
 
 
 def _no_parts(packet: State) -> tuple[State, ...]:

@@ -15,7 +15,58 @@ from linkcore.stamp import Stamp
 from .packets import DataPackage
 from .protocol import Plan, RtdeProtocol
 
-__all__ = ["RtdeTransport"]
+__all__ = ["Dialogue", "RtdeTransport"]
+
+
+class Dialogue:
+    """What is said as a connection begins, until the first data package, sans-IO.
+
+    Args:
+        plan: what is asked for.
+
+    Attributes:
+        protocol: of this connection.
+        received: what has come.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.protocol = RtdeProtocol(plan)
+        self.received: deque[tuple[bytes, Stamp]] = deque()
+        self._has_data = not plan.outputs
+
+    @property
+    def is_answered(self) -> bool:
+        """Everything that was asked for is answered."""
+        return self.protocol.is_ready
+
+    @property
+    def is_over(self) -> bool:
+        """It is answered, and data has come."""
+        return self.is_answered and self._has_data
+
+    def requests(self) -> bytes:
+        """What is to be sent now; nothing where an answer is waited for."""
+        return self.protocol.requests()
+
+    def hear(self, data: bytes, stamp: Stamp) -> None:
+        """Bytes have come.
+
+        Raises:
+            WrongPeer: no controller sends such.
+            RtdeRefused: the controller does not do what the plan asks for.
+        """
+        protocol = self.protocol
+        self.received.append((data, stamp))
+        for frame in protocol.framer.feed(data):
+            try:
+                packet = protocol.take(frame, stamp)
+            except PacketError:
+                continue  # the stream gets it too, and counts it
+            self._has_data = self._has_data or (protocol.is_ready and isinstance(packet, DataPackage))
+
+    def unanswered(self, name: str, timeout: float) -> LinkTimeout:
+        """What to raise when time is up."""
+        return LinkTimeout(f"{name}: waited {timeout:g} s for {self.protocol.awaits} in vain")
 
 
 class RtdeTransport:
@@ -58,28 +109,22 @@ class RtdeTransport:
             raise
 
     def _ask(self, until: float, timeout: float) -> None:
-        protocol = RtdeProtocol(self._plan)
-        first: deque[tuple[bytes, Stamp]] = deque()
-        has_data = not self._plan.outputs
-        while not (protocol.is_ready and has_data):
-            requests = protocol.requests()
-            if requests:
+        dialogue = Dialogue(self._plan)
+        while not dialogue.is_over:
+            if requests := dialogue.requests():
                 self._transport.send(requests, max(until - time.monotonic(), 0.0))
             try:
-                data, stamp = self._transport.receive(max(until - time.monotonic(), 0.001))
+                dialogue.hear(*self._transport.receive(max(until - time.monotonic(), 0.001)))
             except LinkTimeout:
-                raise LinkTimeout(f"{self.name}: waited {timeout:g} s for {protocol.awaits} in vain") from None
-            first.append((data, stamp))
-            for frame in protocol.framer.feed(data):
-                try:
-                    packet = protocol.take(frame, stamp)
-                except PacketError:
-                    continue  # the stream gets it too, and counts it
-                has_data = has_data or (protocol.is_ready and isinstance(packet, DataPackage))
-            if time.monotonic() > until and not protocol.is_ready:
-                raise LinkTimeout(f"{self.name}: waited {timeout:g} s for {protocol.awaits} in vain")
-        self._first = first
-        self.dialogue = protocol
+                raise dialogue.unanswered(self.name, timeout) from None
+            if time.monotonic() > until and not dialogue.is_answered:
+                raise dialogue.unanswered(self.name, timeout)
+        self._begin(dialogue)
+
+    def _begin(self, dialogue: Dialogue) -> None:
+        """All is answered: give what has come, and then what comes."""
+        self._first = dialogue.received
+        self.dialogue = dialogue.protocol
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """See `Transport.receive`."""

@@ -1,0 +1,367 @@
+"""One connection of one peer, kept up by an event loop: opened, read, and opened again when it is lost.
+
+    transport -> receiver -> fan-out -> queues -> tasks
+    [------------------ event loop ------------------]
+
+What is said of a connection, and what happens to it, is as in `linkcore.streaming.connection`. Only who waits differs:
+no thread does. The loop calls when the socket has bytes, they are handed out at once, and a timer tells of silence.
+
+Other threads may use it as well, to send and to wait: what commands a robot does. To them the thread of the loop is the
+one that reads. Whatever would wait in that thread is refused, since what it waits for could not come.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError
+from ..net.awaited import AwaitedTransport, watch
+from ..streaming.connection import Connection
+from ..streaming.events import ConnectionState
+from ..streaming.receiver import Receiver
+
+__all__ = ["LoopConnection"]
+
+#: Seconds that another thread leaves to the loop to close a socket. After that it does so itself: what was given up
+#: must not be sent, also where the loop is held up.
+_HANDOVER = 0.05
+
+#: Seconds by which a timer may be early.
+_EARLY = 1e-4
+
+
+class LoopConnection(Connection):
+    """A connection that an event loop reads.
+
+    Args:
+        name, transport, protocol, fan_out, options: as for `Connection`.
+        loop: reads it.
+    """
+
+    def __init__(
+        self, name: str, transport: AwaitedTransport, *arguments: Any, loop: asyncio.AbstractEventLoop, **options: Any
+    ) -> None:
+        super().__init__(name, transport, *arguments, **options)
+        self._awaited = transport
+        self._loop = loop
+        self._task: asyncio.Task[None] | None = None  # refers to this, and this to it, until it is over
+        self._opening: asyncio.Task[None] | None = None
+        self._settled = asyncio.Event()
+        self._closing = asyncio.Event()
+        self._has_ended = threading.Event()
+        # Of the present connection.
+        self._receiver: Receiver | None = None
+        self._over: asyncio.Future[Exception | None] | None = None
+        self._descriptor = -1  # that the loop watches
+        self._full: set[object] = set()  # queues that have no room
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_wait: float | None = None
+        self._quiet_since = 0.0
+
+    # -- beginning and ending --------------------------------------------------------------------
+
+    @property
+    def is_running(self) -> bool:
+        """It is read, or is about to be."""
+        return self._is_launched and not self._has_ended.is_set()
+
+    def reads_here(self) -> bool:
+        """The current thread is that of the loop."""
+        try:
+            return asyncio.get_running_loop() is self._loop
+        except RuntimeError:
+            return False
+
+    def refuse_to_wait(self, what: str) -> None:
+        """Raise where the current thread would wait for itself.
+
+        Raises:
+            LocalError: it is that of the loop.
+        """
+        if self.reads_here():
+            raise LocalError(
+                f"{what} would wait for ever: it was called in the thread of the event loop, which reads {self.name} "
+                "and would read nothing meanwhile; await it"
+            )
+
+    def start(self, add: Callable[[], object] | None = None) -> None:
+        """As `Connection.start`, in any thread but that of the loop; there only once it is connected."""
+        if not (self._is_launched and self._is_settled):
+            self.refuse_to_wait("connecting")
+        super().start(add)
+
+    async def connected(self, add: Callable[[], object] | None = None) -> None:
+        """As `start`, for tasks of the loop.
+
+        Raises:
+            RemoteError: the connection could not be made; the next use tries again.
+            Closed: it was closed.
+        """
+        if self._is_closing:
+            raise Closed(f"{self.name} was closed")
+        if add is not None:
+            add()
+        self._begin(is_patient=False)
+        if not self._is_settled:
+            try:
+                await asyncio.wait_for(self._settled.wait(), self._timeout + 1.0)
+            except asyncio.TimeoutError:
+                raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s") from None
+        if not self._has_opened and self.failure is not None:
+            raise self.failure
+
+    async def disconnected(self) -> None:
+        """Disconnect and end every queue, as `close`, for tasks of the loop. Idempotent."""
+        self._stop()
+        self.fan_out.close(all=False)
+        task = self._task
+        if task is not None and task is not asyncio.current_task():
+            await asyncio.wait({task})
+        self.state = ConnectionState.CLOSED
+
+    def abandon(self) -> None:
+        """End everything without waiting for anything."""
+        self._stop()
+        if self._loop.is_closed():
+            self._transport.abort()
+
+    def _launch(self) -> None:
+        self._has_ended.clear()
+        self._settled.clear()
+        self.call(self._start_reading)
+
+    def _start_reading(self) -> None:
+        if self._is_closing:  # since another thread asked for it
+            self._finish(None)
+            self._has_ended.set()
+            return
+        self._task = self._loop.create_task(self._keep_up(), name=f"{self.name} reader")
+
+    def _join_reader(self, timeout: float) -> bool:
+        if not self._is_launched or self.reads_here():
+            return True
+        return self._has_ended.wait(min(timeout, threading.TIMEOUT_MAX))
+
+    def _hang_up(self) -> None:
+        """`_stop` has told the task, which disconnects."""
+
+    def _settle(self) -> None:
+        super()._settle()
+        self._settled.set()
+
+    def _stop(self) -> None:
+        super()._stop()
+        with contextlib.suppress(LocalError):  # no loop, so nothing that goes on
+            self.call(self._hear_of_closing)
+
+    def _hear_of_closing(self) -> None:
+        self._closing.set()
+        self._settled.set()
+        if self._opening is not None:
+            self._opening.cancel()
+        self._end(None)
+
+    def call(self, function: Callable[[], object]) -> None:
+        """Call in the thread of the loop, at once if this is it.
+
+        Raises:
+            LocalError: the loop is closed.
+        """
+        if self.reads_here():
+            function()
+            return
+        try:
+            self._loop.call_soon_threadsafe(function)
+        except RuntimeError as error:
+            raise LocalError(f"{self.name}: its event loop is closed") from error
+
+    # -- sending ---------------------------------------------------------------------------------
+
+    def abort(self) -> None:
+        """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
+        if self.reads_here():
+            self._abort_here()
+            return
+        # The loop has to forget the descriptor before its number can be given to another socket.
+        done = threading.Event()
+
+        def abort() -> None:
+            self._abort_here()
+            done.set()
+
+        with contextlib.suppress(LocalError):
+            self.call(abort)
+            done.wait(_HANDOVER)
+        self._transport.abort()
+
+    def _abort_here(self) -> None:
+        self._watch_no_more()
+        self._transport.abort()
+        self._end(ConnectionLost(f"{self.name} was closed here"))
+
+    # -- reading ---------------------------------------------------------------------------------
+
+    async def _keep_up(self) -> None:
+        """What the reader thread of a `Connection` does."""
+        try:
+            while True:
+                error: Exception | None = None
+                try:
+                    await self._connect_and_await()
+                except Exception as raised:
+                    error = raised
+                wait = self._next_try(error)
+                if wait is None:
+                    return
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(self._closing.wait(), wait)
+                if self._is_closing:
+                    self._finish(None)
+                    return
+        except asyncio.CancelledError:  # by whoever ends the loop
+            super()._stop()
+            self._finish(None)
+            raise
+        finally:
+            self._has_ended.set()
+
+    async def _connect_and_await(self) -> None:
+        """One connection, until it is lost or closed; raises what ended it."""
+        self._tell(ConnectionState.CONNECTING)
+        self._opening = opening = self._loop.create_task(self._awaited.connect(self._timeout))
+        try:
+            await opening
+        except asyncio.CancelledError:
+            if self._is_closing:
+                return
+            raise
+        finally:
+            self._opening = None
+        if self._is_closing:
+            return
+        self._receiver = self._opened()
+        self._over = over = self._loop.create_future()
+        self.silence.end(time.monotonic())
+        try:
+            self._watch()
+            while self._take_waiting():  # what came while it was connected; after that the loop tells
+                pass
+            self._set_timer()
+            error = await over
+        finally:
+            self._watch_no_more()
+            self._over = self._receiver = None
+        if error is not None:
+            raise error
+        await self._awaited.disconnect()
+
+    def _watch(self) -> None:
+        """Be called when bytes come.
+
+        Raises:
+            ConnectionLost: it was closed meanwhile.
+            LocalError: the loop cannot do that.
+        """
+        descriptor = self._awaited.fileno()
+        if descriptor < 0:
+            raise ConnectionLost(f"{self.name} was closed here")
+        watch(self._loop, descriptor, self._readable)
+        self._descriptor = descriptor
+
+    def _watch_no_more(self) -> None:
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            self._loop.remove_reader(descriptor)
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _end(self, error: Exception | None) -> None:
+        """This connection is over; None where it is closed on purpose."""
+        if self._over is not None and not self._over.done():
+            self._watch_no_more()
+            self._over.set_result(error)
+
+    def _readable(self) -> None:
+        self._take_waiting()
+        if self.silence.wait != self._timer_wait:
+            self._set_timer()
+
+    def _take_waiting(self) -> bool:
+        """Hand out what has come; False if nothing has."""
+        if self._receiver is None or self._descriptor < 0:
+            return False
+        try:
+            received = self._awaited.receive_waiting()
+            if received is None:
+                return False
+            data, stamp = received
+            self._quiet_since = stamp[0]
+            self._take(self._receiver, data, stamp)
+        except Exception as error:
+            self._end(error)
+            return False
+        return True
+
+    def look(self) -> None:
+        """Hand out what has come, before anybody concludes that nothing has: the loop may have been held up."""
+        while self._take_waiting():
+            pass
+
+    # -- back-pressure ---------------------------------------------------------------------------
+
+    def hold(self, queue: object) -> None:
+        """Read no more until `release`: a queue that loses nothing is full. In the thread of the loop."""
+        self._full.add(queue)
+        self._watch_no_more()
+
+    def release(self, queue: object) -> None:
+        """The queue has room, or is gone."""
+        if queue not in self._full:
+            return
+        self._full.discard(queue)
+        if not self._full and self._over is not None and not self._over.done():
+            try:
+                self._watch()
+            except (ConnectionLost, LocalError) as error:
+                self._end(error)
+            else:
+                self._set_timer()
+
+    # -- silence ---------------------------------------------------------------------------------
+
+    def _set_timer(self) -> None:
+        """Be called when nothing has come for `silence.wait` seconds from now."""
+        self._quiet_since = time.monotonic()
+        self._timer_wait = self.silence.wait
+        self._call_in(self._timer_wait)
+
+    def _call_in(self, seconds: float | None) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if seconds is not None and self._descriptor >= 0:
+            self._timer = self._loop.call_later(seconds, self._time_is_up)
+
+    def _time_is_up(self) -> None:
+        self._timer = None
+        self.look()
+        if self._descriptor < 0:
+            return
+        wait = self._timer_wait
+        assert wait is not None
+        left = self._quiet_since + wait - time.monotonic()
+        if left > _EARLY:  # not set anew for each packet: that would cost more than reading it
+            self._call_in(left)
+            return
+        try:
+            self.silence.timed_out()
+        except LinkTimeout as error:
+            self._end(error)
+        else:
+            self._set_timer()

@@ -1,0 +1,255 @@
+"""Packets as a task takes them: a bounded queue that an event loop fills, and an asynchronous iterator over it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from ..errors import LocalError
+from ..streaming.policy import Policy
+from ..streaming.statistics import SubscriptionStatistics
+from .loop_connection import LoopConnection
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["LoopQueue", "Packets"]
+
+T = TypeVar("T")
+
+
+class LoopQueue:
+    """Packets waiting for one task. Everything happens in the thread of the loop, so nothing is locked.
+
+    ``offered == taken + dropped + waiting``, always.
+
+    Args:
+        policy: what to do when the task falls behind. Under `block` the loop reads no more from this peer when the
+            queue is full, until it is half empty. What was read in the same moment, at most 64 KiB, is still taken in,
+            so up to some 60 packets more than the limit can wait.
+        connection: is read no more when the queue is full.
+
+    Attributes:
+        offered: packets that came here.
+        taken: packets that the task took.
+        dropped: packets thrown away: one too many, or waiting when the queue was closed.
+        evicts: drops the oldest when it is full, rather than reading no more.
+        is_over: `next` has said that no more will come.
+    """
+
+    #: A queue is never in the way of another, so it is served before the callbacks.
+    is_inline = False
+
+    def __init__(self, policy: Policy, connection: LoopConnection) -> None:
+        self.offered = self.taken = self.dropped = 0
+        self.evicts = policy.evicts
+        self.is_over = False
+        self._limit = policy.limit
+        self._connection = connection
+        self._packets: deque[Any] = deque()
+        self._is_ended = False
+        self._waiter: asyncio.Future[None] | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Packets in the queue."""
+        return len(self._packets)
+
+    def offer(self, packets: Sequence[Any]) -> None:
+        """Hand packets over."""
+        if self._is_ended:
+            return
+        self.offered += len(packets)
+        self._packets.extend(packets)
+        surplus = len(self._packets) - self._limit
+        if surplus > 0 and self.evicts:
+            for _ in range(surplus):
+                self._packets.popleft()
+            self.dropped += surplus
+        elif surplus >= 0 and not self.evicts:
+            self._connection.hold(self)
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    def end(self) -> None:
+        """No more will come; what waits can still be taken. Idempotent."""
+        self._is_ended = True
+        self._wake()
+
+    def close(self) -> None:
+        """Drop what waits, take nothing more; idempotent."""
+        self.dropped += len(self._packets)
+        self._packets.clear()
+        self.end()
+        self._connection.release(self)
+
+    def take(self) -> Any | None:
+        """A packet that has come, or None."""
+        if not self._packets:
+            return None
+        self.taken += 1
+        packet = self._packets.popleft()
+        if len(self._packets) <= self._limit // 2:
+            self._connection.release(self)
+        return packet
+
+    async def next(self, timeout: float | None = None) -> Any | None:
+        """Wait for a packet and take it; None when time is up, or when no more will come: `is_over` tells which.
+
+        Raises:
+            LocalError: another task waits here.
+        """
+        timer: asyncio.TimerHandle | None = None
+        is_late = False
+
+        def time_is_up() -> None:
+            nonlocal is_late
+            self._connection.look()  # the loop may have been held up while packets came
+            is_late = True
+            self._wake()
+
+        if self._waiter is not None:
+            raise LocalError("another task waits for packets of this iterator; give each task one of its own")
+        loop = asyncio.get_running_loop()
+        try:
+            while not self._packets:
+                if self._is_ended:
+                    self.is_over = True
+                    return None
+                if is_late:
+                    return None
+                if timeout is not None and timer is None:
+                    timer = loop.call_later(timeout, time_is_up)
+                self._waiter = loop.create_future()
+                await self._waiter
+        finally:
+            self._waiter = None
+            if timer is not None:
+                timer.cancel()
+        return self.take()
+
+
+class Packets(Generic[T]):
+    """Packets of one class, one after the other; made by `AsyncFeed.iterate`, for one ``async for``.
+
+    It begins with the first step, and ends with the loop, or with `aclose`. A task that is cancelled while it waits
+    loses no packet: the next step has it.
+
+    Args:
+        connection: where they come from.
+        kind: the class.
+        policy: what to do when the task falls behind.
+        timeout: seconds within which each has to come; None for ever.
+        why_nothing: what to raise when it did not.
+    """
+
+    def __init__(
+        self,
+        connection: LoopConnection,
+        kind: type[T],
+        policy: Policy,
+        timeout: float | None,
+        why_nothing: Callable[[float], Exception],
+        owner: object,
+    ) -> None:
+        self._connection = connection
+        self._kind = kind
+        self._timeout = timeout
+        self._why_nothing = why_nothing
+        self._owner = owner  # keeps the stream from being collected
+        self._expand: Callable[[Any], Iterable[T]] | None = connection.fan_out.expander(kind)
+        self._queue = LoopQueue(policy, connection)
+        self._parts: deque[T] = deque()  # of the packet that was taken last
+        self._is_open = False
+        self._missed = 0
+
+    @property
+    def stats(self) -> SubscriptionStatistics:
+        """The counters at this moment; ``offered == delivered + dropped + waiting``."""
+        queue = self._queue
+        return SubscriptionStatistics(queue.offered, queue.taken, queue.dropped, 0, queue.waiting, self._missed)
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        packet = await self.next(self._timeout)
+        if packet is not None:
+            return packet
+        if self._queue.is_over:
+            self._close()
+            if self._connection.failure is not None:
+                raise self._connection.failure
+            raise StopAsyncIteration
+        assert self._timeout is not None
+        self._missed += 1
+        raise self._why_nothing(self._timeout)
+
+    async def next(self, timeout: float | None) -> T | None:
+        """The next packet; None when time is up, or when no more will come.
+
+        Raises:
+            RemoteError, Closed: the first connection could not be made.
+            LocalError: another task waits here.
+        """
+        if self._parts:
+            return self._parts.popleft()
+        if not self._is_open:
+            await self.open()
+        packet = self._queue.take()
+        if packet is None:
+            packet = await self._queue.next(timeout)
+        if packet is None or self._expand is None:
+            return packet
+        self._parts.extend(self._expand(packet))
+        return self._parts.popleft()
+
+    async def open(self) -> None:
+        """Connect, if nothing has yet; from now on no packet is missed.
+
+        Raises:
+            RemoteError, Closed: the first connection could not be made.
+        """
+        connection = self._connection
+        self._is_open = True
+        try:
+            await connection.connected(lambda: connection.fan_out.add(self._queue, self._kind))
+        except BaseException:
+            self._is_open = False
+            connection.fan_out.remove(self._queue)
+            raise
+        if connection.is_over:
+            self._queue.end()
+
+    def _close(self) -> None:
+        self._connection.fan_out.remove(self._queue)
+        self._queue.close()
+
+    async def aclose(self) -> None:
+        """Take no more; what waits is dropped and counted. Idempotent."""
+        self._close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        self._close()
+
+    def __del__(self) -> None:
+        # A loop that was left before its end: nobody can take what comes any more.
+        if getattr(self, "_is_open", False):
+            connection, queue = self._connection, self._queue
+            connection.fan_out.remove(queue)
+            with contextlib.suppress(LocalError):  # the loop is closed
+                connection.call(queue.close)  # this may be a thread that collects garbage
+
+    def __repr__(self) -> str:
+        stats = self.stats
+        counted = ", ".join(f"{getattr(stats, name)} {name}" for name in ("delivered", "dropped", "waiting"))
+        return f"<Packets of {self._kind.__name__} from {self._connection.name}: {counted}>"

@@ -1,0 +1,217 @@
+"""A robot in a program that uses asyncio, over a simulated controller."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Coroutine, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import urlink
+from tests.waiting import until
+from urlink import Closed, ConnectFailed, LocalError, SafetyMode, SafetyStop
+from urlink.simulator import Controller
+
+SOON = 30.0
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+
+
+@pytest.fixture(autouse=True)
+def is_clear(controller: Controller) -> None:
+    controller.faults.clear()
+
+
+def run(test: Coroutine[Any, Any, None]) -> None:
+    """In bounded time; no task and no thread may be left."""
+
+    async def bounded() -> None:
+        await asyncio.wait_for(test, SOON)
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    before = threading.active_count()
+    asyncio.run(bounded())
+    until(lambda: threading.active_count() <= before)
+
+
+def test_streams_are_read_without_a_thread(controller: Controller) -> None:
+    async def read() -> None:
+        before = threading.active_count()
+        async with urlink.connect_async(controller.address) as robot, urlink.connect_async(controller.address) as other:
+            assert (str(robot.firmware), robot.model) == ("5.11", "UR5e")
+            assert robot.kinematics.model.name == "UR5e"
+            times = []
+            async with robot.realtime.iterate(urlink.block) as states:
+                async for state in states:
+                    times.append(state.time)
+                    if len(times) == 50:
+                        break
+                assert (states.stats.delivered, states.stats.dropped) == (50, 0)
+            assert np.allclose(np.diff(times), 0.002)
+            both = await asyncio.gather(
+                other.realtime.wait(), robot.primary.of(urlink.RobotModeData).wait(), robot.secondary.wait()
+            )
+            assert [type(each).__name__ for each in both] == ["RealtimeState", "RobotModeData", "RobotState"]
+            assert threading.active_count() == before
+        with pytest.raises(Closed):
+            await robot.realtime.wait()
+
+    run(read())
+
+
+def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: Path) -> None:
+    async def command() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            begin = (await robot.realtime.wait()).q_actual
+            motion = robot.motion.move_joints(begin + 0.05, speed=1.0)
+            handle = await motion.begun()
+            assert await motion is handle
+            assert handle.phase is urlink.Phase.DONE
+            assert np.allclose((await robot.realtime.wait()).q_actual, begin + 0.05, atol=1e-3)
+            await robot.io.set_digital_out(2, True)
+            assert await robot.io.digital_out(2)
+            assert await robot.dashboard.robot_mode() is urlink.RobotMode.RUNNING
+            assert await robot.call(lambda: robot.safety.mode) is SafetyMode.NORMAL
+            async with robot.rtde.outputs("timestamp", "actual_q", frequency=125) as stream:
+                first, second = await stream.wait(), await stream.wait()
+                assert second.timestamp > first.timestamp
+            async with robot.record(tmp_path / "run.urlog", ["realtime"]):
+                await robot.realtime.wait()
+            with pytest.raises(urlink.BadValue):
+                await robot.motion.move_joints([1, 2, 3])
+            assert threading.active_count() < 12
+
+    run(command())
+    with urlink.connect(tmp_path / "run.urlog") as robot:
+        assert robot.realtime.wait().q_actual.shape == (6,)
+
+
+def test_who_gives_up_a_motion_stops_the_arm(controller: Controller) -> None:
+    async def give_up() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            begin = (await robot.realtime.wait()).q_actual
+            motion = robot.motion.move_joints(begin - 0.5, speed=0.1)
+            handle = await motion.begun()
+            await robot.realtime.wait_until(lambda state: bool(np.any(np.abs(state.qd_actual) > 0.05)))
+            with pytest.raises(asyncio.TimeoutError):
+                await asyncio.wait_for(motion, 0.01)
+            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
+            assert handle.phase is urlink.Phase.CANCELLED
+            # Given up before it is sent, it is not sent.
+            never = robot.motion.move_joints(begin)
+            never.cancel()
+            with pytest.raises((asyncio.CancelledError, urlink.Cancelled)):
+                await never
+            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
+
+    run(give_up())
+
+
+def test_the_arm_stands_when_a_task_is_cancelled(controller: Controller) -> None:
+    async def drive() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            q = (await robot.realtime.wait()).q_actual
+            async with robot.motion.servo() as servo:
+                async for _ in robot.realtime:
+                    q = q + 1e-4
+                    servo.send(q)
+                    driven.set()
+
+    async def cancel() -> None:
+        driving = asyncio.create_task(drive())
+        await driven.wait()
+        driving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await driving
+        async with urlink.connect_async(controller.address) as robot:
+            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
+
+    driven = asyncio.Event()
+    run(cancel())
+
+
+def test_a_stop_does_not_stand_behind_what_waits(controller: Controller) -> None:
+    async def stop() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            waiting = asyncio.create_task(_awaited(robot.io.wait_digital_in(5, timeout=SOON)))
+            begin = (await robot.realtime.wait()).q_actual
+            motion = robot.motion.move_joints(begin + 0.5, speed=0.1)
+            await motion.begun()
+            await robot.motion.stop()
+            with pytest.raises(urlink.Cancelled):
+                await motion
+            assert not waiting.done()
+            controller.faults.protective_stop()
+            with pytest.raises(SafetyStop):
+                await robot.motion.move_joints(begin)
+            waiting.cancel()
+            controller.faults.clear()
+            # A thread that waits for the input is left; it ends with the robot.
+
+    run(stop())
+
+
+async def _awaited(call: Any) -> object:
+    return await call
+
+
+def test_it_connects_again(controller: Controller) -> None:
+    async def lose() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            async with robot.realtime.iterate(urlink.block) as states:
+                await anext(states)
+                controller.faults.cut("realtime")
+                async for _ in states:
+                    if robot.realtime.stats.reconnects:
+                        break
+            assert str((await robot.identify()).firmware) == "5.11"
+
+    run(lose())
+
+
+def test_nobody_there_and_what_cannot_be_is_an_error(tmp_path: Path) -> None:
+    async def connect() -> None:
+        with pytest.raises(ConnectFailed):
+            await urlink.connect_async("ur://127.0.0.1?primary=1&secondary=1")
+        with pytest.raises(urlink.BadValue):
+            urlink.connect_async("sim://", timeout=-1)
+        with pytest.raises(TypeError, match="tiemout"):
+            urlink.connect_async("sim://", tiemout=1)
+        with pytest.raises(LocalError, match="is a recording"):
+            await urlink.connect_async(tmp_path / "run.urlog")
+        # One that takes the connection and says nothing, and one that is being made.
+        silent = await asyncio.start_server(lambda reader, writer: writers.append(writer), "127.0.0.1", 0)
+        port = silent.sockets[0].getsockname()[1]
+        for address in (f"ur://127.0.0.1?primary={port}", "sim://"):
+            connecting = asyncio.create_task(_awaited(urlink.connect_async(address)))
+            await asyncio.sleep(0)
+            while address != "sim://" and not writers:
+                await asyncio.sleep(0.001)
+            connecting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await connecting
+        writers[0].close()
+        silent.close()
+        await asyncio.sleep(0)
+
+    writers: list[asyncio.StreamWriter] = []
+
+    run(connect())
+
+
+def test_read_only_commands_nothing(controller: Controller) -> None:
+    async def read() -> None:
+        async with urlink.connect_async(controller.address, read_only=True) as robot:
+            assert (await robot.realtime.wait()).q_actual.shape == (6,)
+            with pytest.raises(LocalError, match="read_only"):
+                _ = robot.motion.move_joints
+
+    run(read())
