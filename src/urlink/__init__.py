@@ -142,6 +142,7 @@ if TYPE_CHECKING:
     from .models import UnknownModel as UnknownModel
     from .motion import (
         Circular as Circular,
+        Jog as Jog,
         Joint as Joint,
         Linear as Linear,
         Motions as Motions,
@@ -205,7 +206,7 @@ else:
             """,
             ".interfaces.realtime.packets": "RealtimeState",
             ".models": "UnknownModel",
-            ".motion": "Circular Joint Linear Motions PathMotion Servo ServoStatistics TrajectoryFeedback",
+            ".motion": "Circular Jog Joint Linear Motions PathMotion Servo ServoStatistics TrajectoryFeedback",
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
         },

@@ -44,6 +44,7 @@ NAMES = [
     "Handle",
     "History",
     "IO",
+    "Jog",
     "Joint",
     "JointData",
     "JointMode",
@@ -163,9 +164,11 @@ SURFACES = {
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
     "robot.identity": "arm description dh_table firmware kinematics model said_so",
-    "robot.motion": "current follow move_circular move_joints move_linear path servo speed_joints speed_linear stop",
+    "robot.motion": """current follow jog move_circular move_joints move_linear path servo speed_joints speed_linear
+        stop""",
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.path([urlink.Joint([0, -1.5, 1.5, -1.5, -1.5, 0])])": f"{HANDLE} progress segment segments",
+    "robot.motion.jog()": f"{HANDLE} frame move progress stop timeout",
     "robot.motion.servo()": f"{HANDLE} progress rate send stats",
     "robot.script": "run send_line",
     "robot.script.run('sync()')": f"{HANDLE} texts",
@@ -205,7 +208,8 @@ ASYNC_SURFACES = {
     "robot.realtime": "close connection failure iterate latest name of start stats stream subscribe wait wait_until",
     "robot.realtime.of(urlink.RealtimeState)": "iterate latest subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",
-    "robot.motion": "current follow move_circular move_joints move_linear path servo speed_joints speed_linear stop",
+    "robot.motion": """current follow jog move_circular move_joints move_linear path servo speed_joints speed_linear
+        stop""",
     "robot.script.run('sync()')": "begun cancel",
 }
 

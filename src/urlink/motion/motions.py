@@ -21,6 +21,7 @@ from .context import MotionContext
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback
 from .jerk_limited import joint_limits
+from .jog import FrameName, Jog
 from .linked import Link, LinkedProgram
 from .path import PathMotion, Rates, Waypoint, plan
 from .servo import Servo
@@ -354,6 +355,43 @@ class Motions:
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
         return Servo(self._context, pace, servoing, self._opener(link), limits)
+
+    def jog(
+        self,
+        frame: FrameName = "joints",
+        *,
+        acceleration: float = 1.2,
+        timeout: float = 0.3,
+        watchdog: float = 0.2,
+        link: LinkName = "reverse",
+    ) -> Jog:
+        """Speeds by hand, from a joystick or keys::
+
+            with robot.motion.jog("base") as jog:
+                while held():
+                    jog.move([0, 0, 0.05, 0, 0, 0])
+
+        A speed lapses after `timeout` seconds, and the arm brakes, unless `move` has been called again. Should this
+        program or the link fail, the robot brakes by itself after `watchdog` seconds.
+
+        Args:
+            frame: "joints" for speeds of the joints; "base" or "tool" for those of the tool, along and about the axes
+                of that frame.
+            acceleration: rad/s² of the joint that changes most, or m/s² and rad/s² of the tool, for every change of
+                speed and for the brake.
+            timeout: seconds for which a speed holds.
+            watchdog: seconds without a word from here after which the robot brakes.
+            link: see `follow`.
+        """
+        check_choice(frame, "frame", get_args(FrameName))
+        return Jog(
+            self._context,
+            frame,
+            _acceleration(acceleration),
+            checked(timeout, "timeout", 0.01, 60.0),
+            checked(watchdog, "watchdog", 0.01, 10.0),
+            self._opener(link),
+        )
 
     # ----------------------------------------------------------------------------------------------------
 

@@ -38,8 +38,10 @@ __all__ = [
     "TOO_FAR",
     "WAIT",
     "InputRegisters",
+    "LinkText",
     "ReverseSocket",
     "each",
+    "indented",
     "introduction",
     "lines",
     "missable",
@@ -53,6 +55,8 @@ __all__ = [
     "speed_linear",
     "stop",
     "streaming",
+    "takes_duration",
+    "way_of",
 ]
 
 #: How many tokens there are: what a signed 32-bit integer holds.
@@ -132,10 +136,17 @@ def _speed(
     firmware: Firmware, function: str, speeds: str, acceleration: float, duration: float, brake: str
 ) -> list[str]:
     a, t = number(acceleration, "acceleration"), number(duration, "duration")
-    # 3.1 and 3.2 take no time here: they return once the speed is reached, and keep it (reference ur-script, section 2)
     timed = [f"{function}({speeds}, {a}, {t})"]
     untimed = [f"{function}({speeds}, {a})", f"sleep({t})"]
-    return [*(untimed if (3, 1) <= firmware[:2] < (3, 3) else timed), f"{brake}({a})"]
+    return [*(timed if takes_duration(firmware) else untimed), f"{brake}({a})"]
+
+
+def takes_duration(firmware: Firmware) -> bool:
+    """Whether ``speedj`` and ``speedl`` take a time.
+
+    In 3.1 and 3.2 they do not: they return once the speed is reached, and keep it (reference ur-script, section 2).
+    """
+    return not (3, 1) <= firmware[:2] < (3, 3)
 
 
 def stop(acceleration: float) -> list[str]:
@@ -221,11 +232,7 @@ def streaming(
     most_missed = missable(watchdog, firmware.rate)
     cycle = number(1.0 / firmware.rate)
     ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
-    if isinstance(link, ReverseSocket):
-        # Reading waits, so a thread of its own moves the arm.
-        kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link)
-    else:
-        kind, shared, take, follow = "def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog)
+    way = way_of(link, firmware, watchdog)
     text = f"""
         def bounded(aim, here, way):
           if aim > here + way:
@@ -235,16 +242,16 @@ def streaming(
           end
           return aim
         end
-{_indented(shared)}
+{indented(way.shared)}
         starved = False
-        {kind} servo():
+        {way.kind} servo():
           q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           missed = 0
           begun = False
           going = True
           while going:
-{_indented(take, 12)}
+{indented(way.take, 12)}
             if wanted == {STOP}:
               going = False
             elif wanted == {WAIT}:
@@ -272,9 +279,33 @@ def streaming(
           end
           stopj({number(deceleration)})
         end
-{_indented(follow)}
+{indented(way.follow)}
     """
     return lines(text)
+
+
+class LinkText(NamedTuple):
+    """How a program gets its words. It defines `servo`, which moves the arm and says in `starved` that none came.
+
+    Attributes:
+        kind: what `servo` is: a thread where reading waits, else a function.
+        shared: what stands before it.
+        take: within it, the newest word: `wanted`, `is_new`, `goal` and `speed`.
+        follow: what stands behind it: begin, and go on until the link ends.
+    """
+
+    kind: str
+    shared: str
+    take: str
+    follow: str
+
+
+def way_of(link: ReverseSocket | InputRegisters, firmware: Firmware, watchdog: float) -> LinkText:
+    """How a program gets its words by a link, of which none comes for `watchdog` seconds at most."""
+    if isinstance(link, ReverseSocket):
+        # Reading waits, so a thread of its own moves the arm.
+        return LinkText("thread", _SHARED, _TAKE_SHARED, _over_socket(link))
+    return LinkText("def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog))
 
 
 #: What the thread that reads the socket hands over to the one that moves the arm.
@@ -372,7 +403,8 @@ def _over_registers(link: InputRegisters, firmware: Firmware, watchdog: float) -
     """
 
 
-def _indented(text: str, columns: int = 8) -> str:
+def indented(text: str, columns: int = 8) -> str:
+    """The lines of a part of a program, where it is put into another text."""
     return indent("\n".join(lines(text)), " " * columns)
 
 

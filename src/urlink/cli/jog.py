@@ -1,0 +1,168 @@
+"""`urlink jog`: move the arm by the keys of a terminal."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import select
+import sys
+from collections.abc import Iterator
+from typing import get_args
+
+from linkcore.cli.interruption import Interruption
+from linkcore.errors import LocalError
+
+from ..motion.jog import FrameName, Jog
+from ..robot import Robot, connect
+from .options import Subparsers, add_address, add_command, seconds
+
+__all__ = ["add_parser"]
+
+_DESCRIPTION = """\
+Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is let go.
+
+  1 2 3 4 5 6   joints 1 to 6 one way; in a frame of the tool: along x, y, z and about x, y, z
+  q w e r t y   the other way
+  f             from joints to the base frame, to the tool frame, and back
+  + -           faster, slower
+  space         brake
+  x, Ctrl-C     end
+
+A terminal tells of a key that is held by sending it again and again, after a pause. --hold says for how long the arm
+goes on after each of them: with less than that pause, it stutters as it begins."""
+
+_EXAMPLES = (
+    "urlink jog 192.168.56.101",
+    "urlink jog sim:// --frame tool --speed 0.2",
+)
+
+#: Keys that turn or move each of the six one way, and the other.
+_FORWARD, _BACKWARD = b"123456", b"qwerty"
+#: rad/s, m/s and rad/s at full speed: what the vendor's `movej` and `movel` do where nothing is said.
+_JOINT_SPEED, _TOOL_SPEED, _TURN_SPEED = 1.05, 0.25, 0.8
+#: Parts of full speed.
+_SLOWEST, _FACTOR = 0.01, 1.5
+#: Bytes that end it: x, Ctrl-C where the terminal sends it as it is, Ctrl-D.
+_END = b"x\x03\x04"
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "jog", "move the arm by keys", _DESCRIPTION, _EXAMPLES)
+    add_address(parser)
+    frames = get_args(FrameName)
+    parser.add_argument("--frame", choices=frames, default=frames[0], help=f"what keys move at first ({frames[0]})")
+    parser.add_argument("--speed", type=_part, default=0.2, metavar="PART", help="of full speed, 0.01 to 1 (0.2)")
+    parser.add_argument("--hold", type=_hold, default=0.6, metavar="S", help="s that a key counts for (0.6)")
+    parser.set_defaults(run=run)
+
+
+def _part(text: str) -> float:
+    try:
+        part = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    if not _SLOWEST <= part <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not from {_SLOWEST:g} to 1")
+    return part
+
+
+def _hold(text: str) -> float:
+    if not 0.05 <= seconds(text) <= 10.0:
+        raise argparse.ArgumentTypeError(f"{text} is not from 0.05 to 10 s")
+    return seconds(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Move by keys until one of them ends it.
+
+    Raises:
+        LocalError: there is no terminal.
+        LinkError: whatever ended it.
+    """
+    with (
+        _keys() as terminal,
+        Interruption() as interruption,
+        connect(args.address, timeout=args.connect_timeout) as robot,
+    ):
+        hand = _Hand(robot, args.frame, args.speed, args.hold)
+        while hand.goes_on and interruption.number is None:
+            hand.use(terminal, interruption)
+        q = robot.realtime.wait().q_actual
+        print(f"q: {', '.join(f'{each:.4f}' for each in q)}", flush=True)
+    interruption.raise_if_any()
+    return 0
+
+
+class _Hand:
+    """What keys have chosen so far."""
+
+    def __init__(self, robot: Robot, frame: FrameName, part: float, hold: float) -> None:
+        self.goes_on = True
+        self._robot = robot
+        self._frame: FrameName = frame
+        self._part = part
+        self._hold = hold
+
+    def use(self, terminal: int, interruption: Interruption) -> None:
+        """Move in one frame, until another is chosen or it ends."""
+        frame = self._frame
+        with self._robot.motion.jog(frame, timeout=self._hold, watchdog=self._hold) as jog:
+            self._tell()
+            while self.goes_on and self._frame == frame and interruption.number is None:
+                if select.select([terminal], [], [], 0.05)[0]:
+                    for key in os.read(terminal, 1024) or _END[:1]:
+                        self._press(jog, bytes([key]))
+                elif jog.done:
+                    jog.wait(0.0)
+
+    def _press(self, jog: Jog, key: bytes) -> None:
+        if key in _END:
+            self.goes_on = False
+        elif key in _FORWARD or key in _BACKWARD:
+            which = max(_FORWARD.find(key), _BACKWARD.find(key))
+            speeds = [0.0] * 6
+            speeds[which] = self._full_speed(which) * self._part * (1.0 if key in _FORWARD else -1.0)
+            jog.move(speeds)
+        elif key == b" ":
+            jog.stop()
+        elif key in b"+-":
+            factor = _FACTOR if key == b"+" else 1.0 / _FACTOR
+            self._part = min(max(self._part * factor, _SLOWEST), 1.0)
+            self._tell()
+        elif key == b"f":
+            names = get_args(FrameName)
+            self._frame = names[(names.index(self._frame) + 1) % len(names)]
+
+    def _full_speed(self, which: int) -> float:
+        if self._frame == "joints":
+            return _JOINT_SPEED
+        return _TOOL_SPEED if which < 3 else _TURN_SPEED
+
+    def _tell(self) -> None:
+        unit = "rad/s" if self._frame == "joints" else "m/s"
+        print(f"{self._frame}: {self._full_speed(0) * self._part:.3f} {unit}", flush=True)
+
+
+@contextlib.contextmanager
+def _keys() -> Iterator[int]:
+    """The terminal, key by key and without showing them; as it was, afterwards.
+
+    Raises:
+        LocalError: stdin is no terminal, or the system has none of this kind.
+    """
+    try:
+        import termios
+        import tty
+    except ImportError:
+        raise LocalError("this system has no terminal that tells of single keys (termios)") from None
+    if not sys.stdin.isatty():
+        raise LocalError("stdin is no terminal: the arm is moved by its keys")
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal)
+    try:
+        yield terminal
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

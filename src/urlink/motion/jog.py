@@ -1,0 +1,134 @@
+"""Moving by hand: speeds of the joints or of the tool, for as long as somebody goes on saying so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..interfaces.realtime.packets import RealtimeState
+from ..urscript.jogging import jogging
+from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.text import checked
+from ..vectors import JOINTS, FloatArray, six
+from .context import MotionContext
+from .linked import Link
+from .linked_block import LinkedBlock
+from .setpoints import STOP_WORD, WAIT_WORD, setpoint
+
+__all__ = ["FrameName", "Jog"]
+
+#: What the six speeds are of.
+FrameName = Literal["joints", "base", "tool"]
+
+_REST = np.zeros(6)
+#: m/s and rad/s of a tool, beyond which a number is a mistake: no arm is faster.
+_FASTEST_TOOL, _FASTEST_TURN = 5.0, 10.0
+
+
+class _Jogging:
+    """What is said to the program when a state has come: the newest speeds, or none where they have lapsed.
+
+    Args:
+        frame: of the speeds.
+        timeout: s after which they lapse.
+        write: the lines of the program.
+    """
+
+    farewell = STOP_WORD
+    is_over = False
+    survives_its_program = False
+
+    def __init__(
+        self, frame: FrameName, timeout: float, write: Callable[[ReverseSocket | InputRegisters], list[str]]
+    ) -> None:
+        self._frame = frame
+        self._timeout = timeout
+        self._write = write
+        #: the speeds, and when they were told; set in one step, by whichever thread
+        self.told: tuple[FloatArray, float] | None = None
+
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        return self._write(link)
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        told = self.told
+        if told is None:
+            return WAIT_WORD
+        speeds, at = told
+        if now - at > self._timeout:
+            speeds = _REST
+        elif self._frame == "tool":
+            from ..poses import rotvec_to_matrix
+
+            # From the axes of the tool, as it is turned now, to those of the base.
+            turned = rotvec_to_matrix(state.tool_vector_actual[3:])
+            speeds = np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
+        return setpoint(speeds.tolist(), _REST.tolist())
+
+    def conclude(self) -> None: ...
+
+
+class Jog(LinkedBlock):
+    """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
+
+    Attributes:
+        frame: what the speeds are of: "joints", "base" or "tool".
+        timeout: seconds after which a speed lapses.
+    """
+
+    def __init__(
+        self,
+        context: MotionContext,
+        frame: FrameName,
+        acceleration: float,
+        timeout: float,
+        watchdog: float,
+        open_link: Callable[[], Link],
+    ) -> None:
+        identity = context.who.identity
+
+        def write(link: ReverseSocket | InputRegisters) -> list[str]:
+            return jogging(
+                identity.firmware, link, is_tool=frame != "joints", acceleration=acceleration, watchdog=watchdog
+            )
+
+        self._dialogue = _Jogging(frame, timeout, write)
+        super().__init__(context, "jog", self._dialogue, open_link)
+        self.frame: FrameName = frame
+        self.timeout = timeout
+        if frame == "joints":
+            names: tuple[str, ...] = JOINTS
+            most = [_FASTEST_TURN] * 6 if identity.arm is None else identity.arm.max_speed.tolist()
+        else:
+            names, most = ("x", "y", "z", "rx", "ry", "rz"), [_FASTEST_TOOL] * 3 + [_FASTEST_TURN] * 3
+        self._bounds = [
+            (f"speeds[{number}] ({name})", limit) for number, (name, limit) in enumerate(zip(names, most, strict=True))
+        ]
+
+    def move(self, speeds: ArrayLike) -> None:
+        """Move at these speeds from now on, until others come or `timeout` seconds are over. Waits for nothing.
+
+        Args:
+            speeds: (6,) rad/s of the joints; or of the tool, m/s along and rad/s about the axes of the frame.
+
+        Raises:
+            BadValue: not six finite numbers, or faster than the arm can be; what was said before goes on.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            LocalError: not within the block.
+        """
+        self._check_open()
+        values = six(speeds, "speeds")
+        for value, (name, limit) in zip(values.tolist(), self._bounds, strict=True):
+            checked(value, name, -limit, limit)
+        self._dialogue.told = values, self._context.clock()
+
+    def stop(self) -> None:
+        """Brake; the next `move` goes on.
+
+        Raises:
+            LinkError: as for `move`.
+        """
+        self.move(_REST)

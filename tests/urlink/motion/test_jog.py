@@ -1,0 +1,164 @@
+"""Speeds by hand: what is said to the program on the robot, and what the program makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue, Cancelled, LocalError
+from linkcore.handle import Phase
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, WAIT, Rehearsal
+from tests.urlink.motion.test_servo import Beside
+from urlink.errors import SafetyStop
+from urlink.firmware import Firmware
+from urlink.interfaces.enums import SafetyMode
+from urlink.kinematics import Arm
+from urlink.motion import Jog
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
+from urlink.poses import rotvec_to_matrix
+from urlink.urscript.jogging import jogging
+from urlink.urscript.programs import LINK_ENDED, STARVED, ReverseSocket
+
+_FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.1", "3.15", "5.11", "5.25")]
+_REST = [0.0] * 6
+
+
+@contextmanager
+def opened(robot: Rehearsal, frame: Any = "joints", **options: Any) -> Iterator[Jog]:
+    """A jog that has connected."""
+    jog = robot.motion.jog(frame, **options)
+    with Beside(robot):
+        jog.__enter__()
+    yield jog
+    jog.cancel()
+
+
+def answers(robot: Rehearsal) -> Iterator[list[float]]:
+    """The speeds that it is told, state by state, from the first on."""
+    while True:
+        robot.tick()
+        word = robot.word()
+        assert word is not None
+        assert word[1] in (FOLLOW, WAIT)
+        if word[1] == FOLLOW:
+            yield word[0]
+
+
+class TestWhatIsSaid:
+    def test_a_speed_lapses(self, robot: Rehearsal) -> None:
+        with opened(robot, timeout=0.1) as jog:
+            jog.move([0.1, 0, 0, 0, 0, -0.2])
+            told = answers(robot)
+            lasted = 0
+            while (speeds := next(told)) != _REST:
+                assert speeds == pytest.approx([0.1, 0, 0, 0, 0, -0.2])
+                lasted += 1
+            assert lasted == pytest.approx(50, abs=1)
+            jog.move([0, 0.3, 0, 0, 0, 0])
+            assert next(each for each in told if each != _REST) == pytest.approx([0, 0.3, 0, 0, 0, 0])
+            jog.stop()
+            assert next(each for each in told if each[1] != pytest.approx(0.3)) == _REST
+        assert jog.phase is Phase.CANCELLED
+        while (word := robot.word()) is not None and word[1] != STOP:
+            pass
+        assert word is not None
+        with pytest.raises(Cancelled):
+            jog.move(_REST)
+
+    @pytest.mark.parametrize("frame", ["base", "tool"])
+    def test_frames_of_the_tool(self, robot: Rehearsal, frame: str) -> None:
+        robot.q = [0.3, -1.2, 1.4, -1.0, 0.5, 0.7]
+        robot.show()
+        along, about = [0.1, 0.02, -0.05], [0.3, 0.0, -0.2]
+        turned = np.eye(3) if frame == "base" else rotvec_to_matrix(robot.pose[3:])
+        with opened(robot, frame) as jog:
+            jog.move(along + about)
+            assert next(answers(robot)) == pytest.approx([*(turned @ along), *(turned @ about)], abs=1e-6)
+            with pytest.raises(BadValue, match=r"speeds\[2\] \(z\)"):
+                jog.move([0, 0, 50, 0, 0, 0])
+
+    def test_what_is_refused(self, robot: Rehearsal) -> None:
+        with pytest.raises(BadValue, match="frame='world'"):
+            robot.motion.jog("world")  # type: ignore[arg-type]
+        with pytest.raises(LocalError, match=r"within its block: with robot\.motion\.jog\(\) as jog"):
+            robot.motion.jog().move(_REST)
+        assert robot.sent == []
+        with opened(robot) as jog:
+            with pytest.raises(BadValue, match=r"speeds\[5\] \(wrist 3\)"):
+                jog.move([0, 0, 0, 0, 0, 4.0])
+            with pytest.raises(BadValue, match="shape"):
+                jog.move([1, 2])
+
+    def test_a_stop(self, robot: Rehearsal) -> None:
+        with opened(robot) as jog:
+            jog.move([0.1] * 6)
+            robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+            with pytest.raises(SafetyStop):
+                jog.wait(10)
+            with pytest.raises(SafetyStop):
+                jog.move([0.1] * 6)
+
+
+def bench(firmware: Firmware, is_tool: bool = False) -> Bench:
+    program = jogging(firmware, ReverseSocket("10.0.0.1", 50001, 7), is_tool=is_tool, acceleration=2.0, watchdog=0.1)
+    made = Bench(program, firmware)
+    made.run(3, lambda: made.sockets.waiting.extend(WAIT_WORD))
+    assert made.path[-1] == list(HOME)
+    return made
+
+
+def told(bench: Bench, speeds: list[float], seconds: float) -> None:
+    bench.run(round(seconds / bench.period), lambda: bench.sockets.waiting.extend(setpoint(speeds, _REST)))
+
+
+@pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
+class TestTheProgram:
+    def test_from_speed_to_speed(self, firmware: Firmware) -> None:
+        jogged = bench(firmware)
+        for speed in (0.4, -0.4, 0.0):
+            told(jogged, [0, 0, 0, 0, 0, speed], 0.6)
+            assert jogged.motion.setpoint.qd[5] == pytest.approx(speed, abs=1e-9)
+        speeds = np.diff(np.array(jogged.path)[:, 5]) / jogged.period
+        assert np.abs(np.diff(speeds)).max() / jogged.period <= 2.0 + 1e-6
+        jogged.sockets.waiting.extend(STOP_WORD)
+        jogged.run(firmware.rate // 5)
+        assert jogged.has_finished
+        assert jogged.said == []
+
+    def test_brakes_by_itself(self, firmware: Firmware) -> None:
+        starved, cut = bench(firmware), bench(firmware)
+        for jogged, text in ((starved, STARVED), (cut, LINK_ENDED)):
+            told(jogged, [0, 0, 0, 0, 0, 0.4], 0.4)
+            if jogged is cut:
+                jogged.sockets.is_open = False
+            jogged.run(round(0.5 / jogged.period))
+            assert jogged.said == [text]
+            assert jogged.motion.is_standing
+        # 0.4 rad/s for 0.1 s, and what it takes to brake.
+        way = starved.path[-1][5] - cut.path[-1][5]
+        assert way == pytest.approx(0.04, abs=0.4 * 4 * starved.period)
+
+
+@pytest.mark.parametrize("firmware", [_FIRMWARES[2], _FIRMWARES[4]], ids=str)
+def test_the_tool_in_a_straight_line(firmware: Firmware) -> None:
+    jogged = bench(firmware, is_tool=True)
+    kinematics = Arm(jogged.model)
+    before = kinematics.forward(HOME)
+    told(jogged, [0, 0, -0.1, 0, 0, 0], 0.5)
+    moved = kinematics.forward(jogged.path[-1]) - before
+    # Up to its speed in 0.05 s.
+    assert moved == pytest.approx([0, 0, -0.0475, 0, 0, 0], abs=0.1 * 3 * jogged.period)
+
+
+def test_many_calls_of_the_hand_are_one_program(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal("3.15", "UR5", link="rtde")
+    with opened(robot, link="rtde") as jog:
+        for _ in range(20):
+            jog.move([0.1] * 6)
+        assert next(answers(robot)) == pytest.approx([0.1] * 6)
+        assert len(robot.sent) == 1
