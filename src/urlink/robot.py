@@ -7,6 +7,7 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable, Sequence
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from linkcore.arguments import check_choice
@@ -349,19 +350,21 @@ class Robot:
         """Record streams into a new file, from now until the recorder is closed.
 
         Args:
-            path: of the file.
+            path: of the file. One that ends in .mcap gets messages of ROS 2, for Foxglove and `ros2 bag`; every other
+                one a recording, from which `urlink.load` makes all formats.
             interfaces: "realtime", "primary", "secondary", or a stream that `Rtde.outputs` has made, of which there
                 may be one.
 
         Raises:
             BadRecording: the file exists, or cannot be made.
-            BadValue: no such interface, or two streams of RTDE.
+            BadValue: no such interface, two streams of RTDE, or a format that cannot be written live.
+            LocalError: .mcap, and the extra ``mcap`` is not installed.
             RemoteError: a stream could not be opened.
         """
         streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
         if len({name for name, _ in streams}) < len(streams):
             raise BadValue(f"recorded twice: {', '.join(name for name, _ in streams)}; expected each once")
-        recorder = Recorder(path)
+        recorder = _recorder(path)
         try:
             for name, stream in streams:
                 recorder.add(
@@ -513,6 +516,18 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
         return alive.rtde
 
     return rtde
+
+
+def _recorder(path: str | os.PathLike[str]) -> Recorder:
+    """What records into a file, by its suffix."""
+    suffix = PurePath(path).suffix.lower()
+    if suffix in (".csv", ".parquet", ".mat", ".h5", ".hdf5"):
+        raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")
+    if suffix == ".mcap":
+        from .data.live import McapRecorder
+
+        return McapRecorder(path)
+    return Recorder(path)
 
 
 def _host(host: str | None, name: str) -> str | None:

@@ -37,9 +37,13 @@ class Recorder:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._writer = RecordingWriter(path)
+        self._writer = self._open(path)
         self.path = self._writer.path
         self._subscriptions: list[Subscription] = []
+
+    def _open(self, path: str | os.PathLike[str]) -> RecordingWriter:
+        """What writes the file; recorders of other formats have another."""
+        return RecordingWriter(path)
 
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
         """Record `stream` too; `info` says of it what a reader needs, and has at least "name".

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
 from linkcore.recording.file import Recording
@@ -23,7 +24,8 @@ Record the raw bytes of one or more interfaces, with the times at which they cam
 Every byte is kept, whether this library understands it or not, and lost connections are noted and made
 again. Ctrl-C or SIGTERM ends the recording in order; so does --duration or --count. After a crash the file
 is still readable up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use
-it as an address: replay:///path/to/file."""
+it as an address: replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for
+Foxglove and ros2 bag, which cannot be replayed (pip install 'urlink[mcap]')."""
 
 _EXAMPLES = (
     "urlink record 192.168.56.101 run.urlog",
@@ -74,6 +76,9 @@ def run(args: argparse.Namespace) -> int:
                         raise stream.failure
                 if all(stream.connection is ConnectionState.CLOSED for stream in streams):
                     break  # a recording, recorded to its end
-    print(summarise(Recording(args.file)).as_text())
+    if Path(args.file).suffix.lower() == ".mcap":
+        print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
+    else:
+        print(summarise(Recording(args.file)).as_text())
     interruption.raise_if_any()
     return 0

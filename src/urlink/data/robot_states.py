@@ -25,6 +25,9 @@ _CLASSES = {
     if kind is not UnknownSubPackage
 }
 
+#: Sub-packages that come only in the first state of a connection.
+_FIRST_ONLY = ("kinematics_info", "configuration_data")
+
 #: Numbers of records -> seconds since the recording began, and wall time.
 Timed = Callable[[Any], tuple[Any, Any]]
 
@@ -54,7 +57,7 @@ class RobotStates(Table):
         everywhere: dict[str, Columns] = {
             part: _columns(found)
             for part, found in by_class.items()
-            if part in _CLASSES and [record for record, _ in found] == records.tolist()
+            if part in _CLASSES and part not in _FIRST_ONLY and [record for record, _ in found] == records.tolist()
         }
         time, wall = timed(records)
         begins = np.searchsorted(records, begins).tolist()

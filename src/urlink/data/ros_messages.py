@@ -134,7 +134,8 @@ def topics_of(name: str, table: Table) -> Iterator[Topic]:
     ):
         if (six := column(names)) is not None:
             yield topic(path, kind, Message(len(table)).header(wall, _FRAME).numbers(six))
-    yield _everything(name, table)
+    if table.fields:
+        yield _everything(name, table)
 
 
 def _everything(name: str, table: Table) -> Topic:

@@ -1,0 +1,179 @@
+"""Streams recorded live into a file of messages of ROS 2."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from linkcore.errors import BadRecording
+from linkcore.recording.columns import PacketColumns
+from linkcore.recording.packets import states_of
+from linkcore.recording.recorder import Recorder
+from linkcore.recording.table import Table
+from linkcore.streaming.policy import block
+from linkcore.streaming.stream import Stream
+from linkcore.streaming.subscription import Subscription
+from linkcore.wire.packet import State
+
+from ..interfaces.primary.robot_message import RobotMessage
+from ..interfaces.primary.robot_state import RobotState
+from ..models import UnknownModel
+from ..urdf import to_urdf
+from .mcap_file import McapFile
+from .robot_states import RobotStates
+from .ros_messages import Topic, description_topic, log_topic, topics_of
+
+__all__ = ["McapRecorder", "table_of", "topics_of_states"]
+
+_log = logging.getLogger(__name__)
+
+#: Seconds for which packets gather, since messages are made many at a time.
+_GATHER = 0.1
+#: Seconds between two looks into the queue of a stream.
+_LOOK = 0.02
+#: Bytes of messages that are compressed together: what a killed program loses besides what gathers.
+_CHUNK = 1 << 14
+
+
+class McapRecorder(Recorder):
+    """As `Recorder`, into an MCAP file: messages of ROS 2 that Foxglove and `ros2 bag` know.
+
+    What a killed program can lose are the packets of the last 0.1 s and 16 kB of messages.
+
+    Args:
+        path: a file that does not exist yet.
+
+    Raises:
+        BadRecording: the file exists, or cannot be made.
+        LocalError: the extra ``mcap`` is not installed.
+    """
+
+    _writer: _McapWriter  # type: ignore[assignment]  # as much of a writer as `Recorder` uses
+
+    def _open(self, path: str | os.PathLike[str]) -> Any:
+        return _McapWriter(Path(path))
+
+    def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
+        """Record `stream` too; see `Recorder.add`. The first one that is added says which arm it is."""
+        writer, name = self._writer, info["name"]
+        writer.describe(info.get("model"))
+
+        def write(state: State) -> None:
+            writer.add(name, state)
+
+        kinds = (RobotState, RobotMessage) if name in ("primary", "secondary") else (stream._kind,)
+        for kind in kinds:
+            subscription = stream._connection.subscribe(kind, write, policy=block, gather=_LOOK, owner=stream)
+            self._subscriptions.append(subscription)
+        return subscription
+
+
+class _McapWriter:
+    """Gathers the states of all streams, and writes messages of them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.failure: str | None = None
+        self._lock = threading.Lock()
+        self._waiting: dict[str, list[State]] = {}
+        self._since = time.monotonic()
+        self._owners: dict[str, str] = {}
+        self._is_described = False
+        try:
+            self._file = path.open("xb")
+        except FileExistsError:
+            raise BadRecording(f"{path} exists; a recording never overwrites one") from None
+        except (OSError, ValueError) as error:
+            raise BadRecording(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
+        try:
+            self._mcap = McapFile(self._file, _CHUNK)
+        except BaseException:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    def describe(self, model: str | None) -> None:
+        """Say which arm it is, once."""
+        if model is None or self._is_described:
+            return
+        self._is_described = True
+        try:
+            urdf = to_urdf(model)
+        except UnknownModel:
+            return
+        with self._lock:
+            self._write([description_topic(urdf, np.datetime64(time.time_ns(), "ns"))])
+
+    def add(self, name: str, state: State) -> None:
+        """A state of the stream called `name`; may be called from several threads."""
+        with self._lock:
+            self._waiting.setdefault(name, []).append(state)
+            if time.monotonic() - self._since >= _GATHER:
+                self._flush()
+
+    def _flush(self) -> None:
+        waiting, self._waiting = self._waiting, {}
+        self._since = time.monotonic()
+        topics = []
+        for name, states in waiting.items():
+            for topic in topics_of_states(name, states):
+                # A topic that several streams could have is that of the first.
+                if self._owners.setdefault(topic.name, name) == name:
+                    topics.append(topic)
+        self._write(topics)
+
+    def _write(self, topics: list[Topic]) -> None:
+        if self.failure is not None or self._file.closed:
+            return
+        try:
+            self._mcap.write(topics)
+            self._file.flush()
+        except OSError as error:
+            self.failure = f"cannot write {self.path}: {error.strerror or error}"
+            _log.error("%s; the streams go on without it", self.failure)
+
+    def close(self, *, complete: bool = True) -> None:
+        """Write what waits, and the index; idempotent."""
+        with self._lock:
+            if self._file.closed:
+                return
+            self._flush()
+            try:
+                if complete and self.failure is None:
+                    self._mcap.finish()
+            except OSError as error:
+                self.failure = f"cannot write {self.path}: {error.strerror or error}"
+            finally:
+                self._file.close()
+
+
+def topics_of_states(name: str, states: list[State]) -> list[Topic]:
+    """The messages of ROS 2 that states of a live stream make."""
+    rows = [state for state in states if not isinstance(state, RobotMessage)]
+    topics = list(topics_of(name, table_of(name, rows))) if rows else []
+    messages = [state for state in states if isinstance(state, RobotMessage)]
+    if messages:
+        topics.append(log_topic(messages, _wall(messages)))
+    return topics
+
+
+def table_of(name: str, states: list[State]) -> Table:
+    """States of a live stream as columns; `Table.time` is by the monotonic clock."""
+    numbered = list(enumerate(states))
+    wall = _wall(states)
+    time = np.array([0.0 if state.received is None else state.received.monotonic for state in states])
+    if isinstance(states[0], RobotState):
+        return RobotStates(name, numbered, lambda rows: (time[rows], wall[rows]), [], ())
+    return Table(name, PacketColumns(states_of(numbered)), time, wall)
+
+
+def _wall(states: Sequence[State]) -> Any:
+    stamps = [0.0 if state.received is None else state.received.wall for state in states]
+    return np.round(np.array(stamps) * 1e9).astype(np.int64).astype("M8[ns]")
