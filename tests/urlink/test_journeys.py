@@ -7,6 +7,7 @@ from collections.abc import Callable
 from types import FrameType
 
 from tests.urlink.motion.rehearsal import Rehearsal, turned
+from urlink.simulator import Controller
 
 #: Checks of arguments and facts about the robot: a reader looks them up, and the command does not go through them.
 LOOKED_UP = {
@@ -53,3 +54,46 @@ def test_move_joints() -> None:
         "urlink.commanding.interlock",  # may it leave?
         "linkcore.streaming.connection",
     }
+
+
+#: What else a cycle of the simulated controller brings up to date, whether a program runs or not.
+EVERY_CYCLE = {
+    "urlink.simulator.state",
+    "urlink.simulator.faults.schedule",
+    "urlink.simulator.registers",
+    "urlink.simulator.robot.modes",
+    "urlink.simulator.robot.sensors",
+    "urlink.simulator.robot.force_sensor",
+    "urlink.simulator.robot.surroundings",
+}
+
+
+def test_a_script_on_the_simulated_arm() -> None:
+    """From the text to the arm: 12 modules, beside the inside of the language, which is a compiler like any other."""
+    controller = Controller("UR5e", "5.11")
+    text = "def turn():\n  movej([0, -1.57, 1.57, -1.57, -1.57, {}])\nend\n"
+
+    def run(turned: float) -> None:
+        controller.take(text.format(turned))
+        while controller.is_running_program:
+            controller.step()
+
+    run(0.1)
+    met = modules_met(lambda: run(0.2))
+    language = {name for name in met if name.startswith("urlink.simulator.urscript.")}
+    packets = {name for name in met if name.startswith("linkcore.wire.")}
+    assert met - language - packets - EVERY_CYCLE - LOOKED_UP - {"urlink.kinematics.arm"} == {
+        "urlink.simulator.controller",
+        "urlink.simulator.programs.loader",  # whole programs, in their turn; the compiler is called from here
+        "urlink.simulator.programs.runner",  # runs them
+        "urlink.simulator.programs.program_world",  # what they call
+        "urlink.simulator.programs.program_sockets",  # closed with them
+        "urlink.simulator.messages",  # it began, it ended
+        "urlink.simulator.control_loop",
+        "urlink.simulator.robot.generator.drive",
+        "urlink.simulator.robot.generator.motion_generator",
+        "urlink.simulator.robot.generator.joint_limits",
+        "urlink.simulator.robot.generator.path_motion",
+        "urlink.simulator.robot.arm",
+    }
+    assert "urlink.simulator.urscript.builtins.motions" in language  # `movej`
