@@ -34,6 +34,7 @@ AWAITED = {
 #: The only modules that may start threads.
 THREADS = {
     "linkcore.callbacks",  # calls back what users handed over, one for each robot that has something to call
+    "linkcore.runnable",  # one for each host or server that does not run in its caller's
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
@@ -42,8 +43,6 @@ THREADS = {
     "linkcore.aio.workers",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run
-    "rhdlink.smrcl.server",  # for a server that is started rather than run
-    "rhdlink.host.host",  # one for each host that does not run in its caller's
     "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
 }
 

@@ -11,15 +11,14 @@ from __future__ import annotations
 
 import logging
 import os
-import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from linkcore.arguments import check_choice, check_seconds, check_whole
-from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
-from linkcore.threads import started
+from linkcore.errors import BadValue, Closed, LocalError
+from linkcore.runnable import Runnable
 
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
@@ -99,7 +98,7 @@ class HostStatistics:
     failed_plugins: tuple[str, ...]
 
 
-class Host:
+class Host(Runnable):
     """Runs plugins, and serves their variables to programs that know RHD, those of the original among them.
 
     ::
@@ -134,7 +133,9 @@ class Host:
         failure: why it ended by itself, or None.
 
     Raises:
-        BadValue: an argument that cannot be.
+        BadValue: an argument that cannot be. When it is run: PluginFailed, a critical plugin raised; BadAddress, the
+            port cannot be listened on; LocalError, plugins declare what cannot be together; HostFailed, it ended
+            because of something that nobody foresaw.
     """
 
     def __init__(
@@ -154,6 +155,7 @@ class Host:
         client_timeout: float = 5.0,
         inactivity_timeout: float = 10.0,
     ) -> None:
+        super().__init__("host", _CLOSE_TIMEOUT, "a plugin")
         period = check_seconds(period, "period", positive=True, finite=True)
         client_timeout = check_seconds(client_timeout, "client_timeout", positive=True)
         inactivity_timeout = check_seconds(inactivity_timeout, "inactivity_timeout")
@@ -164,7 +166,6 @@ class Host:
         self.period = period
         self.database = Database()
         self.tick = 0
-        self.failure: HostFailed | None = None
         self._service_options = {
             "clients": clients,
             "allwriters": allwriters,
@@ -186,11 +187,6 @@ class Host:
         self._service: Service | None = None
         self._server: Server | None = None
         self._schedule = Schedule(period, 0.0)
-        self._thread: threading.Thread | None = None
-        self._process = os.getpid()
-        self._is_stopping = False
-        self._is_used = False
-        self._ended = threading.Event()
 
     @classmethod
     def from_config(cls, config: Configuration | str | os.PathLike[str], **options: object) -> Self:
@@ -298,114 +294,31 @@ class Host:
 
     # -- life ------------------------------------------------------------------------------------------
 
-    def run(self) -> None:
-        """Run in this thread until `stop`; then end in order.
-
-        What a signal handler raises meanwhile, such as KeyboardInterrupt, ends it in order too, and is raised again.
-
-        Raises:
-            PluginFailed: a critical plugin raised.
-            BadAddress: the port cannot be listened on.
-            LocalError: plugins declare what cannot be together.
-            Closed: it has run already.
-        """
-        self._begin()
-        self._run_rounds()
-        if self.failure is not None:
-            raise self.failure
-
-    def start(self) -> Self:
-        """Run in a thread; plugins are initialised, and the port is open, when this returns.
-
-        Raises:
-            as `run`, for what goes wrong until then; later, `failure` says what did.
-        """
-        self._begin()
-        thread = threading.Thread(target=self._run_in_thread, name="rhdlink host", daemon=True)
-        self._thread = thread
-        try:
-            started(thread)
-        except LocalError:
-            self._thread = None
-            self._end()
-            raise
-        return self
-
-    def stop(self) -> None:
-        """Have it end after this round; from any thread, from a plugin, from a signal handler."""
-        # A plain flag and a byte into a pipe: a lock could be held by the very code that a signal handler interrupts.
-        self._is_stopping = True
+    def _wake(self) -> None:
         server = self._server
         if server is not None:
             server.wake()
 
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait until a started host has ended; False when time is up.
-
-        Raises:
-            PluginFailed: it ended because a critical plugin raised.
-            HostFailed: it ended because of something that nobody foresaw.
-        """
-        if not self._ended.wait(timeout):
-            return False
-        if self.failure is not None:
-            raise self.failure
-        return True
-
-    def close(self) -> None:
-        """Stop, and wait until all has ended in order; idempotent.
-
-        In a process that was forked from the one which started the host it does nothing: the robot is not this
-        process's to stop.
-
-        Raises:
-            LinkTimeout: a plugin does not return.
-        """
-        if os.getpid() != self._process:
-            return
-        self.stop()
-        thread = self._thread
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(_CLOSE_TIMEOUT)
-            if thread.is_alive():
-                raise LinkTimeout(f"the host has not ended within {_CLOSE_TIMEOUT:g} s: a plugin does not return")
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    # -- begin and end ---------------------------------------------------------------------------------
-
     def _begin(self) -> None:
-        if self._is_used:
-            raise Closed("a host runs once; make another")
-        # Before anything that may fail: what has begun once may have left devices open, and is not begun again.
-        self._is_used = True
-        try:
-            # Id 0, as clients of the original expect (docs/protocols/rhd.md, Handshake).
-            self.database.read.add("tick")
-            if self._pacing == "lockstep":
-                self.database.read.clock = self._simulated_time
-            by_rank = sorted(self._plugins, key=lambda plugin: -plugin.safety)
-            ranked = [plugin for plugin in by_rank if plugin.safety > 0]
-            others = [plugin for plugin in self._plugins if plugin.safety <= 0]
-            for plugin in [*others, *ranked]:
-                self._init(plugin)
-            # In the reverse of the list that begins with the highest rank: the ranked come last
-            # (docs/protocols/rhd.md, Plugins).
-            self._running = [plugin for plugin in reversed([*ranked, *others]) if plugin in self._begun]
-            self._service = Service(self.database, **self._service_options)  # type: ignore[arg-type]
-            self._server = Server(
-                self._service,
-                *self._place,
-                client_timeout=self._client_timeout,
-                inactivity_timeout=self._inactivity_timeout,
-            )
-        except BaseException:
-            self._end()
-            raise
+        # Id 0, as clients of the original expect (docs/protocols/rhd.md, Handshake).
+        self.database.read.add("tick")
+        if self._pacing == "lockstep":
+            self.database.read.clock = self._simulated_time
+        by_rank = sorted(self._plugins, key=lambda plugin: -plugin.safety)
+        ranked = [plugin for plugin in by_rank if plugin.safety > 0]
+        others = [plugin for plugin in self._plugins if plugin.safety <= 0]
+        for plugin in [*others, *ranked]:
+            self._init(plugin)
+        # In the reverse of the list that begins with the highest rank: the ranked come last
+        # (docs/protocols/rhd.md, Plugins).
+        self._running = [plugin for plugin in reversed([*ranked, *others]) if plugin in self._begun]
+        self._service = Service(self.database, **self._service_options)  # type: ignore[arg-type]
+        self._server = Server(
+            self._service,
+            *self._place,
+            client_timeout=self._client_timeout,
+            inactivity_timeout=self._inactivity_timeout,
+        )
         self._schedule = Schedule(self.period, time.monotonic())
 
     def _init(self, plugin: Plugin) -> None:
@@ -424,7 +337,7 @@ class Host:
         else:
             self._begun.append(plugin)
 
-    def _end(self) -> None:
+    def _give_up(self) -> None:
         # First the motors, then the news that we are gone. Whatever one plugin raises, a SystemExit among it, the
         # others are terminated too.
         interrupted: BaseException | None = None
@@ -438,20 +351,12 @@ class Host:
         self._begun.clear()
         if self._server is not None:
             self._server.close()
-        self._ended.set()
         if interrupted is not None and self._thread is None:
             raise interrupted  # in the caller's thread it may be the user's Ctrl-C
 
     # -- rounds ----------------------------------------------------------------------------------------
 
-    def _run_in_thread(self) -> None:
-        # What ended it is kept in `failure`, for who asks. Raised here it would only be printed.
-        try:
-            self._run_rounds()
-        except BaseException:
-            _log.exception("the host has ended")
-
-    def _run_rounds(self) -> None:
+    def _serve(self) -> None:
         service, server = self._service, self._server
         assert service is not None
         assert server is not None
@@ -473,7 +378,7 @@ class Host:
             self.failure.__cause__ = error
             raise
         finally:
-            self._end()
+            self._give_up()
 
     def _call_plugins(self) -> None:
         for plugin in self._running:

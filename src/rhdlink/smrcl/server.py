@@ -9,14 +9,13 @@ from __future__ import annotations
 import logging
 import math
 import os
-import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from linkcore.arguments import check_callable
-from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Closed
 from linkcore.net.loop import Connection, Handler, SelectorLoop
-from linkcore.threads import started
+from linkcore.runnable import Runnable
 
 from ..host.plugin import Plugin
 from .controller import Controller
@@ -43,7 +42,7 @@ PORT = 31001
 _FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
-class MissionServer:
+class MissionServer(Runnable):
     """Executes what clients send, on one robot. A context manager that starts and closes itself.
 
     ``run()`` does it here until `stop`; ``start()``, or a ``with`` block, in a thread of its own. It runs once.
@@ -64,6 +63,11 @@ class MissionServer:
 
     Attributes:
         failure: what ended it, if it was no `stop`; None while it goes on.
+
+    Raises:
+        BadValue: fewer than one client. When it is run: BadAddress, the port cannot be listened on; AccessDenied,
+            WrongVariables and their kin, the robot cannot be driven; ConnectionLost, LinkTimeout, it went away;
+            MissionFailed, a provider or a watch failed.
     """
 
     def __init__(
@@ -80,7 +84,7 @@ class MissionServer:
     ) -> None:
         if clients < 1:
             raise BadValue(f"clients is {clients}; expected at least 1")
-        self.failure: Exception | None = None
+        super().__init__("mission server", _CLOSE_TIMEOUT, "the robot")
         self._robot = robot
         self._place = address, port
         self._profile = find_profile(compat)
@@ -97,10 +101,6 @@ class MissionServer:
         self._link: RobotLink | None = None
         self._owns = False
         self._port = 0
-        self._is_stopping = False
-        self._is_used = False
-        self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
 
     def on(self, name: str, function: Callable[..., object]) -> Self:
         """As `Mission.on`."""
@@ -141,73 +141,10 @@ class MissionServer:
 
     # -- life ------------------------------------------------------------------------------------------
 
-    def run(self) -> None:
-        """Serve in this thread until `stop`, or under MRC's profile until a client's `exit`.
-
-        Raises:
-            BadAddress: the port cannot be listened on.
-            AccessDenied, WrongVariables, ...: the robot cannot be driven.
-            ConnectionLost, LinkTimeout: it went away.
-            MissionFailed: a provider or a watch failed.
-        """
-        self._begin()
-        self._serve()
-        if self.failure is not None:
-            raise self.failure
-
-    def start(self) -> Self:
-        """Serve in a thread; the port is open, and unless it `waits` the robot connected, when this returns.
-
-        Raises:
-            as `run`, for what goes wrong until then; later, `failure` says what did.
-        """
-        self._begin()
-        self._thread = threading.Thread(target=self._serve_in_thread, name="mission server", daemon=True)
-        try:
-            started(self._thread)
-        except LocalError:
-            self._thread = None
-            self._give_up()
-            raise
-        return self
-
-    def stop(self) -> None:
-        """Have it end after this cycle; from any thread, and from signal handlers."""
-        self._is_stopping = True
+    def _wake(self) -> None:
         loop = self._loop
         if loop is not None:
             loop.wake()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait until a started server has ended; False when time is up.
-
-        Raises:
-            LinkError: what ended it.
-        """
-        if not self._ended.wait(timeout):
-            return False
-        if self.failure is not None:
-            raise self.failure
-        return True
-
-    def close(self) -> None:
-        """Stop, and wait until the robot stands and the port is closed; idempotent.
-
-        Raises:
-            LinkTimeout: the robot does not answer.
-        """
-        self.stop()
-        thread = self._thread
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(_CLOSE_TIMEOUT)
-            if thread.is_alive():
-                raise LinkTimeout(f"the server has not ended within {_CLOSE_TIMEOUT:g} s: the robot does not answer")
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         state = "ended" if self._ended.is_set() else "serving" if self._is_used else "not started"
@@ -216,17 +153,10 @@ class MissionServer:
     # -- begin and end ---------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        if self._is_used:
-            raise Closed("a server runs once; make another")
-        self._is_used = True
         self._loop = loop = SelectorLoop()
-        try:
-            self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf).number
-            if not self._waits:
-                self._connect()
-        except BaseException:
-            self._give_up()
-            raise
+        self._port = loop.listen(*self._place, self._accept, limit=self._clients, idle=math.inf).number
+        if not self._waits:
+            self._connect()
 
     def _give_up(self) -> None:
         """It has not begun to serve, and does not."""
@@ -234,7 +164,6 @@ class MissionServer:
             self._loop.close()
         if self._link is not None and self._owns:
             self._link.close()
-        self._ended.set()
 
     def _connect(self) -> Execution:
         """Connect to the robot, and hand over to its dialogue the clients that have come already."""
@@ -254,9 +183,9 @@ class MissionServer:
         self._execution = Execution(link, controller, self._callbacks, self._save_log, self._listen)
         return self._execution
 
-    def _serve_in_thread(self) -> None:
+    def _in_thread(self) -> None:
         with leaving_at_exit(self._leave):
-            self._serve()
+            super()._in_thread()
 
     def _leave(self) -> None:
         self.stop()
@@ -286,7 +215,6 @@ class MissionServer:
                 self._link.close()
             self._answer()
             loop.close(within=_FINISH)
-            self._ended.set()
 
     # -- clients ---------------------------------------------------------------------------------------
 

@@ -113,7 +113,7 @@ class Rest:
         """
         if self._moving_since is None:
             self._moving_since = now
-        if _stands(state.qd_target):
+        if stands(state.qd_target):
             return True
         if now - self._moving_since > _REST_TIMEOUT:
             raise LinkTimeout(f"the arm did not come to rest within {_REST_TIMEOUT:g} s, so {self._what} did not begin")
@@ -190,7 +190,7 @@ class Following(ABC):
             return
         goal = trajectory.q[-1].tolist()
         is_there = all(abs(g - a) <= tolerances.goal for g, a in zip(goal, actual, strict=True))
-        if is_there and _stands(state.qd_actual):
+        if is_there and stands(state.qd_actual):
             self.is_over = True
         elif t > trajectory.duration + tolerances.goal_time:
             _refuse(goal, actual, tolerances.goal, f"{tolerances.goal_time:g} s after the end of its path")
@@ -207,5 +207,6 @@ def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float,
         )
 
 
-def _stands(speeds: FloatArray) -> bool:
+def stands(speeds: FloatArray) -> bool:
+    """Whether an arm with these speeds of its joints stands, (6,) rad/s."""
     return all(abs(speed) < _STANDING for speed in speeds.tolist())

@@ -19,7 +19,7 @@ from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
 from .context import MotionContext
 from .follower import Follower
-from .following import Following, Tolerances, TrajectoryFeedback
+from .following import Following, Tolerances, TrajectoryFeedback, stands
 from .jerk_limited import joint_limits
 from .jog import FrameName, Jog
 from .linked import Link, LinkedProgram
@@ -307,9 +307,11 @@ class Motions:
         servoing = self._servoing(watchdog, lookahead_time, gain)
         model = context.who.identity.arm
         trajectory.check(model)
-        if self.current is None:
-            # Otherwise it is looked at once the arm stands, after the motion before.
-            trajectory.check(near=context.state().q_target, within=tolerances.start)
+        state = context.state()
+        if self.current is None and stands(state.qd_target):
+            # Otherwise it is looked at once the arm stands, after the motion before. That may have ended already, and
+            # the state be from a little before its end.
+            trajectory.check(near=state.q_target, within=tolerances.start)
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:

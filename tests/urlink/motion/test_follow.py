@@ -144,6 +144,21 @@ def test_what_no_arm_could_follow_is_refused(led: Rehearsal) -> None:
     assert led.motion.current is None
 
 
+def test_where_a_moving_arm_is_does_not_count_yet(led: Rehearsal) -> None:
+    """The motion before has ended, and the newest state that was read is from a little before its end."""
+    led.q, led.qd = turned(-0.2), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
+    led.show()
+    motion = led.motion.follow(PATH)
+    led.connect()
+    word = led.obey()
+    assert word is not None
+    assert word[1] == WAIT
+    led.q, led.qd = turned(0), [0.0] * 6
+    while (word := led.obey()) is None or word[1] != FOLLOW:
+        assert not motion.done
+    motion.cancel()
+
+
 def test_a_cb2_cannot_interpolate(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("1.8", "UR5")
     with pytest.raises(LocalError, match=r"firmware 1\.8"):
