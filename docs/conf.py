@@ -26,6 +26,7 @@ extensions = [
     "packages",
     "variables",
     "postures",
+    "pressing",
 ]
 exclude_patterns = ["_build", "_extensions"]
 

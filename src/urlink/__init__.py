@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .decoding import decode as decode
     from .errors import (
         CompileError as CompileError,
+        NoContact as NoContact,
         NotConfirmed as NotConfirmed,
         NotEnabled as NotEnabled,
         NotRunning as NotRunning,
@@ -142,6 +143,10 @@ if TYPE_CHECKING:
     from .models import UnknownModel as UnknownModel
     from .motion import (
         Circular as Circular,
+        Contact as Contact,
+        ContactMotion as ContactMotion,
+        ForceMode as ForceMode,
+        Freedrive as Freedrive,
         Jog as Jog,
         Joint as Joint,
         Linear as Linear,
@@ -149,6 +154,7 @@ if TYPE_CHECKING:
         PathMotion as PathMotion,
         Servo as Servo,
         ServoStatistics as ServoStatistics,
+        Torque as Torque,
         TrajectoryFeedback as TrajectoryFeedback,
     )
     from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
@@ -183,7 +189,7 @@ else:
             ".data.recording": "Recording load",
             ".decoding": "decode",
             ".errors": """
-                CompileError NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
+                CompileError NoContact NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
                 ScriptError ScriptFailed ToleranceExceeded
             """,
             ".firmware": "Firmware",
@@ -206,7 +212,10 @@ else:
             """,
             ".interfaces.realtime.packets": "RealtimeState",
             ".models": "UnknownModel",
-            ".motion": "Circular Jog Joint Linear Motions PathMotion Servo ServoStatistics TrajectoryFeedback",
+            ".motion": """
+                Circular Contact ContactMotion ForceMode Freedrive Jog Joint Linear Motions PathMotion Servo
+                ServoStatistics Torque TrajectoryFeedback
+            """,
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
         },

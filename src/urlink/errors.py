@@ -9,6 +9,7 @@ They hang below a branch of `linkcore.errors`::
         ├── NotRunning              the robot does not run, or nobody knows whether it does; nothing was sent
         ├── NotConfirmed            a setting was sent, and the robot's states do not show it
         ├── ToleranceExceeded       the arm left its path, or did not arrive where it should
+        ├── NoContact               a movement that was to end at a contact came to its end without one
         ├── ScriptError             the controller complains of a program: `line`, `column`, `text`
         │   ├── CompileError        it did not begin
         │   └── ScriptFailed        it failed while it ran
@@ -21,6 +22,7 @@ from linkcore.errors import RemoteError
 
 __all__ = [
     "CompileError",
+    "NoContact",
     "NotConfirmed",
     "NotEnabled",
     "NotRunning",
@@ -61,6 +63,10 @@ class NotConfirmed(RemoteError):
 
 class ToleranceExceeded(RemoteError):
     """The arm was further from where it should be than the trajectory allows."""
+
+
+class NoContact(RemoteError):
+    """A movement that was to end at a contact went its whole distance without one; the arm stands."""
 
 
 class ScriptError(RemoteError):

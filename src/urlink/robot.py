@@ -32,11 +32,14 @@ from .source import Source, networked, recorded
 from .urscript.text import checked, integer
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from typing_extensions import Self
 
     from .interfaces.dashboard.client import Dashboard
     from .interfaces.gripper.client import Gripper
     from .kinematics import Arm
+    from .motion import Freedrive
+    from .motion.motions import LinkName
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
 
@@ -453,6 +456,44 @@ class Robot:
             BadValue, NotRunning, NotConfirmed, LocalError: as `set_payload`.
         """
         self._commanded().settings.speed_slider(fraction, confirm)
+
+    def freedrive(
+        self,
+        axes: Sequence[object] | None = None,
+        *,
+        frame: ArrayLike | str = "base",
+        watchdog: float = 0.5,
+        link: LinkName = "reverse",
+    ) -> Freedrive:
+        """Let a person move the arm by hand, for as long as a block::
+
+            with robot.freedrive():
+                input("move the arm, then press Enter")
+
+        The payload has to be right (`set_payload`), or the arm drifts. Whatever ends the block ends freedrive; where
+        this computer is not heard any more, the program on the robot does so by itself.
+
+        Args:
+            axes: six of 0 and 1, x, y, z, rx, ry, rz of the frame: the free ones; None for all. From 5.10 on.
+            frame: "base", "tool" (where the tool is now), or a (6,) pose in the base frame.
+            watchdog: seconds without a word of this computer after which the arm stands.
+            link: see `Motions.follow`.
+
+        Raises:
+            BadValue: no such axes or frame.
+            LocalError: this firmware has no freedrive for programs, or none along chosen axes.
+        """
+        return self.motion._freedrive(axes, frame, watchdog, link)
+
+    def zero_force_sensor(self) -> None:
+        """Take what the force at the TCP is now for zero, from 3.0 on. Nothing should touch the tool then; nothing
+        tells when it has happened, which is within a few cycles.
+
+        Raises:
+            LocalError: firmware before 3.0.
+            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
+        """
+        self._commanded().settings.zero_force_sensor()
 
     def popup(self, text: str, title: str = "Popup", *, warning: bool = False, error: bool = False) -> None:
         """Show a text on the pendant. Nothing waits for its being read, and nothing tells whether it is shown.

@@ -31,13 +31,17 @@ NAMES = [
     "ConnectionEvent",
     "ConnectionLost",
     "ConnectionState",
+    "Contact",
+    "ContactMotion",
     "ControlMode",
     "Dashboard",
     "DashboardRefused",
     "DigitalBits",
     "Feed",
     "Firmware",
+    "ForceMode",
     "ForceModeData",
+    "Freedrive",
     "Gripper",
     "GripperFault",
     "GripperStatus",
@@ -60,6 +64,7 @@ NAMES = [
     "MessageType",
     "Motion",
     "Motions",
+    "NoContact",
     "NotConfirmed",
     "NotEnabled",
     "NotRunning",
@@ -118,6 +123,7 @@ NAMES = [
     "ToolData",
     "ToolMode",
     "ToolModeInfo",
+    "Torque",
     "Traffic",
     "Trajectory",
     "TrajectoryFeedback",
@@ -159,16 +165,20 @@ def test_each_is_there_and_says_what_it_is() -> None:
 HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
-    "robot": """address close controller dashboard firmware gripper identity io kinematics model motion popup primary
-        realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot": """address close controller dashboard firmware freedrive gripper identity io kinematics model motion popup
+        primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp
+        zero_force_sensor""",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
     "robot.identity": "arm description dh_table firmware kinematics model said_so",
-    "robot.motion": """current follow jog move_circular move_joints move_linear path servo speed_joints speed_linear
-        stop""",
+    "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
+        speed_linear stop torque until_contact""",
+    "robot.motion.force_mode('base', [1] * 6, [0] * 6, [1] * 6)": f"{HANDLE} progress set_wrench wrench",
+    "robot.motion.until_contact([0, 0, 1])": f"{HANDLE} contact progress",
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.path([urlink.Joint([0, -1.5, 1.5, -1.5, -1.5, 0])])": f"{HANDLE} progress segment segments",
     "robot.motion.jog()": f"{HANDLE} frame move progress stop timeout",
+    "robot.freedrive()": f"{HANDLE} progress",
     "robot.motion.servo()": f"{HANDLE} progress rate send stats",
     "robot.script": "run send_line",
     "robot.script.run('sync()')": f"{HANDLE} texts",
@@ -208,8 +218,8 @@ ASYNC_SURFACES = {
     "robot.realtime": "close connection failure iterate latest name of start stats stream subscribe wait wait_until",
     "robot.realtime.of(urlink.RealtimeState)": "iterate latest subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",
-    "robot.motion": """current follow jog move_circular move_joints move_linear path servo speed_joints speed_linear
-        stop""",
+    "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
+        speed_linear stop torque until_contact""",
     "robot.script.run('sync()')": "begun cancel",
 }
 

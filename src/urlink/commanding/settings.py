@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from linkcore.errors import BadValue, LinkError
+from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.streaming.connection import Connection
 
 from ..errors import NotConfirmed
@@ -144,6 +144,12 @@ class Settings:
         text = commands.speed_slider(fraction)
         inputs = {"speed_slider_mask": 1, "speed_slider_fraction": fraction}
         self.apply(text, "the speed slider", echo if self.firmware >= _SHOWS_SLIDER else None, confirm, lambda: inputs)
+
+    def zero_force_sensor(self) -> None:
+        """See `Robot.zero_force_sensor`."""
+        if self.firmware.is_cb2:
+            raise LocalError(f"firmware {self.firmware} has no zero of its force sensor; 3.0 is the first that has")
+        self._channel.send(commands.secondary("zero_ftsensor()"))
 
     def popup(self, text: str, title: str, warning: bool, error: bool) -> None:
         """See `Robot.popup`."""

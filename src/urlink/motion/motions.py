@@ -12,14 +12,18 @@ from linkcore.arguments import check_choice, check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion
 
+from .. import poses
 from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript import programs
+from ..urscript import programs, yielding
 from ..urscript.text import checked
-from ..vectors import JOINTS, FloatArray, six
+from ..vectors import JOINTS, FloatArray, numbers, six
+from .contact import ContactMotion
 from .context import MotionContext
 from .follower import Follower
 from .following import Following, Tolerances, TrajectoryFeedback, stands
+from .force_mode import ForceMode, Pressing, axes_of, frame_of
+from .freedrive import Freedrive
 from .jerk_limited import joint_limits
 from .jog import FrameName, Jog
 from .linked import Link, LinkedProgram
@@ -27,6 +31,7 @@ from .path import PathMotion, Rates, Waypoint, plan
 from .servo import Servo
 from .setpoints import Servoing
 from .speed_limit import largest_speeds
+from .torque import Torque
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
 
@@ -38,6 +43,8 @@ _LEAST, _HOUR = 1e-3, 3600.0
 _HARDEST = 100.0
 #: The first releases that have the registers from 24 on (RTDE guide of the vendor).
 _REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
+#: The first release in which speedl takes a time, and the first that finds contacts by itself; N that are one before.
+_TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: What becomes of a motion that nobody here can follow any more, for messages.
 _MAY_GO_ON = "the arm may still move, to the end of the motion"
 
@@ -394,6 +401,154 @@ class Motions:
             checked(watchdog, "watchdog", 0.01, 10.0),
             self._opener(link),
         )
+
+    # -- an arm that yields ------------------------------------------------------------------------------
+
+    def until_contact(
+        self,
+        direction: ArrayLike,
+        speed: float = 0.02,
+        *,
+        acceleration: float = 0.5,
+        distance: float = 0.3,
+        force: float | None = None,
+        retract: bool = True,
+        wait: bool | float = False,
+    ) -> ContactMotion:
+        """Move the tool straight until it touches something; `ContactMotion.contact` then says where that began.
+
+        From 5.4 on the controller itself finds the contact, and where it began; before, and with `force`, it is where
+        the force against the direction has grown by so much.
+
+        Args:
+            direction: (3,) in the base frame, of any length.
+            speed: m/s.
+            acceleration: m/s².
+            distance: m after which it gives up, with `NoContact`.
+            force: N that are a contact; None for the controller's own way, and for 20 N where it has none. What rings
+                in an arm that speeds up has to be below it.
+            retract: go back to where the contact began, which takes the force away.
+            wait: see `Motions`.
+
+        Raises:
+            LocalError: firmware before 3.3, in which the tool cannot be moved cycle by cycle.
+        """
+        seconds = check_wait(wait)
+        context, identity = self._context, self._context.who.identity
+        if identity.firmware < _TIMED_SPEED:
+            raise LocalError(f"firmware {identity.firmware} cannot do this: {_TIMED_SPEED} is the first")
+        way = numbers(direction, "direction")
+        length = float(np.linalg.norm(way)) if way.shape == (3,) else 0.0
+        if not 0.0 < length < np.inf:
+            raise BadValue(f"direction is {way.tolist()}; expected three finite numbers, not all of them zero")
+        if force is None and identity.firmware < _TOOL_CONTACT:
+            force = _CONTACT_FORCE
+        longest = checked(distance, "distance", 1e-3, 10.0)
+        body = yielding.until_contact(
+            identity.firmware,
+            (way / length).tolist(),
+            checked(speed, "speed", _LEAST, 1.0),
+            _acceleration(acceleration),
+            longest,
+            force=None if force is None else checked(force, "force", 1.0, 500.0),
+            retracts=bool(retract),
+        )
+        life = context.programs.life("until_contact")
+        life.brake = lambda: context.programs.stop(life)
+        motion = ContactMotion(life, longest, self._tool_pose)
+        context.programs.start(context.programs.own(body), life, left_alone=_MAY_GO_ON, on_text=motion._hear)
+        return _waited(motion, seconds)
+
+    def force_mode(
+        self,
+        frame: ArrayLike | str,
+        selection: Sequence[object],
+        wrench: ArrayLike,
+        limits: ArrayLike,
+        *,
+        kind: int = 2,
+        damping: float | None = None,
+        gain: float | None = None,
+        watchdog: float = 0.5,
+        link: LinkName = "reverse",
+    ) -> ForceMode:
+        """Yield along some axes until the tool exerts a wrench there, for as long as a block::
+
+            with robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, -10, 0, 0, 0], [0.1] * 6) as pressing:
+                ...
+                pressing.set_wrench([0, 0, -20, 0, 0, 0])
+
+        Whatever ends the block ends the mode: an exception, `close`, a stop; and where this computer is not heard any
+        more, the program on the robot ends it by itself.
+
+        Args:
+            frame: "base", "tool" (where the tool is now), or a (6,) pose in the base frame; its axes count.
+            selection: six of 0 and 1, x, y, z, rx, ry, rz: where the arm yields.
+            wrench: (6,) N and Nm that the tool exerts on what it touches.
+            limits: (6,) m/s and rad/s along axes that yield, m and rad along the others; the controller keeps them.
+            kind: 1 turns the y axis of the frame from the tool to its origin, 2 leaves it, 3 turns its x axis into the
+                direction of movement in the x-y plane.
+            damping: 0 to 1; 0.005 is what a controller has by itself. From 3.5 on.
+            gain: 0 to 2; less is steadier on hard things. From 5.0 on.
+            watchdog: seconds without a word of this computer after which the robot ends the mode.
+            link: see `follow`.
+
+        Raises:
+            LocalError: what this firmware has not.
+        """
+        pressing = Pressing(
+            frame_of(self._context, frame),
+            axes_of(selection, "selection"),
+            tuple(six(limits, "limits").tolist()),
+            kind,
+            damping,
+            gain,
+        )
+        return ForceMode(self._context, pressing, wrench, watchdog, self._opener(link))
+
+    def torque(
+        self,
+        *,
+        limits: ArrayLike | None = None,
+        friction_compensation: bool = True,
+        watchdog: float = 0.05,
+        link: LinkName = "reverse",
+    ) -> Torque:
+        """A line to the torques of the joints for a loop of your own, from 5.23 and 10.11 on::
+
+            with robot.motion.torque() as torque:
+                for state in robot.realtime:
+                    torque.send(law(state))
+
+        The controller holds the arm up against gravity; a torque comes on top of that. Nothing keeps the arm from
+        getting fast but the loop and the controller's own limits.
+
+        Args:
+            limits: (6,) Nm beyond which `send` refuses; None for what the joints can exert.
+            friction_compensation: the controller makes up for the friction of the joints.
+            watchdog: seconds over which the last torque fades where none follows; then the arm brakes.
+            link: see `follow`.
+
+        Raises:
+            LocalError: this firmware has no direct torque.
+        """
+        return Torque(self._context, limits, friction_compensation, watchdog, self._opener(link))
+
+    def _freedrive(
+        self, axes: Sequence[object] | None, frame: ArrayLike | str, watchdog: float, link: LinkName
+    ) -> Freedrive:
+        """See `Robot.freedrive`."""
+        free = None if axes is None else axes_of(axes, "axes")
+        return Freedrive(self._context, free, frame_of(self._context, frame), watchdog, self._opener(link))
+
+    def _tool_pose(self, q: FloatArray) -> FloatArray | None:
+        """Of the TCP at joint positions, by where it is in the newest state."""
+        identity, state = self._context.who.identity, self._context.realtime.latest
+        if identity.arm is None or state is None:
+            return None
+        arm = identity.kinematics
+        tcp = poses.compose(poses.invert(arm.forward(state.q_actual)), state.tool_vector_actual)
+        return arm.forward(q, tcp)
 
     # ----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,154 @@
+"""Force mode as a block: the tool yields and presses along some axes, and keeps its place along the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue, LocalError
+
+from ..firmware import Firmware
+from ..urscript import yielding
+from ..urscript.text import checked
+from ..vectors import FloatArray, six
+from .context import MotionContext
+from .kept_word import KeptWord
+from .linked import Link
+from .linked_block import LinkedBlock
+
+__all__ = ["ForceMode", "Pressing", "axes_of", "frame_of"]
+
+#: N and Nm; no arm exerts more.
+_LARGEST = 1000.0
+#: m/s, rad/s, m and rad beyond which a limit has the wrong unit.
+_WIDEST = 10.0
+#: The first releases that have each.
+_FORCE_MODE = Firmware(3, 0)
+_DAMPING_CB, _GAIN = Firmware(3, 5), Firmware(5, 0)
+_NAMES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Pressing:
+    """What force mode is told once, and keeps.
+
+    Attributes:
+        frame: (6,) pose in the base frame.
+        selection: (6,) the compliant axes.
+        limits: (6,) of speed along them, m/s and rad/s; of deviation along the others, m and rad.
+        kind: 1, 2 or 3: how the frame is turned; see `Motions.force_mode`.
+        damping, gain: None leaves them to the controller.
+    """
+
+    frame: tuple[float, ...]
+    selection: tuple[bool, ...]
+    limits: tuple[float, ...]
+    kind: int
+    damping: float | None
+    gain: float | None
+
+    def check(self, firmware: Firmware) -> None:
+        """Refuse what the numbers or the firmware do not allow.
+
+        Raises:
+            BadValue: a number out of range.
+            LocalError: what this firmware has not.
+        """
+        if firmware < _FORCE_MODE:
+            raise LocalError(f"force mode is used from firmware {_FORCE_MODE} on, not on {firmware}")
+        if self.kind not in (1, 2, 3):
+            raise BadValue(f"kind is {self.kind!r}; expected 1, 2 or 3")
+        for name, limit in zip(_NAMES, self.limits, strict=True):
+            checked(limit, f"limits[{name}]", 1e-6, _WIDEST)
+        if self.damping is not None:
+            checked(self.damping, "damping", 0.0, 1.0)
+            if firmware < _DAMPING_CB:
+                raise LocalError(f"firmware {firmware} takes no damping; {_DAMPING_CB} is the first")
+        if self.gain is not None:
+            checked(self.gain, "gain", 0.0, 2.0)
+            if firmware < _GAIN:
+                raise LocalError(f"firmware {firmware} takes no gain; {_GAIN} is the first")
+
+
+def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
+    """Six of 0 and 1, or of False and True.
+
+    Raises:
+        BadValue: they are not.
+    """
+    axes = list(values)
+    if len(axes) != 6 or any(each not in (0, 1) for each in axes):
+        raise BadValue(f"{what} is {axes!r}; expected six of 0 and 1: x, y, z, rx, ry, rz")
+    return tuple(map(bool, axes))
+
+
+def frame_of(context: MotionContext, frame: ArrayLike | str) -> tuple[float, ...]:
+    """The pose of a frame: "base", "tool" as it is now, or a pose in the base frame.
+
+    Raises:
+        BadValue: none of these.
+        LinkTimeout, RemoteError: no state tells where the tool is.
+    """
+    if isinstance(frame, str):
+        if frame == "base":
+            return (0.0,) * 6
+        if frame == "tool":
+            return tuple(context.state().tool_vector_actual.tolist())
+        raise BadValue(f"frame is {frame!r}; expected 'base', 'tool', or a pose in the base frame")
+    return tuple(six(frame, "frame").tolist())
+
+
+class ForceMode(LinkedBlock):
+    """The arm in force mode, for as long as a ``with`` block; made by `robot.motion.force_mode`."""
+
+    def __init__(
+        self,
+        context: MotionContext,
+        pressing: Pressing,
+        wrench: ArrayLike,
+        watchdog: float,
+        open_link: Callable[[], Link],
+    ) -> None:
+        firmware = context.who.identity.firmware
+        pressing.check(firmware)
+        self._told = KeptWord(
+            partial(
+                yielding.force_mode,
+                firmware,
+                frame=pressing.frame,
+                selection=pressing.selection,
+                limits=pressing.limits,
+                kind=pressing.kind,
+                damping=pressing.damping,
+                gain=pressing.gain,
+                watchdog=checked(watchdog, "watchdog", 0.05, 10.0),
+            ),
+            _wrench(wrench).tolist(),
+        )
+        super().__init__(context, "force_mode", self._told, open_link)
+
+    @property
+    def wrench(self) -> FloatArray:
+        """(6,) what the tool is to exert, N and Nm along and about the axes of the frame."""
+        return six(self._told.values or [0.0] * 6, "wrench")
+
+    def set_wrench(self, wrench: ArrayLike) -> None:
+        """Exert another wrench from the next state on; along axes that are not compliant it does not count.
+
+        Raises:
+            BadValue: not six finite numbers, or more than an arm can exert.
+            LinkError: force mode is over, and why.
+            LocalError: not within the block.
+        """
+        self._check_open()
+        self._told.values = _wrench(wrench).tolist()
+
+
+def _wrench(wrench: ArrayLike) -> FloatArray:
+    values = six(wrench, "wrench")
+    for name, value in zip(_NAMES, values.tolist(), strict=True):
+        checked(value, f"wrench[{name}]", -_LARGEST, _LARGEST)
+    return values

@@ -1,0 +1,83 @@
+"""Direct torque: torques of the joints as the user's own loop makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue, LocalError
+from linkcore.wire.version import Since
+
+from ..urscript import yielding
+from ..urscript.text import checked
+from ..vectors import JOINTS, six
+from .context import MotionContext
+from .kept_word import KeptWord, word
+from .linked import Link
+from .linked_block import LinkedBlock
+
+__all__ = ["Torque"]
+
+_DIRECT_TORQUE = Since("5.23/10.11")
+#: Nm, where it is not known which arm this is.
+_LARGEST = 1000.0
+
+
+class Torque(LinkedBlock):
+    """A loop's line to the torques of the joints; made by `robot.motion.torque`, and open within a ``with`` block.
+
+    Args:
+        context: the robot.
+        limits: (6,) Nm; None for what the joints of this arm can exert.
+        friction_compensation: the controller makes up for the friction of the joints.
+        watchdog: s without a torque after which the arm brakes.
+        open_link: makes the way to the program.
+
+    Raises:
+        BadValue: a number out of range.
+        LocalError: this firmware has no direct torque.
+    """
+
+    def __init__(
+        self,
+        context: MotionContext,
+        limits: ArrayLike | None,
+        friction_compensation: bool,
+        watchdog: float,
+        open_link: Callable[[], Link],
+    ) -> None:
+        firmware, model = context.who.identity.firmware, context.who.identity.arm
+        if firmware not in _DIRECT_TORQUE:
+            raise LocalError(f"firmware {firmware} has no direct torque: 5.23 and 10.11 are the first")
+        most = [_LARGEST] * 6 if model is None else model.max_torque.tolist()
+        self._limits = most
+        if limits is not None:
+            self._limits = six(limits, "limits").tolist()
+            for joint, (limit, largest) in enumerate(zip(self._limits, most, strict=True)):
+                checked(limit, f"limits[{joint}] ({JOINTS[joint]})", 0.0, largest)
+        seconds = checked(watchdog, "watchdog", 0.01, 1.0)
+        self._told = KeptWord(
+            partial(yielding.torque, firmware, friction_compensation=bool(friction_compensation), watchdog=seconds)
+        )
+        super().__init__(context, "torque", self._told, open_link)
+
+    def send(self, torque: ArrayLike) -> None:
+        """Turn the joints by these torques from the next cycle on; they fade over the watchdog's time if none follows.
+
+        Args:
+            torque: (6,) Nm, on top of what holds the arm up against gravity.
+
+        Raises:
+            BadValue: not six finite numbers, or beyond a limit; nothing was sent.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            LocalError: not within the block.
+        """
+        self._check_open()
+        values = six(torque, "torque").tolist()
+        for joint, (value, most) in enumerate(zip(values, self._limits, strict=True)):
+            if abs(value) > most:
+                raise BadValue(f"torque[{joint}] ({JOINTS[joint]}) is {value:g} Nm; at most {most:g} Nm")
+        self._told.is_mute = True
+        self._say(word(values))

@@ -1,0 +1,258 @@
+"""The programs of an arm that yields: force mode, freedrive, direct torque, and a movement that ends at a contact.
+
+The first three are loops by words (`programs.way_of`): they go on as long as words come, and end their mode and
+brake where none has come for the watchdog's time, where the link ends, or where they are told to. Should the program be
+stopped by something else, the controller ends the mode with it.
+
+Since when a controller has each function is told by the URScript manual and by public drivers
+(docs/protocols/urscript.md).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from ..firmware import Firmware
+from .programs import STARVED, STOP, WAIT, InputRegisters, ReverseSocket, each, indented, lines, missable, way_of
+from .text import number, pose, quoted, vector
+
+__all__ = ["CONTACT", "NO_CONTACT", "contact_of", "force_mode", "freedrive", "torque", "until_contact"]
+
+#: What a movement to a contact says at its end; after the first of them come the joint positions.
+CONTACT = "urlink: contact "
+NO_CONTACT = "urlink: no contact"
+
+#: rad/s² with which an arm brakes whose mode ends.
+_DECELERATION = "stopj(4.0)"
+
+
+def force_mode(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    frame: Sequence[float],
+    selection: Sequence[bool],
+    limits: Sequence[float],
+    *,
+    kind: int,
+    damping: float | None,
+    gain: float | None,
+    watchdog: float,
+) -> list[str]:
+    """Force mode with the wrench that the words hold, which may change.
+
+    Args:
+        link: how the words come.
+        frame: (6,) pose in the base frame.
+        selection: (6,) the compliant axes.
+        limits: (6,) as `force_mode` of URScript takes them.
+        kind: 1, 2 or 3.
+        damping, gain: None leaves them as the controller has them.
+        watchdog: s without a word after which it ends.
+    """
+    settings = [
+        *([] if damping is None else [f"force_mode_set_damping({number(damping)})"]),
+        *([] if gain is None else [f"force_mode_set_gain_scaling({number(gain)})"]),
+    ]
+    axes = ", ".join("1" if is_free else "0" for is_free in selection)
+    start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", *settings]
+    is_other = " or ".join(f"goal[{i}] != wrench[{i}]" for i in range(6))
+    told = f"""
+        if (not begun) or {is_other}:
+          wrench = goal
+          force_mode({pose(frame, "frame")}, [{axes}], wrench, {kind:d}, {vector(limits, what="limits")})
+        end
+        begun = True
+        missed = 0
+        sync()
+    """
+    end = f"end_force_mode()\n{_DECELERATION}"
+    return _word_loop(firmware, link, "\n".join(start), told, "sync()", end, watchdog=watchdog)
+
+
+def freedrive(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    axes: Sequence[bool] | None,
+    frame: Sequence[float],
+    *,
+    watchdog: float,
+) -> list[str]:
+    """Freedrive as long as words come.
+
+    Args:
+        link: how the words come.
+        axes: (6,) of the frame that are free; None for all, which every firmware can.
+        frame: (6,) pose in the base frame.
+        watchdog: s without a word after which it ends.
+    """
+    arguments = ""
+    if axes is not None:
+        chosen = ", ".join("1" if is_free else "0" for is_free in axes)
+        arguments = f"freeAxes=[{chosen}], feature={pose(frame, 'frame')}"
+    told = f"""
+        if not begun:
+          freedrive_mode({arguments})
+        end
+        begun = True
+        missed = 0
+        sync()
+    """
+    end = f"end_freedrive_mode()\n{_DECELERATION}"
+    return _word_loop(firmware, link, "", told, "sync()", end, watchdog=watchdog)
+
+
+def torque(
+    firmware: Firmware, link: ReverseSocket | InputRegisters, *, friction_compensation: bool, watchdog: float
+) -> list[str]:
+    """Direct torque, a word for each cycle. Where one is late, the last torque fades over the watchdog's time.
+
+    Args:
+        link: how the words come.
+        friction_compensation: the controller makes up for friction.
+        watchdog: s without a word after which it ends.
+    """
+    call = f"direct_torque({{}}, friction_comp={'True' if friction_compensation else 'False'})"
+    told = f"""
+        torque = goal
+        begun = True
+        missed = 0
+        {call.format("torque")}
+    """
+    missed = call.format(f"[{each('torque[{i}] * share')}]")
+    start = "torque = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
+    return _word_loop(firmware, link, start, told, missed, _DECELERATION, watchdog=watchdog)
+
+
+def _word_loop(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    start: str,
+    told: str,
+    missed: str,
+    end: str,
+    *,
+    watchdog: float,
+) -> list[str]:
+    """A program that does something in each cycle, by words of six values (``goal``).
+
+    Args:
+        link: how the words come.
+        start: what it does first.
+        told: for a new word; it sets ``begun`` to True and ``missed`` to 0, and takes a cycle.
+        missed: for a cycle without one, of which a part ``share`` of the watchdog's time is left; it takes a cycle.
+        end: what it does last, also when no word has come for longer than that.
+        watchdog: s without a word, after which it ends.
+    """
+    way = way_of(link, firmware, watchdog)
+    most_missed = missable(watchdog, firmware.rate)
+    text = f"""
+{indented(way.shared)}
+        starved = False
+        {way.kind} servo():
+{indented(start, 10)}
+          missed = 0
+          begun = False
+          going = True
+          while going:
+{indented(way.take, 12)}
+            if wanted == {STOP}:
+              going = False
+            elif wanted == {WAIT}:
+              sync()
+            elif is_new:
+{indented(told, 14)}
+            elif missed < {most_missed}:
+              missed = missed + 1
+              share = 1.0 - missed / {number(most_missed)}
+{indented(missed, 14)}
+            else:
+              starved = True
+              textmsg({quoted(STARVED)})
+              going = False
+            end
+          end
+{indented(end, 10)}
+        end
+{indented(way.follow)}
+    """
+    return lines(text)
+
+
+def until_contact(
+    firmware: Firmware,
+    direction: Sequence[float],
+    speed: float,
+    acceleration: float,
+    distance: float,
+    *,
+    force: float | None,
+    retracts: bool,
+) -> list[str]:
+    """Move straight until the tool touches something, brake, and go back to where the contact began.
+
+    It says `CONTACT` with the joint positions there, or `NO_CONTACT` after the distance.
+
+    Args:
+        direction: (3,) unit vector in the base frame.
+        speed, acceleration: m/s and m/s².
+        distance: m after which it gives up.
+        force: N against the direction, on top of what was there at first, that is a contact; None leaves it to the
+            controller (``tool_contact``, from 5.4 on), which knows where it began as well.
+        retracts: goes back.
+    """
+    velocity = vector([each_axis * speed for each_axis in direction] + [0.0] * 3, what="direction")
+    cycles = math.ceil((distance / speed + speed / acceleration) * firmware.rate)
+    if force is None:
+        towards = vector([*direction, 0.0, 0.0, 0.0], what="direction")
+        start, feel = "", f"steps = tool_contact(direction={towards})"
+        where, found = "get_actual_joint_positions_history(steps)", "steps > 0"
+    else:
+        x, y, z = (number(each_axis) for each_axis in direction)
+        start = "first = get_tcp_force()"
+        feel = f"felt = get_tcp_force()\nagainst = (first[0] - felt[0]) * {x}"
+        feel += f" + (first[1] - felt[1]) * {y} + (first[2] - felt[2]) * {z}"
+        where, found = "get_actual_joint_positions()", f"against >= {number(force)}"
+    back = f"movej(q, a=1.4, v={number(min(speed, 1.0))})" if retracts else ""
+    a = number(acceleration, "acceleration")
+    text = f"""
+{_block(start, 8)}
+        touched = False
+        cycles = 0
+        while cycles < {cycles} and not touched:
+{_block(feel, 10)}
+          if {found}:
+            touched = True
+          else:
+            speedl({velocity}, {a}, {number(1.0 / firmware.rate)})
+            cycles = cycles + 1
+          end
+        end
+        if touched:
+          q = {where}
+          stopl({number(max(acceleration, 2.0))})
+{_block(back, 10)}
+          textmsg({quoted(CONTACT)}, q)
+        else:
+          stopl({a})
+          textmsg({quoted(NO_CONTACT)})
+        end
+    """
+    return lines(text)
+
+
+def _block(text: str, columns: int) -> str:
+    return "\n".join(" " * columns + line for line in text.splitlines())
+
+
+def contact_of(text: str) -> list[float] | None:
+    """The joint positions in what a movement says at a contact, rad; None of any other text."""
+    found = re.fullmatch(rf"{CONTACT}\[([^\]]*)\]", text.strip())
+    if found is None:
+        return None
+    try:
+        q = [float(part) for part in found[1].split(",")]
+    except ValueError:
+        return None
+    return q if len(q) == 6 and all(map(math.isfinite, q)) else None

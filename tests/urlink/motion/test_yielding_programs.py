@@ -1,0 +1,179 @@
+"""The programs of an arm that yields, by registers, on a simulated controller that is stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from urlink.firmware import Firmware
+from urlink.simulator import Controller, Plane, Still
+from urlink.urscript import programs, yielding
+from urlink.urscript.programs import FOLLOW, STOP, InputRegisters
+from urlink.urscript.wrapping import program
+
+LINK = InputRegisters(first_float=36, first_integer=45, token=77)
+DOWN = (False, False, True, False, False, False)
+FIRMWARES = ["3.15", "5.11", "5.25", "10.12"]
+
+
+class Bench:
+    """A controller with one program; `tell` writes what it is told, cycle by cycle."""
+
+    def __init__(self, firmware: str) -> None:
+        self.controller = Controller(None, firmware, motion=Still())
+        self.controller.step()
+        self.firmware = self.controller.firmware
+        self.start = self.pose
+        self._count = 0
+
+    @property
+    def pose(self) -> list[float]:
+        arm = self.controller.arm
+        return list(arm.kinematics.forward(arm.setpoint.q, arm.tcp).tolist())
+
+    @property
+    def is_running(self) -> bool:
+        return self.controller.program_name is not None
+
+    def take(self, body: Sequence[str]) -> None:
+        self.controller.take(program("tried", body, None).text)
+
+    def tell(self, values: Sequence[float], seconds: float, mode: int = FOLLOW) -> None:
+        inputs = self.controller.registers.inputs
+        inputs.integers[LINK.proof] = LINK.token
+        for _ in range(max(round(seconds * self.firmware.rate), 1)):
+            self._count += 1
+            inputs.integers[LINK.word], inputs.integers[LINK.mode] = self._count, mode
+            for i, value in enumerate(values):
+                inputs.floats[LINK.first_float + i] = value
+            # What is written past RTDE does not feed the controller's own watchdog, which is another test's affair.
+            self.controller._state.watchdogs.clear()
+            self.controller.step()
+
+    def silent(self, seconds: float) -> None:
+        self.controller.step(round(seconds * self.firmware.rate))
+
+    def table(self, below: float) -> None:
+        x, y, z = self.start[:3]
+        self.controller.world.add(Plane((x, y, z - below)))
+
+
+def pressing(firmware: str) -> Bench:
+    bench = Bench(firmware)
+    is_new = bench.firmware >= (5, 0)
+    body = yielding.force_mode(
+        bench.firmware,
+        LINK,
+        [0.0] * 6,
+        DOWN,
+        [0.1] * 6,
+        kind=2,
+        damping=0.01,
+        gain=1.0 if is_new else None,
+        watchdog=0.2,
+    )
+    bench.table(0.002)
+    bench.take(body)
+    return bench
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("way", ["told", "silent", "preempted"])
+def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -> None:
+    bench = pressing(firmware)
+    bench.tell([0, 0, -10.0, 0, 0, 0], 0.8)
+    assert bench.controller.arm.wrench[2] == pytest.approx(10.0, abs=0.5)
+    bench.tell([0, 0, -20.0, 0, 0, 0], 0.4)
+    assert bench.controller.arm.wrench[2] == pytest.approx(20.0, abs=0.5)
+    if way == "told":
+        bench.tell([0.0] * 6, 0.5, STOP)
+    elif way == "silent":
+        # As long as the watchdog lasts it goes on.
+        bench.silent(0.15)
+        bench.controller.push([0, 0, 15.0, 0, 0, 0])
+        bench.silent(0.03)
+        bench.controller.push([0.0] * 6)
+        bench.silent(0.5)
+    else:
+        bench.controller.take("def other():\n  sleep(0.1)\nend")
+        bench.silent(0.5)
+    assert not bench.is_running
+    at = bench.pose
+    bench.controller.push([0, 0, 30.0, 0, 0, 0])
+    bench.silent(0.2)
+    assert bench.pose == at
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_freedrive_lasts_as_long_as_words_come(firmware: str) -> None:
+    bench = Bench(firmware)
+    axes = [True, False, True, False, False, False] if bench.firmware >= (5, 10) else None
+    bench.take(yielding.freedrive(bench.firmware, LINK, axes, [0.0] * 6, watchdog=0.2))
+    bench.tell([0.0] * 6, 0.1)
+    bench.controller.push([0, 0, 10.0, 0, 0, 0])
+    bench.tell([0.0] * 6, 0.5)
+    assert bench.pose[2] - bench.start[2] > 0.005
+    bench.silent(0.6)
+    assert not bench.is_running
+    at = bench.pose
+    bench.silent(0.2)
+    assert bench.pose == at
+
+
+@pytest.mark.parametrize("firmware", ["5.25", "10.12"])
+def test_torques_move_the_arm_and_fade(firmware: str) -> None:
+    bench = Bench(firmware)
+    bench.take(yielding.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
+    bench.tell([0, 0, 0, 0, 0, 0], 0.05)
+    bench.tell([0, 0, 0, 0, 0, 0.5], 0.2)
+    assert bench.controller.arm.setpoint.qd[5] > 0.1
+    bench.silent(0.5)
+    assert not bench.is_running
+    assert not any(bench.controller.arm.setpoint.qd)
+
+
+@pytest.mark.parametrize(("firmware", "force"), [("3.15", 20.0), ("5.3", 20.0), ("5.4", None), ("5.25", None)])
+def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None) -> None:
+    bench = Bench(firmware)
+    bench.table(0.01)
+    bench.take(yielding.until_contact(bench.firmware, [0, 0, -1.0], 0.05, 0.5, 0.1, force=force, retracts=True))
+    messages: list[bytes] = []
+    for _ in range(round(2.0 * bench.firmware.rate)):
+        bench.controller.step()
+        messages += bench.controller.take_messages()
+        if not bench.is_running and messages:
+            break
+    assert not bench.is_running
+    (text,) = [m[m.index(b"urlink: contact") :].decode().strip("\0\n") for m in messages if b"urlink: contact" in m]
+    q = yielding.contact_of(text)
+    assert q is not None
+    assert bench.controller.arm.setpoint.q == pytest.approx(q, abs=1e-4)
+    assert bench.pose[2] - bench.start[2] == pytest.approx(-0.01, abs=5e-4 if force is None else 2e-3)
+
+
+def test_it_gives_up_after_its_distance() -> None:
+    bench = Bench("5.11")
+    bench.take(yielding.until_contact(bench.firmware, [0, 0, -1.0], 0.1, 0.5, 0.02, force=None, retracts=True))
+    bench.silent(1.0)
+    assert not bench.is_running
+    assert bench.pose[2] - bench.start[2] == pytest.approx(-0.03, abs=0.015)
+
+
+@pytest.mark.parametrize("text", ["urlink: contact ", "urlink: contact [1,2]", "urlink: contact [a,b,c,d,e,f]", "else"])
+def test_what_is_no_contact_is_none(text: str) -> None:
+    assert yielding.contact_of(text) is None
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_over_a_socket_they_compile_too(firmware: str) -> None:
+    from urlink.simulator.urscript import compile_script
+
+    version = Firmware.parse(firmware)
+    link = programs.ReverseSocket("10.0.0.1", 50001, 5)
+    bodies = [
+        yielding.force_mode(version, link, [0.0] * 6, DOWN, [0.1] * 6, kind=2, damping=None, gain=None, watchdog=0.5),
+        yielding.freedrive(version, link, None, [0.0] * 6, watchdog=0.5),
+    ]
+    for body in bodies:
+        compile_script(program("p", body, None).text, version)
