@@ -38,6 +38,7 @@ THREADS = {
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
+    "urlink.simulator.stepped_clock",  # lets time pass within a block, for a controller that is stepped
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
     "linkcore.aio.workers",  # makes the calls that wait, for one robot of a program that uses asyncio

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import time
 from collections import deque
@@ -40,6 +41,7 @@ from .robot.signals import Signals
 from .robot.sources import Demonstration, SetpointSource
 from .robot.surroundings import Surroundings
 from .state import ControllerState, Counters, firmware_for
+from .stepped_clock import SteppedClock, passing
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -87,6 +89,8 @@ class Controller:
             clients always are.
         calibration: DH parameters of the arm; it then moves as they say and sends them. None for those published.
         gripper: a Robotiq gripper is mounted, and its URCap serves it.
+        stepped: time passes only by `step` and within `passing`, also while the ports are served. For tests of programs
+            that are to meet the robot at a moment of their choice.
 
     Attributes:
         host: address that it listens on.
@@ -116,6 +120,7 @@ class Controller:
         reachable: Iterable[str] = (),
         calibration: DenavitHartenberg | None = None,
         gripper: bool = True,
+        stepped: bool = False,
     ) -> None:
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
@@ -129,7 +134,8 @@ class Controller:
         self._numbers = _port_numbers(ports, chosen)
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
-        self._clock = time.monotonic
+        self._stepped = SteppedClock(chosen.rate) if stepped else None
+        self._clock: Callable[[], float] = self._stepped or time.monotonic
         # Messages that were there at the end of the last step.
         self._said = 0
 
@@ -326,18 +332,47 @@ class Controller:
     # -- commanding it -------------------------------------------------------------------------------
 
     def step(self, cycles: int = 1) -> None:
-        """Advance so many controller cycles of 8 ms (CB) or 2 ms (e-Series), without thread or socket.
+        """Advance so many controller cycles of 8 ms (CB) or 2 ms (e-Series).
+
+        Of a controller that serves its ports, with `stepped`: from any thread; when it returns, what the cycles bring
+        is on its way to the clients.
 
         Raises:
-            LocalError: the controller has been started, so its own thread steps it.
+            LocalError: the controller has been started without `stepped`, so its own thread steps it.
         """
         if self._server is not None:
-            raise LocalError("a controller that serves its ports cannot be stepped as well")
+            if self._stepped is None:
+                raise LocalError(
+                    "a controller that serves its ports cannot be stepped, unless it was made stepped=True"
+                )
+            self.call(lambda: None)  # who has connected by now is accepted before time passes
+            while cycles > 0:
+                # Packets that are late by more than a second would be left out.
+                some = min(cycles, self.firmware.rate // 5)
+                self._stepped.advance(some)
+                self.call(lambda: None)
+                cycles -= some
+            return
         outbox = self._state.outbox
         for _ in range(cycles):
             outbox.forget(self._said)
             self._control.advance()
             self._said = len(outbox)
+
+    def passing(self, speed: float = 1.0) -> contextlib.AbstractContextManager[None]:
+        """``with controller.passing():`` lets time pass while the block is carried out; for `stepped`.
+
+        Args:
+            speed: times real time; less where the machine is too slow. What a client does in its own time, such as
+                streaming set-points, does not get faster.
+
+        Raises:
+            LocalError: the controller serves its ports and was not made with ``stepped=True``.
+            BadValue: no positive number.
+        """
+        if self._server is not None and self._stepped is None:
+            raise LocalError("the time of this controller passes by itself; it was not made stepped=True")
+        return passing(self.step, self.firmware.rate, speed)
 
     def take(self, text: str) -> None:
         """Text that a client has sent: the lines of one or more programs, or of commands.

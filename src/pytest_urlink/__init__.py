@@ -1,0 +1,117 @@
+"""Fixtures for tests of programs that use urlink or rhdlink: a simulated controller, a robot, a mobile robot.
+
+pytest loads this in every run in an environment where urlink is installed, so it imports nothing of it at the top:
+neither does a run that has nothing to do with robots pay for numpy, nor is a line of urlink executed before a
+measurement of its coverage begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from rhdlink.plugins.turtle import SmrTurtle, Turtle
+    from urlink import Robot
+    from urlink.simulator import Controller
+
+__all__ = ["rhd_turtle", "urlink_controller", "urlink_robot"]
+
+_MARKERS = (
+    "urlink(model, firmware, faults, connect, ...): the simulated controller of this test: an arm, its firmware, "
+    "faults by name such as 'protective_stop' or 'cut=realtime@2', arguments of urlink.connect, and others of "
+    "urlink.simulator.Controller, such as stepped=True",
+    "rhd_turtle(smr, world, ...): the simulated mobile robot of this test: an SMR, arguments of rhdlink.world.World, "
+    "and others of rhdlink.Host, such as pacing='lockstep'",
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the markers known."""
+    for marker in _MARKERS:
+        config.addinivalue_line("markers", marker)
+
+
+def _wanted(request: pytest.FixtureRequest, name: str) -> dict[str, Any]:
+    """The arguments of all markers of that name; those of the test come before those of its class and module."""
+    wanted: dict[str, Any] = {}
+    for marker in request.node.iter_markers(name):
+        if marker.args:
+            raise pytest.UsageError(f"{request.node.nodeid}: @pytest.mark.{name} takes its arguments by name")
+        wanted = {**marker.kwargs, **wanted}
+    return wanted
+
+
+@pytest.fixture
+def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
+    """A simulated controller that serves free ports: `address`, `faults`, `signals`, `arm` and the rest.
+
+    ``@pytest.mark.urlink(model="UR5e", firmware="5.11", faults=["protective_stop@2"])`` says which; see
+    `urlink.simulator.Controller`. With ``stepped=True`` its time passes by ``urlink_controller.step(cycles)`` and in
+    ``with urlink_controller.passing():``.
+    """
+    wanted = _wanted(request, "urlink")
+    wanted.pop("connect", None)
+    faults = wanted.pop("faults", ())
+    if isinstance(faults, str) or not isinstance(faults, Iterable):
+        raise pytest.UsageError(f"{request.node.nodeid}: faults={faults!r}; expected a list of names")
+
+    from urlink.simulator import Controller
+
+    try:
+        controller = Controller(**wanted)
+        controller.schedule(
+            *(fault if not isinstance(fault, str) or "@" in fault else f"{fault}@0" for fault in faults)
+        )
+    except (TypeError, ValueError) as error:  # BadValue and its like are ValueErrors
+        raise pytest.UsageError(f"{request.node.nodeid}: @pytest.mark.urlink: {error}") from error
+    with controller:
+        yield controller
+
+
+@pytest.fixture
+def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) -> Iterator[Robot]:
+    """A robot that is connected to `urlink_controller`, and closed when the test is over.
+
+    The marker's ``connect={"require_enable": "always"}`` has arguments of `urlink.connect`. Of a controller that is
+    stepped, silence means nothing: the robot waits for an hour.
+    """
+    import contextlib
+
+    import urlink
+
+    wanted = _wanted(request, "urlink")
+    options: dict[str, Any] = {}
+    passing: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
+    if wanted.get("stepped"):
+        options = {"silence": 3600.0, "stale_after": 3600.0}
+        passing = urlink_controller.passing()  # it says who it is with its first state
+    options |= wanted.get("connect", {})
+    with passing:
+        robot = urlink.connect(urlink_controller.address, **options)
+    with robot:
+        yield robot
+
+
+@pytest.fixture
+def rhd_turtle(request: pytest.FixtureRequest) -> Iterator[Turtle | SmrTurtle]:
+    """A simulated mobile robot that serves a free port: `rhd_turtle.host.address`, `rhd_turtle.world`.
+
+    ``@pytest.mark.rhd_turtle(smr=True, world={"size": 5.0}, period=0.005)`` says which; see `rhdlink.Host`. With
+    ``pacing="lockstep"`` its time passes with each sync of a client.
+    """
+    from rhdlink import Host
+    from rhdlink.plugins.turtle import SmrTurtle, Turtle
+    from rhdlink.world import World
+
+    wanted = {"port": 0, **_wanted(request, "rhd_turtle")}
+    kind = SmrTurtle if wanted.pop("smr", False) else Turtle
+    try:
+        turtle = kind(World(**wanted.pop("world", {})))
+        host = Host([turtle], **wanted)
+    except (TypeError, ValueError) as error:
+        raise pytest.UsageError(f"{request.node.nodeid}: @pytest.mark.rhd_turtle: {error}") from error
+    with host:
+        yield turtle

@@ -1,0 +1,63 @@
+"""Time of a simulated controller that passes only when somebody says so, while its ports are served."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+from linkcore.arguments import check_seconds
+from linkcore.threads import started
+
+__all__ = ["SteppedClock", "passing"]
+
+#: Seconds of robot time that `passing` lets pass at once: some packets, and one look at what clients have sent.
+_SLICE = 0.01
+
+
+class SteppedClock:
+    """Seconds that stand still until `advance`.
+
+    Args:
+        rate: cycles a second of the controller.
+    """
+
+    def __init__(self, rate: int) -> None:
+        self._rate = rate
+        self._cycles = 0
+
+    def __call__(self) -> float:
+        # In the middle of a cycle, so that no rounding counts one too few.
+        return (self._cycles + 0.5) / self._rate if self._cycles else 0.0
+
+    def advance(self, cycles: int) -> None:
+        """Let so many cycles pass."""
+        self._cycles += cycles
+
+
+@contextlib.contextmanager
+def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[None]:
+    """Let time pass, from a thread, until the block is left.
+
+    Args:
+        step: lets so many cycles pass.
+        rate: cycles a second.
+        speed: times real time; less where the machine is too slow.
+    """
+    speed = check_seconds(speed, "speed", positive=True, finite=True)
+    over = threading.Event()
+    cycles = max(round(_SLICE * rate), 1)
+
+    def run() -> None:
+        due = time.monotonic()
+        while not over.wait(max(due - time.monotonic(), 0.0)):
+            step(cycles)
+            due = max(due + cycles / rate / speed, time.monotonic() - 1.0)
+
+    thread = started(threading.Thread(target=run, name="urlink sim time", daemon=True))
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
