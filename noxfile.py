@@ -101,7 +101,7 @@ def interop(session: nox.Session) -> None:
 
 
 #: adapter -> what its tests need beside what it requires itself.
-ADAPTERS = {"zenoh": ()}
+ADAPTERS: dict[str, tuple[str, ...]] = {"rr": (), "zenoh": ()}
 
 
 @nox.session

@@ -1,0 +1,397 @@
+"""Robots over Robot Raconteur: each test has two nodes of it, a server and a client, over TCP."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import RobotRaconteur as RR
+
+import rhdlink
+import urlink
+from rhdlink.plugins.turtle import Turtle
+from tests.waiting import until
+from urlink import poses
+from urlink.simulator import Controller
+from urlink_rr import open_node, register, register_rhd, serve
+from urlink_rr.description import HOME, JOINT_NAMES
+
+START = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
+ROBOT = "com.robotraconteur.robotics.robot"
+
+
+@contextlib.contextmanager
+def client_node() -> Iterator[Any]:
+    node = RR.RobotRaconteurNode()
+    node.Init()
+    node.RegisterTransport(RR.TcpTransport(node))
+    try:
+        yield node
+    finally:
+        node.Shutdown()
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
+        yield controller
+
+
+@pytest.fixture
+def robot(controller: Controller) -> Iterator[urlink.Robot]:
+    with urlink.connect(controller.address) as robot:
+        robot.motion.move_joints(START, wait=True)
+        yield robot
+
+
+@pytest.fixture
+def port(robot: urlink.Robot) -> Iterator[int]:
+    with serve({"arm": robot}, port=0, announce=False) as port:
+        yield port
+
+
+@pytest.fixture
+def node() -> Iterator[Any]:
+    with client_node() as node:
+        yield node
+
+
+@pytest.fixture
+def arm(port: int, node: Any) -> Any:
+    """The robot as a client has it."""
+    return node.ConnectService(f"rr+tcp://localhost:{port}?service=arm")
+
+
+def modes(node: Any, arm: Any) -> dict[str, int]:
+    return dict(node.GetConstants(ROBOT, arm)["RobotCommandMode"])
+
+
+def newest(arm: Any) -> Any:
+    return arm.robot_state.PeekInValue()[0]
+
+
+def test_a_client_reads_a_robot(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    info = arm.robot_info
+    assert info.device_info.model.name == "UR5e"
+    assert [joint.joint_identifier.name for joint in info.joint_info] == list(JOINT_NAMES)
+    assert info.joint_info[2].joint_limits.upper == robot.kinematics.position_limits[2, 1]
+    flags = node.GetConstants(ROBOT, arm)["RobotStateFlags"]
+    states, advanced = arm.robot_state.Connect(), arm.advanced_robot_state.Connect()
+    pipe = arm.robot_state_sensor_data.Connect(-1)
+    clock = arm.device_clock_now.Connect()
+    until(lambda: states.InValueValid and advanced.InValueValid and clock.InValueValid and pipe.Available > 10)
+    state = states.InValue
+    now = robot.realtime.wait()
+    assert state.joint_position == pytest.approx(now.q_actual, abs=1e-3)
+    tool = state.kin_chain_tcp[0]
+    assert [float(tool["position"][axis]) for axis in "xyz"] == pytest.approx(now.tool_vector_actual[:3], abs=1e-3)
+    turned = poses.quaternion_to_rotvec([float(tool["orientation"][axis]) for axis in "wxyz"])
+    assert turned == pytest.approx(now.tool_vector_actual[3:], abs=1e-2)
+    assert state.robot_state_flags & flags["ready"]
+    assert state.robot_state_flags & flags["enabled"]
+    assert not state.robot_state_flags & flags["communication_failure"]
+    assert arm.current_errors == []
+    numbers = [pipe.ReceivePacket().robot_state.seqno for _ in range(10)]
+    assert numbers == list(range(numbers[0], numbers[0] + 10))
+    assert arm.isoch_info.update_rate == 125.0
+
+
+def test_the_chain_is_that_of_the_arm(arm: Any, robot: urlink.Robot) -> None:
+    """The product of exponentials of H and P puts the flange where the arm's own kinematics do."""
+    chain = arm.robot_info.chains[0]
+    axes = np.array([list(axis) for axis in chain.H.tolist()]).reshape(6, 3)
+    ways = np.array([list(way) for way in chain.P.tolist()]).reshape(7, 3)
+    q = np.array([0.3, -1.2, 1.4, -0.6, 0.8, -0.2])
+    rotation, place = np.eye(3), ways[0].copy()
+    for axis, way, angle in zip(axes, ways[1:], q, strict=True):
+        rotation = rotation @ poses.rotvec_to_matrix(axis * angle)
+        place = place + rotation @ way
+    expected = robot.kinematics.forward(q)
+    assert place == pytest.approx(expected[:3], abs=1e-9)
+    flange = [float(chain.flange_pose["orientation"].flat[0][axis]) for axis in "wxyz"]
+    whole = rotation @ poses.rotvec_to_matrix(poses.quaternion_to_rotvec(flange))
+    assert whole == pytest.approx(poses.rotvec_to_matrix(expected[3:]), abs=1e-9)
+
+
+def test_fewer_states_for_a_client_that_asks_for_fewer(arm: Any) -> None:
+    arm.isoch_downsample = 9
+    assert arm.isoch_downsample == 9
+    pipe = arm.robot_state_sensor_data.Connect(-1)
+    until(lambda: pipe.Available > 12)
+    numbers = [pipe.ReceivePacket().robot_state.seqno for _ in range(12)]
+    assert np.diff(numbers[2:]).tolist() == [10] * 9
+
+
+def test_jogging(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    goal = np.array(START) + np.array([0.2, 0, 0, 0, 0, 0.1])
+    with pytest.raises(RR.InvalidOperationException, match="command mode is halt"):
+        arm.jog_freespace(goal, np.full(6, 0.5), True)
+    arm.command_mode = modes(node, arm)["jog"]
+    arm.jog_freespace(goal, np.full(6, 0.5), True)
+    assert newest(arm).joint_position == pytest.approx(goal, abs=1e-3)
+    arm.jog_joint(np.array([0.2, 0, 0, 0, 0, 0]), 0.5, True)
+    assert newest(arm).joint_position[0] > goal[0] + 0.05
+    before = robot.realtime.wait().tool_vector_actual[2]
+    speed = np.zeros((1,), node.GetNamedArrayDType("com.robotraconteur.geometry.SpatialVelocity", arm))
+    speed[0]["linear"]["z"] = 0.05
+    arm.jog_cartesian({0: speed}, 0.5, True)
+    assert robot.realtime.wait().tool_vector_actual[2] > before + 0.01
+    with pytest.raises(RR.InvalidArgumentException, match="six positions"):
+        arm.jog_freespace(np.zeros(5), np.ones(5), True)
+
+
+def trajectory(node: Any, arm: Any, points: list[tuple[float, list[float]]], tolerance: float = 0.0) -> Any:
+    kind = "com.robotraconteur.robotics.trajectory"
+    found = node.NewStructure(f"{kind}.JointTrajectory", arm)
+    found.joint_names = list(JOINT_NAMES)
+    waypoints = []
+    for at, q in points:
+        point = node.NewStructure(f"{kind}.JointTrajectoryWaypoint", arm)
+        point.joint_position = np.array(q)
+        point.position_tolerance = np.full(6, tolerance) if tolerance else np.zeros(0)
+        point.time_from_start = at
+        waypoints.append(point)
+    found.waypoints = waypoints
+    return found
+
+
+def rest_of(generator: Any) -> list[Any]:
+    """What a generator gives until it stops."""
+    found = []
+    with contextlib.suppress(RR.StopIterationException):
+        while True:
+            found.append(generator.Next())
+    return found
+
+
+def test_a_trajectory_with_feedback(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    far = [0.5, *START[1:]]
+    arm.command_mode = modes(node, arm)["trajectory"]
+    running = arm.execute_trajectory(trajectory(node, arm, [(0.0, START), (0.5, [0.25, *START[1:]]), (1.0, far)]))
+    codes = node.GetConstants("com.robotraconteur.action", arm)["ActionStatusCode"]
+    told = rest_of(running)
+    assert [each.action_status for each in told] == [codes["running"]] * (len(told) - 1) + [codes["complete"]]
+    assert len(told) > 5
+    times = [each.trajectory_time for each in told]
+    assert times == sorted(times)
+    assert robot.realtime.wait().q_actual == pytest.approx(far, abs=0.01)
+
+
+def test_a_trajectory_that_is_cancelled_and_one_that_leaves_its_path(
+    arm: Any, node: Any, robot: urlink.Robot, controller: Controller
+) -> None:
+    far = [1.0, *START[1:]]
+    arm.command_mode = modes(node, arm)["trajectory"]
+    running = arm.execute_trajectory(trajectory(node, arm, [(0.0, START), (4.0, far)]))
+    running.Next()
+    until(lambda: newest(arm).trajectory_running and robot.realtime.wait().q_actual[0] > 0.05)
+    running.Close()
+    until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
+    assert robot.realtime.wait().q_actual[0] < 0.9
+    here = robot.realtime.wait().q_target.tolist()
+    strict = arm.execute_trajectory(
+        trajectory(
+            node, arm, [(0.0, here), (0.25, [here[0] + 0.1, *here[1:]]), (0.5, [here[0] + 0.2, *here[1:]])], 1e-5
+        )
+    )
+    with pytest.raises(RR.OperationFailedException, match="ToleranceExceeded"):
+        rest_of(strict)
+    wrong = trajectory(node, arm, [(0.0, START), (1.0, far)])
+    wrong.joint_names = ["a"] * 6
+    with pytest.raises(RR.InvalidArgumentException, match="joint_names"):
+        arm.execute_trajectory(wrong)
+
+
+def test_position_commands_by_wire(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    arm.command_mode = modes(node, arm)["position_command"]
+    flags = node.GetConstants(ROBOT, arm)["RobotStateFlags"]
+    wire = arm.position_command.Connect()
+    here = np.array(robot.realtime.wait().q_target)
+    seen = 0
+    for number in range(150):
+        command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
+        command.seqno = number + 1
+        command.command = here + np.array([0.002 * number, 0, 0, 0, 0, 0])
+        wire.OutValue = command
+        seen |= newest(arm).robot_state_flags
+        time.sleep(0.01)
+    until(lambda: robot.realtime.wait().q_actual[0] > here[0] + 0.2, 2.0)
+    assert seen & flags["valid_position_command"]
+    # Nothing comes any more, so the arm stands, and a new command goes on from there.
+    until(lambda: robot.motion.current is None)
+    wire.Close()
+
+
+def test_velocity_commands_by_wire(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    arm.command_mode = modes(node, arm)["velocity_command"]
+    wire = arm.velocity_command.Connect()
+    before = robot.realtime.wait().q_actual[0]
+    fastest = 0.0
+    for number in range(60):
+        command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
+        command.seqno = number + 1
+        command.command = np.array([0.2, 0, 0, 0, 0, 0])
+        wire.OutValue = command
+        fastest = max(fastest, robot.realtime.wait().qd_actual[0])
+        time.sleep(0.02)
+    assert fastest == pytest.approx(0.2, abs=0.02)
+    until(lambda: abs(robot.realtime.wait().qd_actual[0]) < 1e-3)
+    assert robot.realtime.wait().q_actual[0] > before + 0.1
+
+
+def test_homing_signals_speed_tool_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    arm.command_mode = modes(node, arm)["homing"]
+    rest_of(arm.home())
+    assert robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)
+    arm.setf_signal("digital_out_2", np.array([1.0]))
+    assert arm.getf_signal("digital_out_2").tolist() == [1.0]
+    assert robot.io.digital_out(2)
+    with pytest.raises(RR.InvalidArgumentException, match="no signal"):
+        arm.getf_signal("steam_whistle")
+    arm.speed_ratio = 0.5
+    until(lambda: arm.speed_ratio == pytest.approx(0.5, abs=0.01))
+    arm.speed_ratio = 1.0
+    payload = node.NewStructure("com.robotraconteur.robotics.payload.PayloadInfo", arm)
+    payload.device_info = arm.device_info
+    payload.inertia = np.zeros((1,), node.GetNamedArrayDType("com.robotraconteur.geometry.SpatialInertia", arm))
+    payload.inertia[0]["m"] = 1.5
+    pose = np.zeros((1,), node.GetNamedArrayDType("com.robotraconteur.geometry.Pose", arm))
+    pose[0]["orientation"]["w"] = 1.0
+    pose[0]["position"]["z"] = 0.1
+    changed: list[tuple[int, str]] = []
+    arm.payload_changed += lambda chain, name: changed.append((chain, name))
+    arm.payload_attached(0, payload, pose)
+    state = robot.realtime.wait_until(lambda state: state.payload_mass == pytest.approx(1.5))
+    assert state.payload_cog is not None
+    assert state.payload_cog.tolist() == pytest.approx([0.0, 0.0, 0.1])
+    until(lambda: changed == [(0, "arm")])
+
+
+def test_enable_disable_and_reset(arm: Any, node: Any, robot: urlink.Robot, controller: Controller) -> None:
+    states = node.GetConstants(ROBOT, arm)["RobotControllerState"]
+    controller.faults.protective_stop()
+    until(lambda: arm.controller_state == states["guard_stop"])
+    assert "protective stop" in arm.current_errors[0].message
+    with pytest.raises(RR.OperationFailedException, match="SafetyStop"):
+        arm.command_mode = modes(node, arm)["jog"]
+    until(lambda: _works(arm.reset_errors), 15.0)  # not within five seconds of the stop
+    until(lambda: arm.controller_state == states["motor_on"])
+    arm.disable()
+    until(lambda: arm.controller_state == states["motor_off"], 15.0)
+    arm.enable()
+    until(lambda: arm.controller_state == states["motor_on"], 15.0)
+    arm.command_mode = modes(node, arm)["jog"]
+    arm.jog_freespace(np.array(START), np.full(6, 0.5), True)
+
+
+def _works(call: Any) -> bool:
+    try:
+        call()
+    except RR.OperationFailedException:
+        return False
+    return True
+
+
+def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_back(
+    robot: urlink.Robot, controller: Controller
+) -> None:
+    found: list[Any] = []
+    lost: list[Any] = []
+    with client_node() as watching:
+        with open_node("test.arm", 0, announce=False) as (server, port):
+            url = f"rr+tcp://localhost:{port}?service=arm"
+            service = register(server, "arm", robot)
+            subscription = watching.SubscribeService(url)
+            subscription.ClientConnected += lambda _, key, client: found.append(client)
+            subscription.ClientDisconnected += lambda _, key, client: lost.append(client)
+            wire = subscription.SubscribeWire("robot_state")
+            until(lambda: wire.TryGetInValue()[0])
+            with client_node() as moving:
+                arm = moving.ConnectService(url)
+                other = watching.ConnectService(url)
+                arm.command_mode = modes(moving, arm)["jog"]
+                arm.jog_freespace(np.array([1.5, *START[1:]]), np.full(6, 0.1), False)
+                with pytest.raises(RR.InvalidOperationException, match="another client"):
+                    other.jog_joint(np.full(6, 0.1), 0.5, False)
+                until(lambda: np.abs(robot.realtime.wait().qd_actual).max() > 0.05)
+            until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
+            assert robot.realtime.wait().q_actual[0] < 1.4
+            assert other.command_mode == modes(watching, other)["halt"]
+            # The robot goes away, and comes back, while the client stays.
+            flag = watching.GetConstants(ROBOT, other)["RobotStateFlags"]["communication_failure"]
+            controller.faults.stall(2.5)
+            until(lambda: newest(other).robot_state_flags & flag, 10.0)
+            until(lambda: not newest(other).robot_state_flags & flag, 30.0)
+            service.close()
+            server.CloseService("arm")
+            until(lambda: lost, 20.0)
+            seen = len(found)
+            service = register(server, "arm", robot)
+            until(lambda: len(found) > seen, 20.0)
+            until(lambda: wire.TryGetInValue()[0])
+            service.close()
+        subscription.Close()
+
+
+def test_a_robot_that_is_only_read(controller: Controller, node: Any) -> None:
+    with (
+        urlink.connect(controller.address, read_only=True) as robot,
+        serve({"arm": robot}, port=0, announce=False) as port,
+    ):
+        arm = node.ConnectService(f"rr+tcp://localhost:{port}?service=arm")
+        until(lambda: newest(arm).seqno > 10)
+        assert arm.robot_info.robot_capabilities == 0
+        with pytest.raises(RR.InvalidOperationException, match="cannot be commanded"):
+            arm.command_mode = modes(node, arm)["jog"]
+        with pytest.raises(RR.InvalidOperationException, match="cannot be commanded"):
+            arm.setf_signal("digital_out_0", np.array([1.0]))
+
+
+def test_variables_of_a_mobile_robot_as_wires(node: Any) -> None:
+    with (
+        rhdlink.Host([Turtle()], port=0) as host,
+        rhdlink.connect(f"127.0.0.1:{host.port}", access="w") as robot,
+        robot.background(),
+        open_node("test.rhd", 0, announce=False) as (server, port),
+    ):
+        service = register_rhd(server, "turtle", robot)
+        url = f"rr+tcp://localhost:{port}?service=turtle"
+        turtle = node.ConnectService(url)
+        way = turtle.transpos.Connect()
+        with client_node() as moving:
+            driver = moving.ConnectService(url)
+            speed = driver.command_cmdtransvel.Connect()
+            speed.OutValue = np.array([30000], np.int32)
+            until(lambda: way.InValueValid and way.InValue[0] > 500)
+            assert turtle.connected.PeekInValue()[0] == 1
+        # Whoever set the speed is gone.
+        until(lambda: robot["cmdtransvel"] == 0)
+        service.close()
+
+
+def test_serve_from_the_command_line(node: Any) -> None:
+    options = ("arm=sim://ur5e", "--port", "0", "--no-announce")
+    process = subprocess.Popen(
+        [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", "serve", "rr", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "serving arm over rr; Ctrl-C ends it\n"
+        url = process.stderr.readline().split()[-1]
+        assert node.ConnectService(url).robot_info.device_info.model.name == "UR5e"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10.0) == 128 + signal.SIGTERM
+    finally:
+        process.kill()
+        process.communicate()
