@@ -5,6 +5,8 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "urlink"
@@ -16,26 +18,36 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "sphinx_design",
     "compatibility",
     "dashboard",
+    "drawings",
     "drives",
     "figures",
     "functions",
     "layouts",
     "missions",
     "packages",
-    "variables",
     "postures",
     "pressing",
+    "summary",
+    "variables",
 ]
 exclude_patterns = ["_build", "_extensions"]
 
 html_theme = "furo"
 html_title = f"urlink {release}"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+
+# What is copied is what one would type.
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
 
 # Pages link to each other's sections, as they do when read on a forge.
 myst_heading_anchors = 3
-myst_enable_extensions = ["colon_fence", "deflist"]
+myst_enable_extensions = ["attrs_block", "colon_fence", "deflist"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
@@ -55,7 +67,18 @@ def hide_constructor(
     return ("", "") if what == "class" and "__init__" in (options.exclude_members or ()) else None
 
 
+def strip_blocks(app: Any, document: Any) -> None:
+    """Examples end in an empty line, by which doctest knows the end of the last output. Readers need none."""
+    for block in document.findall(nodes.literal_block):
+        text = block.astext().rstrip("\n")
+        # A block whose source is not its text would not be highlighted.
+        block.rawsource = text
+        block.children = []
+        block += nodes.Text(text)
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("doctree-read", strip_blocks)
     app.connect("autodoc-before-process-signature", resolve)
     app.connect("autodoc-process-signature", hide_constructor)

@@ -1,0 +1,51 @@
+"""What the drawings of these pages share: colours that follow the page's theme, and a frame.
+
+A drawing is a file of its own, which a forge shows as it is, in the colours that the reader's system asks for. Where
+the pages are built it becomes a part of the page (`_extensions/drawings.py`), and takes the colours of the theme.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+__all__ = ["COLOURS", "drawing"]
+
+#: One for each joint, or for each kind of thing; told apart on white and on black.
+COLOURS = ("#4a7fc0", "#e07a1f", "#2f9e76", "#d0575a", "#8f6fc0", "#b59b2d")
+
+_THEME = """
+{scope} {{ --ink: var(--color-foreground-primary, #1f2933); --faint: var(--color-foreground-muted, #6b7680);
+  --line: var(--color-background-border, #dde2e7); --paper: var(--color-background-primary, #ffffff);
+  --panel: var(--color-background-secondary, #f6f8fa); }}
+@media (prefers-color-scheme: dark) {{ {scope} {{ --ink: var(--color-foreground-primary, #e6e9ec);
+  --faint: var(--color-foreground-muted, #98a2ad); --line: var(--color-background-border, #3a4149);
+  --paper: var(--color-background-primary, #131416); --panel: var(--color-background-secondary, #1d2023); }} }}
+{scope} text {{ font: 13px system-ui, sans-serif; fill: var(--ink); }}
+{scope} path, {scope} polyline, {scope} line {{ fill: none; stroke-linecap: round; stroke-linejoin: round; }}
+"""
+
+
+def drawing(name: str, width: float, height: float, title: str, style: str, body: Iterable[str]) -> str:
+    """The text of a drawing.
+
+    Args:
+        name: of the file. It is a class of the drawing too, and each rule of `style` holds within it only: the rules of
+            a drawing that is a part of a page would hold for all of the page.
+        width: of the coordinates in `body`.
+        height: likewise.
+        title: what it shows, for those who do not see it.
+        style: rules of CSS, one a line.
+        body: elements.
+    """
+    scope = f".drawing-{name}"
+    scoped = re.sub(r"^(?=[.a-z])", f"{scope} ", style.strip(), flags=re.MULTILINE)
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" class="drawing drawing-{name}"'
+        ' role="img">',
+        f"<title>{title}</title>",
+        f"<style>{_THEME.format(scope=scope).strip()}\n{scoped}</style>",
+        *body,
+        "</svg>",
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,197 @@
+"""Draw the diagrams of docs/images: data-path.svg, way-out.svg and interlock.svg.
+
+The same code gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from _drawing import COLOURS, drawing
+
+FOLDER = Path(__file__).parent / "images"
+BLUE, ORANGE, GREEN, RED = COLOURS[:4]
+
+STYLE = f"""
+.box {{ fill: var(--paper); stroke: var(--faint); stroke-width: 1.2; }}
+.ours {{ fill: var(--paper); stroke: {BLUE}; stroke-width: 1.6; }}
+.yours {{ fill: var(--paper); stroke: {GREEN}; stroke-width: 1.6; }}
+.robot {{ fill: var(--paper); stroke: {ORANGE}; stroke-width: 1.6; }}
+.shut {{ fill: var(--paper); stroke: {RED}; stroke-width: 1.6; }}
+.lane {{ fill: var(--panel); stroke: var(--line); stroke-width: 1; }}
+.name {{ font-weight: 600; text-anchor: middle; }}
+.note {{ font-size: 11.5px; fill: var(--faint); text-anchor: middle; }}
+.label {{ font-size: 11.5px; fill: var(--faint); }}
+.way {{ stroke: var(--faint); stroke-width: 1.6; }}
+.blocked {{ stroke: {RED}; stroke-width: 1.6; }}
+.head {{ fill: var(--faint); }}
+"""
+
+
+def box(kind: str, x: float, y: float, width: float, height: float, name: str, *notes: str) -> list[str]:
+    """A box with its name, and lines that say more, in the middle."""
+    drawn = [f'<rect class="{kind}" x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="6"/>']
+    middle, first = x + width / 2, y + height / 2 + 5 - 7.5 * len(notes)
+    drawn.append(f'<text class="name" x="{middle:g}" y="{first:g}">{name}</text>')
+    for number, note in enumerate(notes, 1):
+        drawn.append(f'<text class="note" x="{middle:g}" y="{first + 15.5 * number:g}">{note}</text>')
+    return drawn
+
+
+def lane(x: float, y: float, width: float, height: float, name: str) -> list[str]:
+    """A region that boxes stand in, with its name at the bottom left."""
+    return [
+        f'<rect class="lane" x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="8"/>',
+        *label(x + 10, y + height - 9, name),
+    ]
+
+
+def arrow(*points: tuple[float, float], kind: str = "way") -> list[str]:
+    """A line through points, with a head at the last."""
+    (bx, by), (x, y) = points[-2:]
+    length = ((x - bx) ** 2 + (y - by) ** 2) ** 0.5
+    dx, dy = (x - bx) / length, (y - by) / length
+    path = "M" + " L".join(f"{px:g},{py:g}" for px, py in (*points[:-1], (x - 6 * dx, y - 6 * dy)))
+    head = [(x, y), (x - 8 * dx - 4 * dy, y - 8 * dy + 4 * dx), (x - 8 * dx + 4 * dy, y - 8 * dy - 4 * dx)]
+    corners = " ".join(f"{px:.1f},{py:.1f}" for px, py in head)
+    return [f'<path class="{kind}" d="{path}"/>', f'<polygon class="head" points="{corners}"/>']
+
+
+def label(x: float, y: float, text: str, anchor: str = "start") -> list[str]:
+    """A few words beside a line."""
+    return [f'<text class="label" x="{x:g}" y="{y:g}" text-anchor="{anchor}">{text}</text>']
+
+
+def data_path() -> str:
+    """From the robot's bytes to callbacks, and by which thread."""
+    body = [
+        *lane(118, 108, 446, 110, "the reader thread"),
+        *box("robot", 8, 128, 84, 60, "robot", "TCP"),
+        *box("ours", 134, 128, 94, 60, "transport", "bytes, stamp"),
+        *box("ours", 246, 128, 92, 60, "framer", "frames"),
+        *box("ours", 356, 128, 92, 60, "decoder", "typed states"),
+        *box("ours", 466, 128, 84, 60, "fan-out", "newest"),
+        *arrow((92, 158), (134, 158)),
+        *arrow((228, 158), (246, 158)),
+        *arrow((338, 158), (356, 158)),
+        *arrow((448, 158), (466, 158)),
+        # the recorder takes bytes as they came
+        *arrow((181, 128), (181, 44), (246, 44)),
+        *label(189, 84, "bytes as they came"),
+        *box("ours", 246, 18, 92, 52, "queue", "1024 pieces"),
+        *arrow((338, 44), (356, 44)),
+        *box("ours", 356, 18, 92, 52, "recorder", "own thread"),
+        *arrow((448, 44), (466, 44)),
+        *box("box", 466, 18, 84, 52, "file"),
+        # consumers
+        *arrow((508, 128), (508, 84), (620, 84), (620, 62)),
+        *box("ours", 574, 10, 92, 52, "queue", "policy"),
+        *arrow((666, 36), (684, 36)),
+        *box("yours", 684, 10, 108, 52, "callback", "its own thread"),
+        *arrow((550, 158), (574, 158)),
+        *box("ours", 574, 132, 92, 52, "queue", "policy"),
+        *arrow((666, 158), (684, 158)),
+        *box("yours", 684, 132, 108, 52, "for, wait", "your thread"),
+        *arrow((508, 188), (508, 250), (684, 250)),
+        *box("yours", 684, 224, 108, 52, "callback", "by the reader"),
+        *label(520, 243, "inline=True"),
+    ]
+    title = (
+        "The data path: robot, transport, framer, decoder and fan-out in the reader thread; then queues and callbacks"
+    )
+    return drawing("data-path", 800, 286, title, STYLE, body)
+
+
+def way_out() -> str:
+    """From a call to the robot, past the interlock, and what comes back."""
+    body = [
+        *lane(228, 16, 248, 166, "the critical section"),
+        *box("yours", 8, 60, 150, 76, "your call", "motion, script, io", "arguments are checked"),
+        *arrow((158, 98), (244, 98)),
+        *label(201, 90, "text", "middle"),
+        *box("ours", 244, 62, 100, 72, "command", "channel"),
+        *arrow((344, 88), (374, 88)),
+        *arrow((374, 108), (344, 108)),
+        *box("shut", 374, 48, 90, 100, "interlock", "open or", "closed, and", "by what"),
+        *arrow((294, 62), (294, 44), (575, 44), (575, 72)),
+        *label(484, 37, "only while it is open"),
+        *box("ours", 500, 72, 150, 80, "connection", "programs: primary", "set-points: reverse, RTDE"),
+        *arrow((650, 112), (690, 112)),
+        *box("robot", 690, 70, 100, 84, "robot", "runs the", "program"),
+        *arrow((740, 154), (740, 254), (640, 254)),
+        *box("ours", 490, 226, 150, 56, "streams", "primary, real-time"),
+        *arrow((490, 254), (419, 254), (419, 148)),
+        *label(428, 204, "stops, modes, silence"),
+        *arrow((490, 270), (330, 270)),
+        *box("ours", 180, 236, 150, 56, "programs", "the life of each"),
+        *arrow((180, 264), (83, 264), (83, 136)),
+        *label(92, 206, "handle: done, cancelled,"),
+        *label(92, 221, "failed, and by what"),
+    ]
+    title = (
+        "The way out: your call, the command channel that asks the interlock, the robot, and what its streams say back"
+    )
+    return drawing("way-out", 800, 300, title, STYLE, body)
+
+
+def interlock() -> str:
+    """The states of the interlock, and what leads from one to the next."""
+    body = [
+        *box(
+            "shut",
+            30,
+            96,
+            190,
+            92,
+            "closed",
+            "a source says a stop,",
+            "is silent or not heard yet;",
+            "every motion is refused",
+        ),
+        *box(
+            "box",
+            306,
+            10,
+            190,
+            92,
+            "clear, not enabled",
+            "only under the policies",
+            "on_startup and always;",
+            "NotEnabled",
+        ),
+        *box("yours", 580, 96, 190, 92, "open", "motions begin,", "set-points leave"),
+        *arrow((160, 96), (230, 56), (306, 56)),
+        *label(150, 44, "all sources clear"),
+        *arrow((496, 56), (590, 56), (650, 96)),
+        *label(560, 44, "safety.enable()"),
+        *arrow((220, 142), (580, 142)),
+        *label(400, 134, "all sources clear", "middle"),
+        *label(400, 158, "policy never, or on_startup and enabled before", "middle"),
+        *arrow((675, 188), (675, 236), (125, 236), (125, 188), kind="blocked"),
+        *label(
+            400, 229, "any source: a stop, a mode that does not run, a second of silence, a lost connection", "middle"
+        ),
+        *label(
+            400, 256, "what moves ends at once with SafetyStop or NotRunning, and never goes on by itself", "middle"
+        ),
+    ]
+    title = "The interlock: closed by any source, clear, and open by all of them, by the policy"
+    return drawing("interlock", 800, 266, title, STYLE, body)
+
+
+DIAGRAMS = {"data-path": data_path, "way-out": way_out, "interlock": interlock}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw them all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path, default=FOLDER)
+    folder = parser.parse_args(arguments).folder
+    for name, draw in DIAGRAMS.items():
+        (folder / f"{name}.svg").write_text(draw(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
