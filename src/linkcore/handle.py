@@ -294,6 +294,15 @@ class Handle:
     def __exit__(self, *exc: object) -> None:
         self.cancel()
 
+    def _shown(self) -> list[tuple[str, str]]:
+        """What a notebook shows of it."""
+        return [("phase", self.phase.value), ("error", "" if self.error is None else str(self.error))]
+
+    def _repr_html_(self) -> str:
+        from .html_view import html_table  # whoever imports us should not pay for it
+
+        return html_table(f"{type(self).__name__} {self.name}", (), [row for row in self._shown() if row[1]])
+
     def __repr__(self) -> str:
         error = "" if self.error is None else f": {self.error}"
         return f"<{type(self).__name__} {self.name} {self.phase.value}{error}>"
@@ -315,3 +324,6 @@ class Motion(Handle):
     def progress(self) -> float:
         """How much of it is behind the robot, from 0 to 1; 1 only once it has come to its own end."""
         return 1.0 if self.phase is Phase.DONE else min(max(self._measure(), 0.0), 1.0)
+
+    def _shown(self) -> list[tuple[str, str]]:
+        return [*super()._shown(), ("progress", f"{self.progress:.0%}")]

@@ -534,6 +534,15 @@ class Robot:
         if not getattr(self, "_is_closed", True) and self._controller is not None:
             warnings.warn(f"{self!r} was not closed; its simulator goes on", ResourceWarning, source=self, stacklevel=2)
 
+    def _repr_html_(self) -> str:
+        from linkcore.html_view import html_table  # whoever imports us should not pay for it
+
+        rows = [
+            (name, stream.connection.value, f"{stream.stats.rate:.0f} Hz", stream.stats.received)
+            for name, stream in tuple(self._streams.items())
+        ]
+        return html_table(repr(self), ("stream", "connection", "rate", "received"), rows)
+
     def __repr__(self) -> str:
         known = self._who.last
         return f"<Robot {self.address} {known.model} firmware {known.firmware}>"

@@ -52,6 +52,41 @@ def test_watch_safety() -> None:
     assert any(line.startswith("RobotCommMessage(") and "code=153" in line for line in told)
 
 
+NOTEBOOK = """
+import ast, json, sys
+import matplotlib
+matplotlib.use("agg")
+names = {}
+for cell in json.load(open(sys.argv[1], encoding="utf-8"))["cells"]:
+    if cell["cell_type"] != "code":
+        continue
+    *statements, last = ast.parse("".join(cell["source"])).body
+    exec(compile(ast.Module(statements, []), "cell", "exec"), names)
+    if not isinstance(last, ast.Expr):
+        exec(compile(ast.Module([last], []), "cell", "exec"), names)
+        continue
+    value = eval(compile(ast.Expression(last.value), "cell", "eval"), names)
+    for show in ("_repr_html_", "_repr_png_"):
+        if hasattr(value, show):
+            print(type(value).__name__, show, len(getattr(value, show)()) > 100)
+"""
+
+
+def test_the_notebook_runs_cell_by_cell(tmp_path: Path) -> None:
+    """As a kernel would run it, and each cell's last value shows as a notebook would show it."""
+    command = [sys.executable, "-W", "error", "-c", NOTEBOOK, str(EXAMPLES / "notebook.ipynb")]
+    environment = {**os.environ, "TMPDIR": str(tmp_path), "TEMP": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "Robot _repr_html_ True",
+        "RealtimeState _repr_html_ True",
+        "Motion _repr_html_ True",
+        "Recording _repr_html_ True",
+        "Plot _repr_png_ True",
+    ]
+
+
 def test_rtde_cell() -> None:
     lines = output("rtde_cell.py", "--count", "5").splitlines()
     counted = [int(line.rpartition(" ")[2]) for line in lines]

@@ -30,7 +30,7 @@ class ProgressBar:
     def __call__(self, part: float) -> None:
         """Draw it, if it is time to."""
         now = time.monotonic()
-        if not self._is_terminal or now < self._next:
+        if not self._is_terminal or now < self._next or part <= 0.0:  # what has no end in sight has no bar
             return
         self._next = now + _PERIOD
         done = round(min(max(part, 0.0), 1.0) * _WIDTH)

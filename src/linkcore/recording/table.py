@@ -233,15 +233,11 @@ class Table:
         return f"<Table {self.name}: {len(self)} rows, {self._time[0]:.3f} to {self._time[-1]:.3f} s>"
 
     def _repr_html_(self) -> str:
-        import html  # notebooks have it already; whoever imports us should not pay for it
+        from ..html_view import html_table  # whoever imports us should not pay for it
 
-        rows = "".join(
-            f"<tr><td>{html.escape(column.name)}</td><td>{(len(self), *column.shape)}</td>"
-            f"<td>{html.escape(column.unit)}</td><td>{html.escape(column.doc)}</td></tr>"
-            for column in self._columns.known.values()
-        )
-        head = "<tr><th>field</th><th>shape</th><th>unit</th><th>meaning</th></tr>"
-        return f"<table><caption>{html.escape(repr(self))}</caption>{head}{rows}</table>"
+        columns = self._columns.known.values()
+        rows = [(column.name, (len(self), *column.shape), column.unit, column.doc) for column in columns]
+        return html_table(repr(self), ("field", "shape", "unit", "meaning"), rows, self.missing)
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self._columns.known)

@@ -209,6 +209,43 @@ class Feed(Generic[T]):
             raise BadValue(f"a {self._kind.__name__} has no fields of its own to keep; take a part of it with of()")
         return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
 
+    def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
+        """Draw fields while they come: in a notebook below its cell, elsewhere in a window. Returns when time is up.
+
+        Args:
+            fields: names, a panel for each; vectors have a line for each element.
+            seconds: for which it goes on.
+            window: seconds that are shown, the newest on the right.
+            period: seconds between two pictures.
+
+        Raises:
+            BadValue: no field, or one that is not there or is no number, or a time that is none.
+            LocalError: matplotlib is not installed; says how to.
+            LinkTimeout: nothing came within `seconds`.
+            RemoteError, LocalError, Closed: as `subscribe`.
+        """
+        from ..plotting import Curves, LivePlot, Plot  # whoever imports us should not pay for it
+
+        seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
+        period = check_seconds(period, "period", positive=True, finite=True)
+        units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
+        live = LivePlot()
+        end = time.monotonic() + seconds
+        try:
+            with self.history(window) as history:
+                while (now := time.monotonic()) < end:
+                    states = history.array(*fields)
+                    if len(states):
+                        when = states["received"] - now
+                        curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
+                        live.update(Plot(curves, self._connection.name), period)
+                    else:
+                        self.wait(end - now)
+                if not len(history):
+                    raise self._why_nothing(seconds)
+        finally:
+            live.close()
+
     def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:
         """The policy; of those who do not say: events are kept, states are replaced by newer ones."""
         if policy is not None:

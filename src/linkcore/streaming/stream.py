@@ -128,6 +128,13 @@ class Stream(Feed[T]):
             warnings.warn(f"{self!r} was not closed", ResourceWarning, source=self, stacklevel=2)
             connection.abandon()
 
+    def _repr_html_(self) -> str:
+        from ..html_view import html_table  # whoever imports us should not pay for it
+
+        stats = self.stats
+        rows = [(name, getattr(stats, name)) for name in ("received", "decoded", "failed", "reconnects", "rate", "age")]
+        return html_table(repr(self), (), [(name, "" if value is None else f"{value:.6g}") for name, value in rows])
+
     def __repr__(self) -> str:
         stats = self.stats
         age = "nothing received" if stats.age is None else f"{stats.received} received, the last {stats.age:.3f} s ago"

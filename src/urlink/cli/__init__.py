@@ -6,11 +6,45 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import dashboard, dissect, doctor, echo, export, hz, info, jog, monitor, record, replay, rtde, script, serve, sim
+from . import (
+    dashboard,
+    dissect,
+    doctor,
+    echo,
+    export,
+    hz,
+    info,
+    jog,
+    monitor,
+    plot,
+    record,
+    replay,
+    rtde,
+    script,
+    serve,
+    sim,
+)
 
 __all__ = ["main"]
 
-_COMMANDS = (monitor, echo, rtde, hz, info, doctor, script, jog, dashboard, record, replay, export, dissect, serve, sim)
+_COMMANDS = (
+    monitor,
+    echo,
+    rtde,
+    hz,
+    info,
+    doctor,
+    script,
+    jog,
+    dashboard,
+    record,
+    replay,
+    plot,
+    export,
+    dissect,
+    serve,
+    sim,
+)
 
 _DESCRIPTION = """\
 Read and command Universal Robots arms of every generation: real, simulated, or from a recording."""

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
+from linkcore.cli.progress import ProgressBar
 from linkcore.recording.file import Recording
 from linkcore.streaming.events import ConnectionState
 
@@ -62,14 +63,22 @@ def run(args: argparse.Namespace) -> int:
     interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
     with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
         streams = [getattr(robot, name) for name in interfaces]
-        with robot.record(args.file, interfaces):
+        with robot.record(args.file, interfaces), ProgressBar("recording") as progress:
             tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
-            until = None if args.duration is None else time.monotonic() + args.duration
+            begin = time.monotonic()
+            until = None if args.duration is None else begin + args.duration
             while until is None or time.monotonic() < until:
                 left = 0.05 if until is None else min(0.05, max(until - time.monotonic(), 0.0))
                 if interruption.wait(left):
                     break
-                if args.count is not None and all(stream.stats.received >= args.count for stream in streams):
+                fewest = min(stream.stats.received for stream in streams)
+                progress(
+                    max(
+                        0.0 if args.duration is None else (time.monotonic() - begin) / args.duration,
+                        0.0 if args.count is None else fewest / args.count,
+                    )
+                )
+                if args.count is not None and fewest >= args.count:
                     break
                 for stream in streams:
                     if stream.failure is not None:

@@ -66,12 +66,12 @@ class McapRecorder(Recorder):
         writer.describe(info.get("model"))
 
         def write(state: State) -> None:
-            writer.add(name, state)
+            if isinstance(state, (stream._kind, RobotMessage)):
+                writer.add(name, state)
 
-        kinds = (RobotState, RobotMessage) if name in ("primary", "secondary") else (stream._kind,)
-        for kind in kinds:
-            subscription = stream._connection.subscribe(kind, write, policy=block, gather=_LOOK, owner=stream)
-            self._subscriptions.append(subscription)
+        # One subscription for all classes: with the second one of two, the first packets would be missed.
+        subscription = stream._connection.subscribe(State, write, policy=block, gather=_LOOK, owner=stream)
+        self._subscriptions.append(subscription)
         return subscription
 
 

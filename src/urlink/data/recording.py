@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import html
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from linkcore.errors import BadRecording
-from linkcore.recording.columns import PacketColumns
+from linkcore.plotting import Curves, Plot
+from linkcore.recording.columns import PacketColumns, is_continuous
 from linkcore.recording.exporting import Progress, chosen, export
 from linkcore.recording.index import Index
 from linkcore.recording.packets import Channel, Part, read_channel
@@ -199,6 +199,36 @@ class Recording:
         writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
         return export(path, chosen(tables, fields, rate), writers, progress)
 
+    def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
+        """Fields over time, a panel for each; a notebook shows it, and `Plot.save` writes it to a file.
+
+        Args:
+            fields: named as for `export`.
+            start, end: the part of the recording that is drawn, s.
+
+        Raises:
+            BadValue: no field, no such field, one that is no number, or an end before the start.
+        """
+        tables = chosen(self.tables, fields) if fields else {}
+        curves = []
+        for field in fields:
+            name, table, key = next(
+                (name, table, key)
+                for name, table in tables.items()
+                for key in (field, field.partition(".")[2])
+                if key in table
+            )
+            part = table.between(start, end)
+            label = key if len(tables) == 1 else f"{name}.{key}"
+            time, values = part.time, part[key]
+            if part.begins and is_continuous(table.fields[key]):
+                # No line leads over what is missing.
+                time = np.insert(time, part.begins, time[part.begins])
+                values = np.insert(values, part.begins, np.nan, axis=0)
+            curves.append(Curves(label, table.fields[key].unit, time, values))
+        who = f"{self.model}, firmware {self.firmware}" if self.model else ""
+        return Plot(curves, f"{self.path.name}  {who}".strip())
+
     def _write_mcap(self, path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
         tables = {name: table for name, table in tables.items() if len(table)}
         first = min((table.time[0] for table in tables.values()), default=0.0)
@@ -269,14 +299,18 @@ class Recording:
         return f"<Recording {self.path}: {streams} of {who}, {self.duration:.3f} s>"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{len(table)}</td><td>{len(table.fields)}</td></tr>"
+        from linkcore.html_view import html_table  # whoever imports us should not pay for it
+
+        rows = [
+            (
+                name,
+                len(table),
+                len(table.fields),
+                "" if not len(table) else f"{table.time[0]:.3f} to {table.time[-1]:.3f} s",
+            )
             for name, table in self.tables.items()
-        )
-        head = "<tr><th>stream</th><th>rows</th><th>fields</th></tr>"
-        missing = "".join(f"<li>{html.escape(each)}</li>" for each in self.missing)
-        listed = f"<ul>{missing}</ul>" if missing else ""
-        return f"<table><caption>{html.escape(repr(self))}</caption>{head}{rows}</table>{listed}"
+        ]
+        return html_table(repr(self), ("stream", "rows", "fields", "time"), rows, self.missing)
 
 
 def _records(parts: list[Part]) -> Any:

@@ -1,0 +1,196 @@
+"""Columns over time as a picture: a panel for each field, a line for each of its elements."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import BadRecording, BadValue
+from .extras import needs
+
+__all__ = ["Curves", "LivePlot", "Plot", "is_in_notebook"]
+
+#: Points of a line from which on only the least and the greatest of each stretch are drawn.
+_MOST_POINTS = 8000
+#: Of a pose, a speed or a force: its unit names two.
+_SPATIAL = ("x", "y", "z", "rx", "ry", "rz")
+_SUFFIXES = (".png", ".svg", ".pdf")
+
+
+class Curves(NamedTuple):
+    """One field over time.
+
+    Attributes:
+        name: of the field.
+        unit: of its values.
+        time: of each row, s, (n,).
+        values: numbers, (n,) or (n, k).
+    """
+
+    name: str
+    unit: str
+    time: NDArray[np.float64]
+    values: NDArray[Any]
+
+
+class Plot:
+    """A picture of fields over time: save it, show it in a window, or let a notebook show it.
+
+    Args:
+        curves: the fields, from the top on.
+        title: above them.
+
+    Raises:
+        BadValue: no field, or one that is no number.
+    """
+
+    def __init__(self, curves: Sequence[Curves], title: str = "") -> None:
+        if not curves:
+            raise BadValue("nothing to plot; name one field or more, such as q_actual")
+        for each in curves:
+            if each.values.dtype.kind not in "fiub":
+                raise BadValue(f"{each.name} is no number, and cannot be plotted")
+        self._curves = list(curves)
+        self._title = title
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it to a .png, .svg or .pdf.
+
+        Raises:
+            BadValue: another suffix.
+            BadRecording: the file cannot be written.
+            LocalError: matplotlib is not installed.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in _SUFFIXES:
+            raise BadValue(f"{path}: a picture is one of {', '.join(_SUFFIXES)}")
+        try:
+            self.figure().savefig(path, bbox_inches="tight")
+        except OSError as error:
+            raise BadRecording(f"cannot write {path}: {error.strerror or error}") from error
+        return path
+
+    def show(self) -> None:
+        """Show it in a window, and wait until that is closed.
+
+        Raises:
+            LocalError: matplotlib is not installed.
+        """
+        with needs("plot", "a plot"):
+            from matplotlib import pyplot
+        self.draw(pyplot.figure(figsize=self.size))
+        pyplot.show()
+
+    def figure(self) -> Any:
+        """It as a `matplotlib.figure.Figure`.
+
+        Raises:
+            LocalError: matplotlib is not installed.
+        """
+        with needs("plot", "a plot"):
+            # Not pyplot: it would choose a window system for the whole program.
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+            from matplotlib.figure import Figure
+        figure = Figure(figsize=self.size, dpi=100)
+        FigureCanvasAgg(figure)
+        self.draw(figure)
+        return figure
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height, inches."""
+        return 9.0, 0.8 + 1.9 * len(self._curves)
+
+    def draw(self, figure: Any) -> None:
+        """Draw it into a figure of matplotlib."""
+        panels = figure.subplots(len(self._curves), 1, sharex=True, squeeze=False)[:, 0]
+        for panel, each in zip(panels, self._curves, strict=True):
+            columns = each.values.reshape(len(each.time), -1).astype(float).T
+            names = _SPATIAL if len(columns) == 6 and "," in each.unit else tuple(map(str, range(len(columns))))
+            for name, column in zip(names, columns, strict=False):
+                panel.plot(*_thinned(each.time, column), linewidth=1.0, label=name)
+            panel.set_title(each.name, loc="left", fontsize="medium")
+            panel.set_ylabel(each.unit)
+            panel.grid(alpha=0.3)
+            if 1 < len(columns) <= len(_SPATIAL):
+                panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+        panels[-1].set_xlabel("t [s]")
+        if self._title:
+            figure.suptitle(self._title)
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.figure().savefig(buffer, format="png", bbox_inches="tight")
+        return buffer.getvalue()
+
+    def __repr__(self) -> str:
+        return f"<Plot of {', '.join(each.name for each in self._curves)}>"
+
+
+def _thinned(time: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+    """What is drawn of many points: the least and the greatest of each stretch, so that no peak is lost."""
+    if len(time) <= _MOST_POINTS:
+        return time, values
+    stretch = 2 * len(time) // _MOST_POINTS
+    count = len(time) // stretch
+    pieces = values[: count * stretch].reshape(count, stretch)
+    # fmin and fmax pass over NaN, of which there is one where a connection was lost.
+    ends = np.stack([np.fmin.reduce(pieces, axis=1), np.fmax.reduce(pieces, axis=1)], axis=1).ravel()
+    return np.repeat(time[: count * stretch : stretch], 2), ends
+
+
+def is_in_notebook() -> bool:
+    """Whether this program runs in the kernel of a notebook."""
+    # Whoever has not imported IPython is in no notebook, and need not import it to find out.
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return shell is not None and hasattr(shell, "kernel")
+
+
+class LivePlot:
+    """Shows one plot after the other in the same place: in a notebook below its cell, elsewhere in a window.
+
+    Raises:
+        LocalError: matplotlib is not installed.
+    """
+
+    def __init__(self) -> None:
+        self._handle: Any = None
+        self._figure: Any = None
+        if is_in_notebook():
+            return
+        with needs("plot", "a live plot"):
+            from matplotlib import pyplot
+        self._pyplot = pyplot
+
+    def update(self, plot: Plot, pause: float) -> None:
+        """Show a plot in place of the one before, and give a window `pause` seconds for its events."""
+        if is_in_notebook():
+            from IPython.display import display
+
+            if self._handle is None:
+                self._handle = display(plot, display_id=True)
+            else:
+                self._handle.update(plot)
+            time.sleep(pause)
+            return
+        if self._figure is None:
+            self._figure = self._pyplot.figure(figsize=plot.size)
+        self._figure.clear()
+        plot.draw(self._figure)
+        if self._pyplot.get_backend().lower() == "agg":
+            time.sleep(pause)  # there is no window that could have events
+        else:
+            self._pyplot.pause(pause)
+
+    def close(self) -> None:
+        """Close the window; what a notebook shows stays."""
+        if self._figure is not None:
+            self._pyplot.close(self._figure)

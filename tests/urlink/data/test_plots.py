@@ -1,0 +1,130 @@
+"""Pictures of recordings and of what comes, bars, and what a notebook shows."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import urlink
+import urlink.cli
+from linkcore import plotting
+from linkcore.cli.progress import ProgressBar
+from linkcore.plotting import Curves, Plot
+from linkcore.recording.file import Kind, RecordingWriter
+from urlink import RealtimeState, Stamp
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+
+CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.urlog"
+
+
+@pytest.fixture
+def run() -> urlink.Recording:
+    return urlink.load(CAPTURE)
+
+
+def test_a_panel_for_each_field_and_a_line_for_each_element(run: urlink.Recording) -> None:
+    plot = run.plot("q_actual", "tcp_force", "primary.robot_mode_data.robot_mode", start=0.1, end=0.2)
+    panels = plot.figure().axes
+    assert [panel.get_title("left") for panel in panels] == [
+        "realtime.q_actual",
+        "realtime.tcp_force",
+        "primary.robot_mode_data.robot_mode",
+    ]
+    assert [len(panel.lines) for panel in panels] == [6, 6, 1]
+    assert [line.get_label() for line in panels[1].lines] == ["x", "y", "z", "rx", "ry", "rz"]
+    line = panels[0].lines[2]
+    part = run.realtime.between(0.1, 0.2)
+    assert line.get_xdata().tolist() == part.time.tolist()
+    assert line.get_ydata().tolist() == part["q_actual"][:, 2].tolist()
+
+
+def test_no_line_leads_over_a_lost_connection(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run.urlog")
+    channel = writer.add_channel({"name": "realtime"})
+    for number in range(20):
+        writer.write(Kind.BYTES, channel, Stamp(number, number), bytes(RealtimeState("5.11", time=number)))
+        if number == 11:
+            writer.write(Kind.EVENT, channel, Stamp(number, number), b'{"state": "lost"}')
+    writer.close()
+    run = urlink.load(tmp_path / "run.urlog")
+    (line,) = run.plot("time").figure().axes[0].lines
+    assert np.flatnonzero(np.isnan(line.get_ydata())).tolist() == run.realtime.begins == [12]
+
+
+def test_no_peak_is_lost_in_a_long_recording() -> None:
+    time = np.arange(300_000) / 500
+    values = np.zeros(300_000)
+    values[123_456] = 7.0
+    values[234_567] = -3.0
+    (line,) = Plot([Curves("x", "N", time, values)]).figure().axes[0].lines
+    assert len(line.get_ydata()) < 20_000
+    assert (line.get_ydata().max(), line.get_ydata().min()) == (7.0, -3.0)
+
+
+def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(urlink.BadValue, match="nothing to plot"):
+        run.plot()
+    with pytest.raises(urlink.BadValue, match="did you mean q_actual"):
+        run.plot("q_actuel")
+    with pytest.raises(urlink.BadValue, match=r"a picture is one of \.png, \.svg, \.pdf"):
+        run.plot("q_actual").save(tmp_path / "q.doc")
+    with pytest.raises(urlink.BadRecording, match="cannot write"):
+        run.plot("q_actual").save(tmp_path / "nowhere" / "q.png")
+    with pytest.raises(urlink.BadValue, match="is no number"):
+        Plot([Curves("text", "", np.zeros(1), np.array(["a"], object))])
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(urlink.LocalError, match=r"pip install 'urlink\[plot\]'"):
+        run.plot("q_actual").figure()
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, begin in (("q.png", b"\x89PNG"), ("q.svg", b"<?xml")):
+        path = tmp_path / name
+        assert urlink.cli.main(["plot", str(CAPTURE), "q_actual", "-o", str(path)]) == 0
+        assert capsys.readouterr().out == f"{path}\n"
+        assert path.read_bytes().startswith(begin)
+    assert urlink.cli.main(["plot", str(CAPTURE), "nothing", "-o", str(tmp_path / "x.png")]) == 1
+    assert "no field 'nothing'" in capsys.readouterr().err
+
+
+def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Plot] = []
+    monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append(plot))
+    with urlink.connect(f"replay://{CAPTURE}") as robot:
+        robot.realtime.plot("q_actual", "speed_scaling", seconds=0.3, period=0.05)
+        with pytest.raises(urlink.BadValue, match="no field"):
+            robot.realtime.plot("nothing", seconds=0.3)
+    lines = drawn[-1].figure().axes[0].lines
+    assert len(lines) == 6
+    assert -10 < lines[0].get_xdata()[0] < lines[0].get_xdata()[-1] <= 0
+
+
+def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
+    with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
+        robot.realtime.wait()
+        assert "<td>realtime</td>" in robot._repr_html_()
+        assert "<td>received</td>" in robot.realtime._repr_html_()
+    assert "<td>primary</td>" in run._repr_html_()
+    for html in (robot._repr_html_(), run._repr_html_(), run.realtime._repr_html_()):
+        assert "<Re" not in html
+        assert "<Ro" not in html
+        assert "<Ta" not in html.replace("<Table", "<Ta")
+        assert html.startswith("<table><caption>&lt;")
+
+
+def test_a_bar_on_a_terminal_and_nothing_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for is_terminal in (False, True):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda is_terminal=is_terminal: is_terminal)
+        monkeypatch.setattr("linkcore.cli.progress._PERIOD", 0.0)
+        with ProgressBar("writing") as progress:
+            progress(0.0)
+            progress(0.5)
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err == ("" if not is_terminal else f"\rwriting [{'=' * 15}{' ' * 15}]  50%\r\x1b[K")
