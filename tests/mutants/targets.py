@@ -34,9 +34,17 @@ GROUPS = {
     "framing": Group(("linkcore/wire/framing.py",), ("tests/linkcore/wire", "tests/urlink/interfaces")),
     "commanding": Group(
         ("urlink/commanding/*.py",),
-        ("tests/urlink/commanding", "tests/urlink/motion", "tests/urlink/test_robot.py"),
+        (
+            "tests/urlink/commanding",
+            "tests/urlink/motion",
+            "tests/urlink/test_robot.py",
+            "tests/urlink/test_public_names.py",
+        ),
     ),
-    "motion": Group(("urlink/motion/**/*.py",), ("tests/urlink/motion", "tests/urlink/urscript")),
+    "motion": Group(
+        ("urlink/motion/**/*.py",),
+        ("tests/urlink/motion", "tests/urlink/urscript", "tests/urlink/test_public_names.py"),
+    ),
     "rhd-wire": Group(("rhdlink/wire/*.py",), ("tests/rhdlink",)),
     "rhd-host": Group(("rhdlink/host/*.py",), ("tests/rhdlink",)),
 }

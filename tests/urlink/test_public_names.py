@@ -243,3 +243,55 @@ def test_what_users_hold_shows_what_they_should_touch() -> None:
             held = eval(path, {"robot": robot, "urlink": urlink})
             shown[path] = sorted(name for name in dir(held) if not name.startswith("_"))
     assert shown == {path: sorted(names.split()) for path, names in SURFACES.items()}
+
+
+#: What an argument is that is left out. A change is one for users: of how fast an arm moves, of how long is waited.
+DEFAULTS = {
+    "robot.close": "timeout=2.0",
+    "robot.popup": "title='Popup', warning=False, error=False",
+    "robot.record": "interfaces=('realtime', 'primary')",
+    "robot.set_payload": "cog=None, inertia=None, confirm=1.0",
+    "robot.set_speed_slider": "confirm=1.0",
+    "robot.set_tcp": "confirm=1.0",
+    "robot.motion.follow": (
+        "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
+        "feedback=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, link='reverse', wait=False"
+    ),
+    "robot.motion.jog": "frame='joints', acceleration=1.2, timeout=0.3, watchdog=0.2, link='reverse'",
+    "robot.motion.move_circular": "speed=0.25, acceleration=1.2, wait=False",
+    "robot.motion.move_joints": "speed=1.05, acceleration=1.4, time=None, wait=False",
+    "robot.motion.move_linear": "speed=0.25, acceleration=1.2, time=None, wait=False",
+    "robot.motion.path": "speed=0.25, acceleration=1.2, joint_speed=1.05, joint_acceleration=1.4, wait=False",
+    "robot.motion.servo": (
+        "rate=None, target_filter=None, speed=1.05, acceleration=3.0, jerk=30.0, watchdog=0.1, "
+        "lookahead_time=0.03, gain=300.0, link='reverse'"
+    ),
+    "robot.motion.speed_joints": "acceleration=1.4, duration=0.5",
+    "robot.motion.speed_linear": "acceleration=1.2, duration=0.5",
+    "robot.motion.stop": "acceleration=2.0, wait=False",
+    "robot.io.set_analog_out": "confirm=1.0",
+    "robot.io.set_configurable_digital_out": "confirm=1.0",
+    "robot.io.set_digital_out": "confirm=1.0",
+    "robot.io.set_tool_digital_out": "confirm=1.0",
+    "robot.io.set_tool_voltage": "confirm=1.0",
+    "robot.io.wait_configurable_digital_in": "on=True, timeout=5.0",
+    "robot.io.wait_digital_in": "on=True, timeout=5.0",
+    "robot.io.wait_tool_digital_in": "on=True, timeout=5.0",
+    "robot.script.run": "wait=False, on_text=None",
+    "robot.safety.wait_enabled": "timeout=60.0",
+    "robot.safety.wait_until_clear": "timeout=60.0",
+}
+FACADES = ("robot", "robot.motion", "robot.io", "robot.script", "robot.safety")
+
+
+def test_what_is_left_out_is_what_it_was() -> None:
+    found = {}
+    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+        for path in FACADES:
+            held = eval(path, {"robot": robot})
+            for name, method in inspect.getmembers(type(held), inspect.isfunction):
+                parameters = inspect.signature(method).parameters.values()
+                given = [f"{each.name}={each.default!r}" for each in parameters if each.default is not each.empty]
+                if given and not name.startswith("_"):
+                    found[f"{path}.{name}"] = ", ".join(given)
+    assert found == DEFAULTS
