@@ -23,9 +23,8 @@ __all__ = ["ControllerClock", "Following", "Rest", "Tolerances", "TrajectoryFeed
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Seconds by which the time between two states may be longer than the time between their arrivals: they were held up
-#: on their way and came together. More than that is a clock that was set.
-_BUNCHING = 0.1
+#: Seconds by which a state may come earlier than the quickest before it. More than that is a clock that was set.
+_EARLIER = 0.1
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,13 @@ class Tolerances:
 class ControllerClock:
     """How much time passes on the controller, as far as its states can be believed.
 
-    For a state without a time, from the past, or from a future that this computer's clock knows nothing of, that clock
-    counts, and one cycle at least.
+    A state cannot come before its time. How long states are on their way is not known, but the quickest of them gives
+    a bound: one that would be quicker than that by more than `_EARLIER` has a wrong time. So states that were held up
+    on their way, or read late, may come together, and the time of each counts; also where a simulated controller that
+    was held up makes up for it faster than time passes.
+
+    For a state without a time, from the past, or from such a future, this computer's clock counts, and one cycle at
+    least; the states after it are held against it.
 
     Args:
         cycle: seconds of the controller's cycle.
@@ -79,6 +83,8 @@ class ControllerClock:
     def __init__(self, cycle: float) -> None:
         self._cycle = cycle
         self._last: tuple[float, float] | None = None
+        #: s from the time of a state to its arrival, each on its own clock: of the quickest
+        self._quickest = 0.0
 
     def passed(self, time: float, now: float) -> float:
         """Seconds since the last state; 0 for the first.
@@ -88,10 +94,16 @@ class ControllerClock:
             now: when it came, on a clock of this computer that only grows.
         """
         last, self._last = self._last, (time, now)
+        way = now - time
         if last is None:
+            self._quickest = way
             return 0.0
-        told, own = time - last[0], now - last[1]
-        return told if 0.0 <= told <= own + _BUNCHING else max(own, self._cycle)
+        told = time - last[0]
+        if told >= 0.0 and way >= self._quickest - _EARLIER:
+            self._quickest = min(self._quickest, way)
+            return told
+        self._quickest = way
+        return max(now - last[1], self._cycle)
 
 
 class Rest:

@@ -246,6 +246,7 @@ def streaming(
         starved = False
         {way.kind} servo():
           q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+          aim = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
           missed = 0
           begun = False
@@ -258,10 +259,11 @@ def streaming(
               sync()
             elif is_new:
               step = [{each("speed[{i}] * " + cycle)}]
+              aim = goal
               if begun:
-                q = [{each("bounded(goal[{i}], q[{i}], {way})", ways)}]
+                q = [{each("bounded(aim[{i}], q[{i}], {way})", ways)}]
               else:
-                q = goal
+                q = aim
               end
               begun = True
               missed = 0
@@ -269,7 +271,8 @@ def streaming(
             elif missed < {most_missed}:
               missed = missed + 1
               share = 1.0 - missed / {number(most_missed)}
-              q = [{each("bounded(q[{i}] + step[{i}] * share, q[{i}], {way})", ways)}]
+              aim = [{each("aim[{i}] + step[{i}] * share")}]
+              q = [{each("bounded(aim[{i}], q[{i}], {way})", ways)}]
               {servo}
             else:
               starved = True

@@ -127,6 +127,16 @@ def test_a_clock_that_was_wrong_for_one_state_is_right_again() -> None:
     assert sum(passed) == pytest.approx(0.008)
 
 
+def test_states_that_come_together_after_they_were_held_up_are_believed() -> None:
+    """Half a second late, and then half a second in a tenth: no state came before its time."""
+    clock = ControllerClock(0.002)
+    clock.passed(100.0, 7.0)
+    assert clock.passed(100.002, 7.502) == pytest.approx(0.002)
+    assert clock.passed(100.6, 7.61) == pytest.approx(0.598)
+    # A second in a tenth would be before its time.
+    assert clock.passed(101.6, 7.71) == pytest.approx(0.1)
+
+
 # -- the set-points --------------------------------------------------------------------------------------
 
 
@@ -285,6 +295,7 @@ class Program:
     def __init__(self, servoing: Servoing, q: list[float]) -> None:
         self.q = list(q)
         self.is_over = False
+        self._aim = list(q)
         self._step = [0.0] * 6
         self._cycle = 1.0 / servoing.firmware.rate
         self._missed = 0
@@ -300,19 +311,21 @@ class Program:
         if last_word:
             goal = word(last_word)[0]
             self._step = [self._cycle * each for each in speeds(last_word)]
-            self.q = self._bounded(goal) if self._has_begun else goal
+            self._aim = goal
+            self.q = self._bounded() if self._has_begun else goal
             self._has_begun, self._missed = True, 0
         elif self._missed < self._missable:
             self._missed += 1
             share = 1.0 - self._missed / self._missable
-            self.q = self._bounded([q + step * share for q, step in zip(self.q, self._step, strict=True)])
+            self._aim = [aim + step * share for aim, step in zip(self._aim, self._step, strict=True)]
+            self.q = self._bounded()
         else:
             self.is_over = True
         return self.q
 
-    def _bounded(self, aim: list[float]) -> list[float]:
-        """No further than the joints get in a cycle."""
-        return [min(max(a, q - way), q + way) for a, q, way in zip(aim, self.q, self._ways, strict=True)]
+    def _bounded(self) -> list[float]:
+        """To the aim, but no further than the joints get in a cycle."""
+        return [min(max(a, q - way), q + way) for a, q, way in zip(self._aim, self.q, self._ways, strict=True)]
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)

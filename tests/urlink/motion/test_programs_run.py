@@ -94,7 +94,7 @@ def test_goes_on_at_the_speed_that_it_was_told_ever_slower(firmware: Firmware) -
     targets = []
     late.watch_servoj(targets.append)
     for step in (0, 1, None, None, 4, None):
-        late.sockets.waiting.extend(b"" if step is None else setpoint(turned(0.004 * step), spinning(-0.2)))
+        late.sockets.waiting.extend(b"" if step is None else setpoint(turned(0.001 * step), spinning(-0.2)))
         late.run()
     assert targets[-1][5] - targets[-2][5] == pytest.approx(-0.2 / firmware.rate * (1 - 1 / most), abs=1e-9)
 
