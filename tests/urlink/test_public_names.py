@@ -248,6 +248,7 @@ def test_what_users_hold_shows_what_they_should_touch() -> None:
 #: What an argument is that is left out. A change is one for users: of how fast an arm moves, of how long is waited.
 DEFAULTS = {
     "robot.close": "timeout=2.0",
+    "robot.freedrive": "axes=None, frame='base', watchdog=0.5, link='reverse'",
     "robot.popup": "title='Popup', warning=False, error=False",
     "robot.record": "interfaces=('realtime', 'primary')",
     "robot.set_payload": "cog=None, inertia=None, confirm=1.0",
@@ -257,6 +258,7 @@ DEFAULTS = {
         "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
         "feedback=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, link='reverse', wait=False"
     ),
+    "robot.motion.force_mode": "kind=2, damping=None, gain=None, watchdog=0.5, link='reverse'",
     "robot.motion.jog": "frame='joints', acceleration=1.2, timeout=0.3, watchdog=0.2, link='reverse'",
     "robot.motion.move_circular": "speed=0.25, acceleration=1.2, wait=False",
     "robot.motion.move_joints": "speed=1.05, acceleration=1.4, time=None, wait=False",
@@ -269,6 +271,8 @@ DEFAULTS = {
     "robot.motion.speed_joints": "acceleration=1.4, duration=0.5",
     "robot.motion.speed_linear": "acceleration=1.2, duration=0.5",
     "robot.motion.stop": "acceleration=2.0, wait=False",
+    "robot.motion.torque": "limits=None, friction_compensation=True, watchdog=0.05, link='reverse'",
+    "robot.motion.until_contact": ("speed=0.02, acceleration=0.5, distance=0.3, force=None, retract=True, wait=False"),
     "robot.io.set_analog_out": "confirm=1.0",
     "robot.io.set_configurable_digital_out": "confirm=1.0",
     "robot.io.set_digital_out": "confirm=1.0",
