@@ -1,6 +1,6 @@
 """The general-purpose registers, and the watchdogs of programs over what arrives by RTDE.
 
-Fieldbuses, RTDE clients and programs share the registers (docs/protocols/rtde.md, Variables): inputs are written from
+Fieldbuses, RTDE clients and programs share the registers (docs/protocols/rtde.md, Releases): inputs are written from
 outside and read by programs, outputs are written by programs. 0 to 23 are meant for fieldbuses and PLCs, 24 to 47 for
 RTDE clients; the latter came with 3.9 and 5.3.
 """

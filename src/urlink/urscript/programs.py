@@ -144,7 +144,8 @@ def _speed(
 def takes_duration(firmware: Firmware) -> bool:
     """Whether ``speedj`` and ``speedl`` take a time.
 
-    In 3.1 and 3.2 they do not: they return once the speed is reached, and keep it (reference ur-script, section 2).
+    In 3.1 and 3.2 they do not: they return once the speed is reached, and keep it (docs/protocols/urscript.md,
+    Differences).
     """
     return not (3, 1) <= firmware[:2] < (3, 3)
 
@@ -422,7 +423,10 @@ def introduction(token: int) -> str:
 
 
 def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
-    """One cycle of ``servoj`` to `q`: before 3.0 it has neither lookahead nor gain (reference ur-script, section 5)."""
+    """One cycle of ``servoj`` to `q`.
+
+    Before 3.0 it has neither lookahead nor gain (docs/protocols/urscript.md, Differences).
+    """
     smoothing = (
         ""
         if firmware.is_cb2

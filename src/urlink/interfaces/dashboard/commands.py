@@ -1,8 +1,8 @@
 """The dashboard server (port 29999): the one table of its commands.
 
-Lines of text, one reply to each command. Source: reference ur-dashboard, where the versions are those that the vendor's
-own client enforces. Punctuation and case of the replies changed between generations, so they are matched from their
-beginning and case-insensitively. What is not in the reference:
+Lines of text, one reply to each command. Source: docs/protocols/dashboard.md, section Releases, where the versions are
+those that the vendor's own client enforces. Punctuation and case of the replies changed between generations, so they
+are matched from their beginning and case-insensitively. From elsewhere:
 
 - which commands need remote control beyond those that it names (`stop`, `pause`, `shutdown`, `power off`,
   `restart safety`), and the words of that refusal: reports of users of the e-Series;

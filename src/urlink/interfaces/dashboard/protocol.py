@@ -2,7 +2,7 @@
 
 A greeting, then one line of reply to each line of command. Nothing in a reply says which command it answers, so the
 order is all there is: who has not received a reply must not ask again on the same connection.
-Source: reference ur-dashboard.
+Source: docs/protocols/dashboard.md, section Lines.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Robotiq grippers over the port of their URCap (63352), sans-IO: lines of ASCII in and out.
 
-`SET NAME VALUE [NAME VALUE ...]` is answered by `ack`, `GET NAME` by `NAME VALUE`. Source: public clients and reference
-ur-interpreter-gripper. Some versions end their replies with a newline and some do not, and `ack` comes without one: a
-value is whole at its newline, or once nothing more has come for `SETTLING`. What is not known: what is answered to a
-name that nobody knows; public clients meet `?` where the gripper is not connected to the controller.
+`SET NAME VALUE [NAME VALUE ...]` is answered by `ack`, `GET NAME` by `NAME VALUE`. Source: public clients
+(docs/protocols/gripper.md, Lines). Some versions end their replies with a newline and some do not, and `ack` comes
+without one: a value is whole at its newline, or once nothing more has come for `SETTLING`. What is not known: what is
+answered to a name that nobody knows; public clients meet `?` where the gripper is not connected to the controller.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""General-purpose registers, and the watchdog over RTDE inputs (docs/protocols/rtde.md, Variables).
+"""General-purpose registers, and the watchdog over RTDE inputs (docs/protocols/rtde.md, Releases).
 
 Known: which registers there are since when, and that the action of the watchdog is one of "ignore", "pause" and "stop"
 in any case of letters, "pause" where none is given. Guesses: that a register which the firmware does not have, and a

@@ -1,0 +1,53 @@
+"""What the code names as the source of a fact is a section of docs/protocols, so that a reader can follow it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = {page.name: page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "protocols").glob("*.md")}
+HEADINGS = {name: re.findall(r"^#+ (.+)$", text, re.MULTILINE) for name, text in PAGES.items()}
+MODULES = sorted((ROOT / "src").rglob("*.py"))
+
+
+def mentions(text: str) -> list[tuple[str, str]]:
+    """Each page that a module names, and what stands behind its name, on one line."""
+    # A mention may go on in the next line of a comment or docstring.
+    joined = re.sub(r"\s*\n\s*(?:#:? ?)?", " ", text)
+    return re.findall(r"docs/protocols/(\S+?\.md)(.{0,120})", joined)
+
+
+def leads_somewhere(page: str, rest: str) -> bool:
+    if page not in PAGES:
+        return False
+    named = re.match(r"(?:, sections?|,) (.*)", rest)
+    if named is None:
+        return True
+    return any(named[1].lower().startswith(heading.lower()) for heading in HEADINGS[page])
+
+
+@pytest.mark.parametrize("package", ["linkcore", "urlink", "rhdlink"])
+def test_every_source_that_is_named_can_be_read(package: str) -> None:
+    lost, seen = [], 0
+    for module in MODULES:
+        if package in module.parts:
+            for page, rest in mentions(module.read_text(encoding="utf-8")):
+                seen += 1
+                if not leads_somewhere(page, rest):
+                    lost.append(f"{module.relative_to(ROOT)}: {page}{rest[:60]}")
+    assert not lost
+    assert seen > 10 or package == "linkcore"
+
+
+def test_no_source_is_named_that_is_not_in_the_repository() -> None:
+    outside = r"\breference\s+(ur-|rhd-|mrc|smr)"
+    assert [str(module) for module in MODULES if re.search(outside, module.read_text(encoding="utf-8"))] == []
+
+
+def test_a_section_that_is_not_there_is_noticed() -> None:
+    assert leads_somewhere("primary.md", ", section Robot state")
+    assert not leads_somewhere("primary.md", ", section Robot stare")
+    assert not leads_somewhere("primery.md", "")
