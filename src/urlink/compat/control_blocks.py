@@ -1,0 +1,267 @@
+"""Set-points, speeds, force mode, freedrive and torques of ur_rtde's control interface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+
+from urlink.motion import Freedrive, Jog, Servo
+from urlink.motion.force_mode import ForceMode
+from urlink.motion.torque import Torque
+from urlink.poses import rotvec_to_matrix
+from urlink.urscript import text
+from urlink.vectors import six
+
+from .control_moves import ControlMoves
+from .interface import succeeds
+
+__all__ = ["ControlBlocks", "Feature"]
+
+#: Seconds without a set-point after which the robot brakes by itself. The other client's arm holds still for ever; a
+#: loop that pauses for longer finds the servo opened again.
+_WATCHDOG = 0.5
+#: Seconds for which a speed holds that nobody changes or stops. The other client's arm goes on for ever.
+_SPEED_HOLDS = 60.0
+#: m after which a movement that finds no contact gives up.
+_NO_CONTACT = 2.0
+_ORIGIN = (0.0,) * 6
+_ALL = (1,) * 6
+
+
+class Feature(IntEnum):
+    """Which frame the speeds of `jogStart` are in."""
+
+    FEATURE_BASE = 0
+    FEATURE_TOOL = 1
+    FEATURE_CUSTOM = 2
+
+
+class ControlBlocks(ControlMoves):
+    """What goes on until something else is called. See `ControlMoves` for the arguments."""
+
+    def __init__(self, hostname: str, frequency: float = -1.0) -> None:
+        super().__init__(hostname, frequency)
+        self._watchdog = _WATCHDOG
+        self._damping: float | None = None
+        self._gain: float | None = None
+
+    # -- set-points and speeds ---------------------------------------------------------------------------
+
+    def servoJ(
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead_time: float, gain: float
+    ) -> bool:
+        """Send joint positions, rad, as a set-point; does not wait. Speed, acceleration and time have no effect, as
+        on the robot. Look-ahead 0.03 to 0.2 s, gain 100 to 2000.
+
+        Raises:
+            BadValue: further away than the joints can go in the time since the last one.
+        """
+
+        def send() -> None:
+            self._servo(lookahead_time, gain).send(q)
+            self._last = list(q), lookahead_time, gain
+
+        return succeeds(send)
+
+    def _servo(self, lookahead_time: float, gain: float) -> Servo:
+        watchdog = self._watchdog
+        return self._blocks.opened(
+            Servo,
+            (watchdog, lookahead_time, gain),
+            lambda link: self._robot.motion.servo(
+                watchdog=watchdog, lookahead_time=lookahead_time, gain=gain, link=link
+            ),
+        )
+
+    def servoL(
+        self, pose: Sequence[float], speed: float, acceleration: float, time: float, lookahead_time: float, gain: float
+    ) -> bool:
+        """Send a pose of the tool as a set-point; see `servoJ`.
+
+        Raises:
+            Unreachable: no joint positions put the tool there.
+            BadValue: as `servoJ`.
+        """
+        near = () if self._last is None else self._last[0]
+        return self.servoJ(self.getInverseKinematics(pose, near), speed, acceleration, time, lookahead_time, gain)
+
+    def servoStop(self, a: float = 10.0) -> bool:
+        """End the set-points and stop the arm, as fast as its servo does."""
+        return succeeds(self._end_block)
+
+    def speedJ(self, qd: Sequence[float], acceleration: float = 0.5, time: float = 0.0) -> bool:
+        """Go over to joint speeds, rad/s, at rad/s², and keep them until something else is called, for a minute at
+        most; does not wait.
+
+        The time has no effect: on the robot it is how long the function takes, and not how long the arm moves.
+        """
+        return self._speed("joints", qd, acceleration)
+
+    def speedL(self, xd: Sequence[float], acceleration: float = 0.25, time: float = 0.0) -> bool:
+        """Go over to a speed of the tool in the base frame, m/s and rad/s, at m/s²; see `speedJ`."""
+        return self._speed("base", xd, acceleration)
+
+    def _speed(self, frame: Literal["joints", "base", "tool"], speeds: Sequence[float], acceleration: float) -> bool:
+        def go() -> None:
+            self._last = None
+            jog = self._blocks.opened(
+                Jog,
+                (frame, acceleration),
+                lambda link: self._robot.motion.jog(
+                    frame, acceleration=acceleration, timeout=_SPEED_HOLDS, watchdog=_WATCHDOG, link=link
+                ),
+            )
+            jog.move(speeds)
+
+        return succeeds(go)
+
+    def speedStop(self, a: float = 10.0) -> bool:
+        """Stop what `speedJ`, `speedL` or `jogStart` moves, with the acceleration that it was moved with."""
+        return succeeds(self._end_block)
+
+    def jogStart(
+        self,
+        speeds: Sequence[float],
+        feature: int = Feature.FEATURE_BASE,
+        acc: float = 0.5,
+        custom_frame: Sequence[float] = _ORIGIN,
+    ) -> bool:
+        """Move the tool at a speed in m/s and rad/s, in the directions of a frame; called again, change it.
+
+        The other client's documentation says mm/s, and its program takes them for m/s.
+        """
+        values = six(speeds, "speeds")
+        if feature == Feature.FEATURE_TOOL:
+            return self._speed("tool", values.tolist(), acc)
+        if feature == Feature.FEATURE_CUSTOM:
+            turn = rotvec_to_matrix(six(custom_frame, "custom_frame")[3:])
+            values = np.concatenate([turn @ values[:3], turn @ values[3:]])
+        return self._speed("base", values.tolist(), acc)
+
+    def jogStop(self) -> bool:
+        """Stop what `jogStart` moves."""
+        return self.speedStop()
+
+    def setWatchdog(self, min_frequency: float = 10.0) -> bool:
+        """Let the robot brake where set-points come less often, Hz; from the next servo on. Without it, after 0.5 s."""
+        self._watchdog = 1.0 / float(text.number(min_frequency, "min_frequency", 0.1, 100.0))
+        return True
+
+    def kickWatchdog(self) -> bool:
+        """Send the last set-point again."""
+        last = self._last
+        return last is None or not self._blocks.is_open or succeeds(lambda: self._servo(*last[1:]).send(last[0]))
+
+    # -- an arm that yields ------------------------------------------------------------------------------
+
+    def forceMode(
+        self,
+        task_frame: Sequence[float],
+        selection_vector: Sequence[int],
+        wrench: Sequence[float],
+        type: int,
+        limits: Sequence[float],
+    ) -> bool:
+        """Yield along the axes of a frame that are selected, until the tool exerts a wrench there, N and Nm; until
+        something else is called. Called again with another wrench, it goes over to that."""
+
+        def press() -> None:
+            self._last = None
+            pressing = self._blocks.opened(
+                ForceMode,
+                (*task_frame, *selection_vector, type, *limits, self._damping, self._gain),
+                lambda link: self._robot.motion.force_mode(
+                    task_frame,
+                    selection_vector,
+                    wrench,
+                    limits,
+                    kind=type,
+                    damping=self._damping,
+                    gain=self._gain,
+                    watchdog=_WATCHDOG,
+                    link=link,
+                ),
+            )
+            pressing.set_wrench(wrench)
+
+        return succeeds(press)
+
+    def forceModeSetDamping(self, damping: float) -> bool:
+        """How force mode is damped, 0 to 1: that which begins next."""
+        self._damping = float(text.number(damping, "damping", 0.0, 1.0))
+        return True
+
+    def forceModeSetGainScaling(self, scaling: float) -> bool:
+        """The gain of force mode, 0 to 2: of that which begins next."""
+        self._gain = float(text.number(scaling, "scaling", 0.0, 2.0))
+        return True
+
+    def forceModeStop(self) -> bool:
+        """End force mode."""
+        return succeeds(self._end_block)
+
+    def freedriveMode(self, free_axes: Sequence[int] = _ALL, feature: Sequence[float] = _ORIGIN) -> bool:
+        """Let a person move the arm by hand, along the axes of a frame that are free."""
+
+        def free() -> None:
+            self._last = None
+            axes = None if all(free_axes) else free_axes
+            self._blocks.opened(
+                Freedrive,
+                (*free_axes, *feature),
+                lambda link: self._robot.freedrive(axes, frame=feature, watchdog=_WATCHDOG, link=link),
+            )
+
+        return succeeds(free)
+
+    def endFreedriveMode(self) -> bool:
+        """End freedrive."""
+        return succeeds(self._end_block)
+
+    def teachMode(self) -> bool:
+        """Let a person move the arm by hand."""
+        return self.freedriveMode()
+
+    def endTeachMode(self) -> bool:
+        """End what `teachMode` began."""
+        return self.endFreedriveMode()
+
+    def directTorque(
+        self,
+        torque: Sequence[float],
+        viscous_scale: Sequence[float] = (0.9, 0.9, 0.8, 0.9, 0.9, 0.9),
+        coulomb_scale: Sequence[float] = (0.8, 0.8, 0.7, 0.8, 0.8, 0.8),
+    ) -> bool:
+        """Turn the joints by torques, Nm, on top of what holds the arm up; from 5.23 and 10.11 on.
+
+        Of the scales it only counts whether there are any: then the controller makes up for friction.
+        """
+        compensates = any([*viscous_scale, *coulomb_scale])
+
+        def send() -> None:
+            self._last = None
+            line = self._blocks.opened(
+                Torque,
+                (compensates,),
+                lambda link: self._robot.motion.torque(friction_compensation=compensates, link=link),
+            )
+            line.send(torque)
+
+        return succeeds(send)
+
+    def moveUntilContact(
+        self, xd: Sequence[float], direction: Sequence[float] = _ORIGIN, acceleration: float = 1.2
+    ) -> bool:
+        """Move the tool straight, m/s in the base frame, until it touches something, and back to where that began.
+
+        False where it has not after 2 m. The direction has no effect: what counts is force against the movement.
+        """
+        way = six(xd, "xd")[:3]
+        speed = float(np.linalg.norm(way))
+        return self._move(
+            lambda: self._robot.motion.until_contact(way, speed, acceleration=acceleration, distance=_NO_CONTACT),
+            False,
+        )

@@ -1,0 +1,241 @@
+"""The control interface of ur_rtde, over `robot.motion`, `robot.script` and `robot.kinematics`.
+
+No script waits on the robot for commands: each call is a motion of its own, and set-points go by a servo. So there is
+nothing to upload, and nothing that an installation or another client has to leave alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import IntFlag
+from pathlib import Path as FilePath
+from typing import Any, NoReturn
+
+from linkcore.errors import BadValue
+from urlink import RobotModeData
+from urlink.urscript import text
+
+from .asking import ask
+from .control_blocks import ControlBlocks, Feature
+from .control_moves import LONGEST, AsyncOperationStatus
+from .control_tool import STATE_TIMEOUT
+from .interface import NotOffered, succeeds
+from .paths import Path, PathEntry
+
+__all__ = ["AsyncOperationStatus", "Path", "PathEntry", "RTDEControlInterface"]
+
+#: Seconds to wait for a robot that is stopped to be clear.
+_CLEAR_TIMEOUT = 5.0
+
+
+def _not_offered(name: str, instead: str) -> Callable[..., NoReturn]:
+    """A method that says what takes its place."""
+
+    def refuse(*arguments: Any, **named: Any) -> NoReturn:
+        raise NotOffered(f"{name} is not offered here; instead there is {instead}")
+
+    refuse.__doc__ = f"Not offered; instead there is {instead}."
+    return refuse
+
+
+class Flags(IntFlag):
+    """What the other client's constructor takes."""
+
+    FLAG_UPLOAD_SCRIPT = 1
+    FLAG_USE_EXT_UR_CAP = 2
+    FLAG_VERBOSE = 4
+    FLAG_UPPER_RANGE_REGISTERS = 8
+    FLAG_NO_WAIT = 16
+    FLAG_CUSTOM_SCRIPT = 32
+    FLAG_NO_EXT_FT = 64
+    FLAG_DISABLE_REMOTE_CONTROL_CHECK = 128
+    FLAGS_DEFAULT = FLAG_UPLOAD_SCRIPT
+
+
+class RTDEControlInterface(ControlBlocks):
+    """Moves a robot. Each method that moves it waits for the end, unless it is told not to, and says whether it came.
+
+    Args:
+        hostname: address of the robot.
+        frequency: of the loop that `initPeriod` and `waitPeriod` pace, in Hz; -1 for the controller's rate.
+        flags: `FLAG_USE_EXT_UR_CAP` and `FLAG_CUSTOM_SCRIPT` are not offered, the others are without effect.
+        ur_cap_port, rt_priority: without effect.
+
+    Raises:
+        RemoteError: the robot cannot be reached.
+        NotOffered: a flag that is not.
+    """
+
+    Flags, Feature = Flags, Feature
+    FLAG_UPLOAD_SCRIPT = Flags.FLAG_UPLOAD_SCRIPT
+    FLAG_USE_EXT_UR_CAP = Flags.FLAG_USE_EXT_UR_CAP
+    FLAG_VERBOSE = Flags.FLAG_VERBOSE
+    FLAG_UPPER_RANGE_REGISTERS = Flags.FLAG_UPPER_RANGE_REGISTERS
+    FLAG_NO_WAIT = Flags.FLAG_NO_WAIT
+    FLAG_CUSTOM_SCRIPT = Flags.FLAG_CUSTOM_SCRIPT
+    FLAG_NO_EXT_FT = Flags.FLAG_NO_EXT_FT
+    FLAG_DISABLE_REMOTE_CONTROL_CHECK = Flags.FLAG_DISABLE_REMOTE_CONTROL_CHECK
+    FLAGS_DEFAULT = Flags.FLAGS_DEFAULT
+    FEATURE_BASE, FEATURE_TOOL, FEATURE_CUSTOM = Feature
+
+    def __init__(
+        self,
+        hostname: str,
+        frequency: float = -1.0,
+        flags: int = Flags.FLAGS_DEFAULT,
+        ur_cap_port: int = 50002,
+        rt_priority: int = 0,
+    ) -> None:
+        for each in (Flags.FLAG_USE_EXT_UR_CAP, Flags.FLAG_CUSTOM_SCRIPT):
+            if flags & each:
+                raise NotOffered(f"{each.name}: there is no control script here, each call is a motion of its own")
+        super().__init__(hostname, frequency)
+
+    # -- state of the robot ------------------------------------------------------------------------------
+
+    def isSteady(self) -> bool:
+        """The arm stands fully still; the controller is asked."""
+        return ask(self._robot, "is_steady()") == "True"
+
+    def getStepTime(self) -> float:
+        """Seconds from one cycle of the controller to the next."""
+        return 1.0 / self._robot.firmware.rate
+
+    def getJointTorques(self) -> list[float]:
+        """Torques of the joints, Nm, without what moves the arm itself; the controller is asked."""
+        return [float(each) for each in ask(self._robot, "get_joint_torques()").strip("[]").split(",")]
+
+    def isProgramRunning(self) -> bool:
+        """Motions are let through now. There is no control script that could have ended."""
+        return self._robot.safety.is_enabled and self._robot.safety.cause is None
+
+    def getRobotStatus(self) -> int:
+        """Bits: 0 power on, 1 program running."""
+        modes = self._robot.primary.of(RobotModeData)
+        mode = modes.latest or modes.wait(STATE_TIMEOUT)
+        return int(mode.is_power_on) | int(mode.is_program_running) << 1
+
+    def zeroFtSensor(self) -> bool:
+        """Take the force at the tool of now for none."""
+        return self._run("zero_ftsensor()")
+
+    def setGravity(self, direction: Sequence[float]) -> bool:
+        """Say which way gravity pulls: (3,) m/s² in the base frame, as a vector that points up."""
+        return self._run(f"set_gravity({text.vector(direction, 3, 'direction')})")
+
+    def triggerProtectiveStop(self) -> bool:
+        """Let the controller make a protective stop."""
+        return succeeds(lambda: self._robot.script.run("protective_stop()"))
+
+    def ftRtdeInputEnable(
+        self,
+        enable: bool,
+        sensor_mass: float = 0.0,
+        sensor_measuring_offset: Sequence[float] = (0.0, 0.0, 0.0),
+        sensor_cog: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> bool:
+        """Let the controller take the force at the tool from `setExternalForceTorque`, from 5.9 on."""
+        return self._run(f"ft_rtde_input_enable({_sensor(enable, sensor_mass, sensor_measuring_offset, sensor_cog)})")
+
+    def enableExternalFtSensor(
+        self,
+        enable: bool,
+        sensor_mass: float = 0.0,
+        sensor_measuring_offset: Sequence[float] = (0.0, 0.0, 0.0),
+        sensor_cog: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> bool:
+        """As `ftRtdeInputEnable`, before 5.9."""
+        return self._run(
+            f"enable_external_ft_sensor({_sensor(enable, sensor_mass, sensor_measuring_offset, sensor_cog)})"
+        )
+
+    def setExternalForceTorque(self, external_force_torque: Sequence[float]) -> bool:
+        """Tell the controller the force at the tool, N and Nm, once it listens to it (`ftRtdeInputEnable`)."""
+
+        def write() -> None:
+            with self._robot.rtde.inputs("external_force_torque") as inputs:
+                inputs.send(external_force_torque=external_force_torque)
+
+        return succeeds(write)
+
+    def _run(self, statement: str) -> bool:
+        """Run a statement beside what moves the arm."""
+        return succeeds(lambda: self._robot.script.run(f"sec urlink_compat():\n  {statement}\nend", wait=True))
+
+    # -- programs ----------------------------------------------------------------------------------------
+
+    def reuploadScript(self) -> bool:
+        """Wait until the robot is clear, and let motions through again. There is no script to upload."""
+
+        def clear() -> None:
+            self._robot.safety.wait_until_clear(_CLEAR_TIMEOUT)
+            self._robot.safety.enable()
+
+        return succeeds(clear)
+
+    def stopScript(self) -> None:
+        """End what moves the arm."""
+
+        def stop() -> None:
+            self._end_block()
+            if self._robot.motion.current is not None:
+                self._robot.motion.stop().wait(LONGEST)
+
+        succeeds(stop)
+
+    def sendCustomScript(self, script: str) -> bool:
+        """Run a program, and wait for its end."""
+
+        def run() -> None:
+            self._end_block()
+            self._robot.script.run(script).wait(LONGEST)
+
+        return succeeds(run)
+
+    def sendCustomScriptFunction(self, function_name: str, script: str) -> bool:
+        """Run the lines of a function, and wait for its end."""
+        body = "\n".join(f"  {line}" for line in script.splitlines())
+        return self.sendCustomScript(f"def {function_name}():\n{body}\nend")
+
+    def sendCustomScriptFile(self, file_path: str) -> bool:
+        """Run the program in a file, and wait for its end.
+
+        Raises:
+            BadValue: the file cannot be read.
+        """
+        try:
+            return self.sendCustomScript(FilePath(file_path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise BadValue(f"cannot read {file_path}: {error.strerror or error}") from error
+
+    def reconnect(self) -> bool:
+        """Wait until the robot is heard again, and let motions through."""
+        return super().reconnect() and self.reuploadScript()
+
+    def disconnect(self) -> None:
+        """Stop the arm where set-points lead it, and disconnect, for good."""
+        succeeds(self._end_block)
+        super().disconnect()
+
+    # -- what is not offered -----------------------------------------------------------------------------
+
+    servoC = _not_offered("servoC", "robot.motion.move_circular, or robot.motion.path with arcs and blends")
+    toolContact = _not_offered("toolContact", "robot.motion.until_contact")
+    startContactDetection = _not_offered("startContactDetection", "robot.motion.until_contact")
+    readContactDetection = _not_offered("readContactDetection", "robot.motion.until_contact")
+    stopContactDetection = _not_offered("stopContactDetection", "robot.motion.until_contact")
+    getFreedriveStatus = _not_offered("getFreedriveStatus", "nothing: freedrive ends where it cannot go on")
+    setCustomScriptFile = _not_offered("setCustomScriptFile", "robot.script.run")
+    getMassMatrix = _not_offered("getMassMatrix", "urlink.dynamics.Dynamics")
+    getCoriolisAndCentrifugalTorques = _not_offered("getCoriolisAndCentrifugalTorques", "urlink.dynamics.Dynamics")
+    getJacobian = _not_offered("getJacobian", "robot.kinematics.jacobian")
+    getJacobianTimeDerivative = _not_offered("getJacobianTimeDerivative", "robot.kinematics.jacobian")
+    getTargetJointAccelerations = _not_offered("getTargetJointAccelerations", "getTargetQdd of the receive interface")
+    getTargetWaypoint = _not_offered("getTargetWaypoint", "the handle of a motion, which knows its progress")
+    getActualJointPositionsHistory = _not_offered("getActualJointPositionsHistory", "robot.realtime.history")
+
+
+def _sensor(enable: bool, mass: float, offset: Sequence[float], cog: Sequence[float]) -> str:
+    """The arguments of a force sensor."""
+    values = [text.vector(each, 3, name) for each, name in ((offset, "sensor_measuring_offset"), (cog, "sensor_cog"))]
+    return f"{text.boolean(enable, 'enable')}, {text.number(mass, 'sensor_mass', 0.0, 100.0)}, {', '.join(values)}"

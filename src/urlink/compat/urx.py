@@ -1,0 +1,268 @@
+"""The robot of urx 0.11, over this library: the calls that programs use most.
+
+Poses are lists of six numbers. Those that need math3d, and the monitors of urx, are not here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import urlink
+from linkcore.errors import LinkError
+from linkcore.handle import Motion
+from linkcore.streaming.feed import Feed
+from urlink.motion import Joint, Linear, Waypoint
+from urlink.urscript import text
+from urlink.vectors import six
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = ["Robot", "RobotException"]
+
+
+#: What urx calls an exception of its own: whatever the library raises.
+RobotException = LinkError
+
+#: Seconds that a motion may take, and that a state may.
+_LONGEST, _STATE_TIMEOUT = 300.0, 2.0
+#: Outputs of `set_digital_out` from which on they are configurable, or of the tool.
+_TOOL = 8
+
+
+class Robot:
+    """A robot, by the calls of urx. A context manager that closes itself.
+
+    Args:
+        host: address of the robot, or any other that `urlink.connect` takes.
+        use_rt: without effect: the real-time interface is used where it is needed.
+
+    Raises:
+        RemoteError: the robot cannot be reached.
+    """
+
+    def __init__(self, host: str, use_rt: bool = False) -> None:
+        self._robot = urlink.connect(host)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect. What moves is given up, and brakes or comes to its end as the library says."""
+        self._robot.close()
+
+    def __repr__(self) -> str:
+        return f"<Robot of urx over {self._robot!r}>"
+
+    # -- where it is -------------------------------------------------------------------------------------
+
+    def getj(self, wait: bool = False) -> list[float]:
+        """Joint positions, rad; with `wait` of the next state."""
+        q: list[float] = _newest(self._robot.realtime, wait).q_actual.tolist()
+        return q
+
+    def getl(self, wait: bool = False, _log: bool = True) -> list[float]:
+        """Pose of the tool in the base frame: m, and rotation vector in rad; with `wait` of the next state."""
+        pose: list[float] = _newest(self._robot.realtime, wait).tool_vector_actual.tolist()
+        return pose
+
+    def get_tcp_force(self, wait: bool = True) -> list[float]:
+        """Force at the tool, N and Nm."""
+        force: list[float] = _newest(self._robot.realtime, wait).tcp_force.tolist()
+        return force
+
+    def is_running(self) -> bool:
+        """The robot runs: it is switched on, and no stop holds."""
+        self._robot.primary.wait(_STATE_TIMEOUT)
+        return self._robot.safety.cause is None
+
+    def is_program_running(self) -> bool:
+        """A program runs."""
+        return bool(_newest(self._robot.primary.of(urlink.RobotModeData), False).is_program_running)
+
+    # -- movements ---------------------------------------------------------------------------------------
+
+    def movej(
+        self,
+        joints: Sequence[float],
+        acc: float = 0.1,
+        vel: float = 0.05,
+        wait: bool = True,
+        relative: bool = False,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the joints to positions, rad; with `relative` by so much. Where it is then, if it waits.
+
+        The threshold has no effect: the controller says when the motion is over.
+        """
+        goal = [a + b for a, b in zip(joints, self.getj(), strict=True)] if relative else joints
+        return self._moved(lambda: self._robot.motion.move_joints(goal, vel, acc), wait, self.getj)
+
+    def movel(
+        self,
+        tpose: Sequence[float],
+        acc: float = 0.01,
+        vel: float = 0.01,
+        wait: bool = True,
+        relative: bool = False,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the tool in a line to a pose; with `relative` each coordinate by so much. See `movej`."""
+        goal = [a + b for a, b in zip(tpose, self.getl(), strict=True)] if relative else tpose
+        return self._moved(lambda: self._robot.motion.move_linear(goal, vel, acc), wait, self.getl)
+
+    def movec(
+        self,
+        pose_via: Sequence[float],
+        pose_to: Sequence[float],
+        acc: float = 0.01,
+        vel: float = 0.01,
+        wait: bool = True,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the tool along the circle through one pose to another. See `movej`."""
+        return self._moved(lambda: self._robot.motion.move_circular(pose_via, pose_to, vel, acc), wait, self.getl)
+
+    def movels(
+        self,
+        pose_list: Sequence[Sequence[float]],
+        acc: float = 0.01,
+        vel: float = 0.01,
+        radius: float = 0.01,
+        wait: bool = True,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the tool in lines through poses, round corners with a radius in m. See `movej`."""
+        return self._path([Linear(pose, blend=radius) for pose in pose_list], acc, vel, wait)
+
+    def movejs(
+        self,
+        joint_positions_list: Sequence[Sequence[float]],
+        acc: float = 0.1,
+        vel: float = 0.05,
+        radius: float = 0.01,
+        wait: bool = True,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the joints through positions, round corners with a radius in m. See `movej`."""
+        waypoints = [Joint(q, blend=radius, speed=vel, acceleration=acc) for q in joint_positions_list]
+        return self._path(waypoints, acc, vel, wait)
+
+    def _path(self, waypoints: Sequence[Waypoint], acc: float, vel: float, wait: bool) -> list[float] | None:
+        if waypoints:
+            waypoints[-1].blend = 0.0  # it comes to rest there
+        return self._moved(lambda: self._robot.motion.path(waypoints, vel, acc), wait, self.getl)
+
+    def translate(
+        self, vect: Sequence[float], acc: float = 0.01, vel: float = 0.01, wait: bool = True
+    ) -> list[float] | None:
+        """Move the tool by (3,) m in the base frame, without turning it. See `movej`."""
+        return self.movel([*vect, 0.0, 0.0, 0.0], acc, vel, wait, relative=True)
+
+    def up(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
+        """Move the tool up by so many m."""
+        self.translate((0.0, 0.0, z), acc, vel)
+
+    def down(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
+        """Move the tool down by so many m."""
+        self.up(-z, acc, vel)
+
+    def speedj(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
+        """Turn the joints at speeds, rad/s, and brake after so many seconds, unless it is called again before."""
+        self._robot.motion.speed_joints(velocities, acc, duration=min_time)
+
+    def speedl(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
+        """Move the tool at a speed in the base frame, m/s and rad/s; see `speedj`."""
+        self._robot.motion.speed_linear(velocities, acc, duration=min_time)
+
+    def stopj(self, acc: float = 1.5) -> None:
+        """Stop by the joints, at rad/s², and wait until the arm stands."""
+        self._robot.motion.stop(acc).wait(_LONGEST)
+
+    def stopl(self, acc: float = 0.5) -> None:
+        """Stop along the path of the tool, at m/s², and wait until it stands."""
+        self._robot.script.run(f"stopl({text.number(acc, 'acc', 0.0, 100.0)})").wait(_LONGEST)
+
+    def stop(self) -> None:
+        """Stop by the joints."""
+        self.stopj()
+
+    def _moved(self, begin: Callable[[], Motion], wait: bool, where: Callable[[], list[float]]) -> list[float] | None:
+        motion = begin()
+        if not wait:
+            return None
+        motion.wait(_LONGEST)
+        return where()
+
+    # -- tool, payload, inputs and outputs ---------------------------------------------------------------
+
+    def set_tcp(self, tcp: Sequence[float]) -> None:
+        """Put the tool centre point at a pose in the frame of the flange."""
+        self._robot.set_tcp(tcp)
+
+    def set_payload(self, weight: float, cog: Sequence[float] | None = None) -> None:
+        """Tell what the arm carries: kg, and its centre of gravity in m."""
+        self._robot.set_payload(weight, cog)
+
+    def set_gravity(self, vector: Sequence[float]) -> None:
+        """Say which way gravity pulls: (3,) m/s² in the base frame, as a vector that points up."""
+        values = six([*vector, 0.0, 0.0, 0.0], "vector")[:3].tolist()
+        self._robot.script.run(f"sec urlink_gravity():\n  set_gravity({values})\nend", wait=True)
+
+    def set_digital_out(self, output: int, val: bool) -> None:
+        """Switch an output: 0 to 7 of the control box, 8 and 9 of the tool."""
+        if output in (_TOOL, _TOOL + 1):
+            self._robot.io.set_tool_digital_out(output - _TOOL, bool(val))
+        else:
+            self._robot.io.set_digital_out(output, bool(val))
+
+    def get_digital_out(self, val: int, wait: bool = False) -> bool:
+        """Whether an output is on: its bit in the robot state, 8 to 15 configurable, 16 and 17 of the tool."""
+        return bool(self.get_digital_out_bits(wait) >> val & 1)
+
+    def get_digital_out_bits(self, wait: bool = False) -> int:
+        """All digital outputs."""
+        return int(_newest(self._robot.primary.of(urlink.MasterboardData), wait).digital_output_bits)
+
+    def get_digital_in(self, nb: int, wait: bool = False) -> bool:
+        """Whether an input is on: its bit in the robot state, 8 to 15 configurable, 16 and 17 of the tool."""
+        return bool(_newest(self._robot.primary.of(urlink.MasterboardData), wait).digital_input_bits >> nb & 1)
+
+    def get_digital_in_bits(self) -> int:
+        """All digital inputs."""
+        return int(_newest(self._robot.primary.of(urlink.MasterboardData), False).digital_input_bits)
+
+    def get_analog_in(self, nb: int, wait: bool = False) -> float:
+        """Analogue input 0 or 1 of the control box, A or V."""
+        return self._robot.io.analog_in(nb).value
+
+    def get_analog_inputs(self) -> tuple[float, float]:
+        """Both analogue inputs of the control box."""
+        return self.get_analog_in(0), self.get_analog_in(1)
+
+    def set_analog_out(self, output: int, val: float) -> None:
+        """Set analogue output 0 or 1 to a fraction of its range, 0 to 1."""
+        self._robot.io.set_analog_out(output, val)
+
+    def set_tool_voltage(self, val: int) -> None:
+        """Supply the tool with 0, 12 or 24 V."""
+        self._robot.io.set_tool_voltage(val)
+
+    # -- programs ----------------------------------------------------------------------------------------
+
+    def send_program(self, prog: str) -> None:
+        """Send a program; it is not waited for."""
+        self._robot.script.run(prog)
+
+    def send_message(self, msg: str) -> None:
+        """Show a text on the pendant."""
+        self._robot.popup(msg)
+
+
+def _newest(feed: Feed[Any], wait: bool) -> Any:
+    """The newest of a feed; the next one with `wait`, or where there is none."""
+    return (None if wait else feed.latest) or feed.wait(_STATE_TIMEOUT)
