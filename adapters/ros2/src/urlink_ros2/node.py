@@ -1,0 +1,179 @@
+"""The node of a robot, and nodes of several."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import threading
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import rclpy
+import rclpy.executors
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+
+from urlink import BadValue, LinkError, LocalError, RealtimeState, Robot, drop_oldest
+
+from .services import create_services
+from .states import STREAMED, StatePublishers
+
+__all__ = ["JOINT_NAMES", "RobotNode", "serve"]
+
+_log = logging.getLogger("urlink.ros2")
+
+#: As the robot descriptions of the vendor have them, base to wrist 3.
+JOINT_NAMES = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+
+#: Seconds between two looks at what changes seldom, and without a state after which a robot counts as lost.
+_LOOK, _SILENT = 0.1, 0.5
+
+
+class RobotNode:
+    """A node of ROS 2 for one robot: topics, services, and the action; made within a context of rclpy.
+
+    Args:
+        context: of rclpy.
+        robot: what is served; it is not closed with the node.
+        name: of the node.
+        namespace: of the node, and so of all names.
+        prefix: of the names of joints and frames, such as ``left_``.
+        rate: states a second that are published, at most; None for all.
+        controller: what the action's name begins with.
+
+    Attributes:
+        node: of rclpy; add it to an executor.
+
+    Raises:
+        BadValue: a rate that is not positive.
+    """
+
+    def __init__(
+        self,
+        context: Any,
+        robot: Robot,
+        *,
+        name: str = "urlink",
+        namespace: str = "",
+        prefix: str = "",
+        rate: float | None = None,
+        controller: str = "scaled_joint_trajectory_controller",
+    ) -> None:
+        if rate is not None and not 0.0 < rate <= 1000.0:
+            raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states a second")
+        self.node = rclpy.create_node(name, namespace=namespace, context=context)
+        self._robot = robot
+        self._every = 1 if rate is None else max(round(robot.firmware.rate / rate), 1)
+        self._came = itertools.count()
+        joints = [f"{prefix}{joint}" for joint in JOINT_NAMES]
+        self._publishers = StatePublishers(self.node, joints, f"{prefix}base", f"{prefix}tool0")
+        self._is_commanded = _takes_commands(robot)
+        self._action: Any = None
+        if self._is_commanded:
+            create_services(self.node, robot, self._halt)
+            self.node.create_subscription(Float64, "set_speed_slider", self._set_speed, STREAMED)
+            try:
+                from .following import TrajectoryAction
+
+                self._action = TrajectoryAction(self.node, f"{controller}/follow_joint_trajectory", robot, joints)
+            except ImportError as error:
+                _log.warning("FollowJointTrajectory is not served: %s", error)
+        self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
+        self.node.create_timer(_LOOK, self._look)
+
+    def close(self) -> None:
+        """Cancel what a client moves, and end the node."""
+        self._subscription.close()
+        if self._action is not None:
+            self._action.close()
+        self.node.destroy_node()
+
+    def _publish(self, state: RealtimeState) -> None:
+        if next(self._came) % self._every == 0:
+            self._publishers.publish(state)
+
+    def _look(self) -> None:
+        state = self._robot.realtime.latest
+        if state is not None and state.received is not None and state.received.age > _SILENT:
+            state = None
+        refusal = self._robot.safety.refusal if self._is_commanded else None
+        self._publishers.publish_changes(state, "" if refusal is None else str(refusal))
+
+    def _halt(self) -> None:
+        motion = self._robot.motion.current
+        if motion is not None:
+            motion.cancel()
+
+    def _set_speed(self, message: Any) -> None:
+        try:
+            self._robot.set_speed_slider(message.data)
+        except LinkError as error:
+            _log.warning("the speed slider is not set: %s", error)
+
+
+@contextlib.contextmanager
+def serve(
+    robots: Mapping[str, Robot],
+    *,
+    namespaced: bool | None = None,
+    prefixed: bool = False,
+    rate: float | None = None,
+    controller: str = "scaled_joint_trajectory_controller",
+) -> Iterator[None]:
+    """Serve robots, by name, as long as the context lasts, with an executor of its own.
+
+    Args:
+        robots: name -> robot.
+        namespaced: each in a namespace of its name; None where there are several.
+        prefixed: names of joints and frames begin with the name of the robot.
+        rate, controller: see `RobotNode`.
+    """
+    if namespaced is None:
+        namespaced = len(robots) > 1
+    context = rclpy.Context()
+    # Signals stay with the program around us.
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    executor = rclpy.executors.MultiThreadedExecutor(2 + 2 * len(robots), context=context)
+    nodes: list[RobotNode] = []
+    thread = threading.Thread(target=_spin, args=(executor,), name="urlink-ros2", daemon=True)
+    try:
+        for name, robot in robots.items():
+            served = RobotNode(
+                context,
+                robot,
+                namespace=name if namespaced else "",
+                prefix=f"{name}_" if prefixed else "",
+                rate=rate,
+                controller=controller,
+            )
+            nodes.append(served)
+            executor.add_node(served.node)
+        thread.start()
+        yield
+    finally:
+        executor.shutdown(timeout_sec=2.0)
+        for served in nodes:
+            served.close()
+        rclpy.shutdown(context=context)
+        if thread.is_alive():
+            thread.join(5.0)
+
+
+def _spin(executor: Any) -> None:
+    with contextlib.suppress(rclpy.executors.ExternalShutdownException):
+        executor.spin()
+
+
+def _takes_commands(robot: Robot) -> bool:
+    try:
+        return robot.motion is not None
+    except LocalError:
+        return False

@@ -1,0 +1,73 @@
+"""Services: the dashboard, the interlock, outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from std_srvs.srv import SetBool, Trigger
+
+from urlink import LinkError, Robot
+
+__all__ = ["create_services"]
+
+#: Services of the dashboard that the ROS 2 driver of the vendor has too, but for those that start and stop an
+#: installed program: nobody would hold a handle of what it moves.
+_DASHBOARD = (
+    "power_on",
+    "power_off",
+    "brake_release",
+    "unlock_protective_stop",
+    "restart_safety",
+    "close_popup",
+    "close_safety_popup",
+)
+
+
+def create_services(node: Any, robot: Robot, halt: Callable[[], object]) -> None:
+    """Create the services of one robot: each answers when the robot has, and says why it has not.
+
+    Args:
+        node: that serves them.
+        robot: what is told.
+        halt: brakes, and ends what moves the arm.
+    """
+    # One that waits for the dashboard does not keep `halt` waiting.
+    slow, quick = MutuallyExclusiveCallbackGroup(), ReentrantCallbackGroup()
+
+    def triggered(name: str, call: Callable[[], object], group: Any) -> None:
+        def answer(request: Any, response: Any) -> Any:
+            response.success, response.message = _outcome(call)
+            return response
+
+        node.create_service(Trigger, name, answer, callback_group=group)
+
+    def switched(name: str, call: Callable[[bool], object]) -> None:
+        def answer(request: Any, response: Any) -> Any:
+            response.success, response.message = _outcome(lambda: call(request.data))
+            return response
+
+        node.create_service(SetBool, name, answer, callback_group=slow)
+
+    for name in _DASHBOARD:
+        triggered(f"dashboard_client/{name}", getattr(robot.dashboard, name), slow)
+    triggered("enable", robot.safety.enable, quick)
+    triggered("halt", halt, quick)
+    banks = (("digital_out", 8), ("configurable_digital_out", 8), ("tool_digital_out", 2))
+    for bank, count in banks:
+        setter = getattr(robot.io, f"set_{bank}")
+        for number in range(count):
+            switched(f"io_and_status_controller/set_{bank}_{number}", _setting(setter, number))
+
+
+def _setting(setter: Callable[[int, bool], object], number: int) -> Callable[[bool], object]:
+    return lambda on: setter(number, on)
+
+
+def _outcome(call: Callable[[], object]) -> tuple[bool, str]:
+    try:
+        call()
+    except LinkError as error:
+        return False, f"{type(error).__name__}: {error}"
+    return True, ""

@@ -1,0 +1,150 @@
+"""A node of ROS 2 in a process of its own, as a user's program is one: it tells on stdout what it hears.
+
+python driver.py listen SECONDS [NAMESPACE/ | joints]   what comes, and how late; or of the joint states only
+python driver.py follow NAME ...     sends goals and prints feedback and result as JSON lines
+python driver.py call SERVICE [on]   calls a service
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import rclpy
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.msg import JointTolerance
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.action import ActionClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+
+def say(**what: Any) -> None:
+    print(json.dumps(what), flush=True)
+
+
+def listen(node: Any, seconds: str, namespace: str = "") -> None:
+    """What comes on each topic, and of the joint states how late it is, by the clock that both processes have."""
+    late: list[float] = []
+    stamps: list[float] = []
+    last: dict[str, Any] = {}
+    counts: dict[str, int] = {}
+    only_joints = namespace == "joints"
+    namespace = "" if only_joints else namespace
+
+    def joints(message: Any) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        late.append(time.time() - stamp)
+        stamps.append(stamp)
+        last["joints"] = [list(message.name), list(message.position), list(message.effort)]
+
+    def other(name: str, value: Any) -> Any:
+        def hear(message: Any) -> None:
+            counts[name] = counts.get(name, 0) + 1
+            last[name] = value(message)
+
+        return hear
+
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(JointState, f"{namespace}joint_states", joints, 10)
+    for kind, topic, value, qos in (
+        (PoseStamped, "tcp_pose_broadcaster/pose", lambda m: [m.pose.position.x, m.pose.position.z], 10),
+        (WrenchStamped, "force_torque_sensor_broadcaster/wrench", lambda m: m.wrench.force.z, 10),
+        (Float64, "speed_scaling_state_broadcaster/speed_scaling", lambda m: m.data, 10),
+        (String, "io_and_status_controller/robot_mode", lambda m: m.data, latched),
+        (String, "io_and_status_controller/safety_mode", lambda m: m.data, latched),
+        (String, "io_and_status_controller/refusal", lambda m: m.data, latched),
+        (Bool, "io_and_status_controller/robot_program_running", lambda m: m.data, latched),
+    ):
+        if only_joints:
+            break
+        node.create_subscription(kind, f"{namespace}{topic}", other(topic.partition("/")[2], value), qos)
+    found = time.monotonic() + 20.0  # that discovery may take
+    while not stamps and not last and time.monotonic() < found:
+        rclpy.spin_once(node, timeout_sec=0.1)
+    end = time.monotonic() + float(seconds)
+    while time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.1)
+    late.sort()
+    span = max(stamps) - min(stamps) if len(stamps) > 1 else 0.0
+    say(
+        count=len(stamps),
+        first=min(stamps, default=None),
+        newest=max(stamps, default=None),
+        rate=(len(stamps) - 1) / span if span else 0.0,
+        late_p50=late[len(late) // 2] if late else None,
+        late_p99=late[int(len(late) * 0.99)] if late else None,
+        last=last,
+        counts=counts,
+    )
+
+
+def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
+    """Follow a goal in JSON; `when` is "cancel" or "die" after its first feedback."""
+    told: list[Any] = []
+    client = ActionClient(
+        node, FollowJointTrajectory, f"{namespace}scaled_joint_trajectory_controller/follow_joint_trajectory"
+    )
+    assert client.wait_for_server(10.0)
+    wanted = json.loads(goal)
+    message = FollowJointTrajectory.Goal()
+    message.trajectory.joint_names = wanted["joints"]
+    for at, q in wanted["points"]:
+        point = JointTrajectoryPoint(positions=q)
+        point.time_from_start.sec, point.time_from_start.nanosec = int(at), int(at % 1.0 * 1e9)
+        message.trajectory.points.append(point)
+    if "path_tolerance" in wanted:
+        message.path_tolerance = [
+            JointTolerance(name=name, position=wanted["path_tolerance"]) for name in wanted["joints"]
+        ]
+    sent = client.send_goal_async(message, feedback_callback=lambda f: told.append(f.feedback))
+    rclpy.spin_until_future_complete(node, sent, timeout_sec=10.0)
+    handle = sent.result()
+    if not handle.accepted:
+        say(accepted=False)
+        return
+    result = handle.get_result_async()
+    if when:
+        while not told:
+            rclpy.spin_once(node, timeout_sec=0.1)
+    if when == "die":
+        say(moving=True)
+        time.sleep(60.0)
+    if when == "cancel":
+        rclpy.spin_until_future_complete(node, handle.cancel_goal_async(), timeout_sec=10.0)
+    rclpy.spin_until_future_complete(node, result, timeout_sec=30.0)
+    found = result.result()
+    say(
+        accepted=True,
+        status=found.status,
+        code=found.result.error_code,
+        text=found.result.error_string,
+        feedback=len(told),
+        names=list(told[-1].joint_names) if told else None,
+        actual=list(told[-1].actual.positions) if told else None,
+    )
+
+
+def call(node: Any, service: str, on: str = "") -> None:
+    """Call a service: `Trigger`, or `SetBool` where it is said whether on."""
+    kind = SetBool if on else Trigger
+    client = node.create_client(kind, service)
+    assert client.wait_for_service(10.0)
+    request = kind.Request(data=on == "on") if on else kind.Request()
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=30.0)
+    say(success=future.result().success, message=future.result().message)
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    try:
+        task: Any = {"listen": listen, "follow": follow, "call": call}[sys.argv[1]]
+        task(rclpy.create_node("driver"), *sys.argv[2:])
+    finally:
+        rclpy.shutdown()
