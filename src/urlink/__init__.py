@@ -154,6 +154,9 @@ if TYPE_CHECKING:
         PathMotion as PathMotion,
         Servo as Servo,
         ServoStatistics as ServoStatistics,
+        Taught as Taught,
+        TaughtPoint as TaughtPoint,
+        Teaching as Teaching,
         Torque as Torque,
         TrajectoryFeedback as TrajectoryFeedback,
     )
@@ -214,7 +217,7 @@ else:
             ".models": "UnknownModel",
             ".motion": """
                 Circular Contact ContactMotion ForceMode Freedrive Jog Joint Linear Motions PathMotion Servo
-                ServoStatistics Torque TrajectoryFeedback
+                ServoStatistics Taught TaughtPoint Teaching Torque TrajectoryFeedback
             """,
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",

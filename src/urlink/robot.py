@@ -8,9 +8,9 @@ import warnings
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
-from linkcore.arguments import check_choice
+from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
@@ -29,6 +29,7 @@ from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .motion import Motions
 from .source import Source, networked, recorded
+from .urscript import commands
 from .urscript.text import checked, integer
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from .kinematics import Arm
     from .motion import Freedrive
     from .motion.motions import LinkName
+    from .motion.taught import TaughtPoint
+    from .motion.teaching import Teaching
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
 
@@ -484,6 +487,52 @@ class Robot:
             LocalError: this firmware has no freedrive for programs, or none along chosen axes.
         """
         return self.motion._freedrive(axes, frame, watchdog, link)
+
+    def teach(
+        self,
+        *,
+        digital_input: int | None = None,
+        bank: Literal["standard", "configurable", "tool"] = "standard",
+        button: bool = False,
+        on_point: Callable[[TaughtPoint], object] | None = None,
+        axes: Sequence[object] | None = None,
+        frame: ArrayLike | str = "base",
+        watchdog: float = 0.5,
+        link: LinkName = "reverse",
+    ) -> Teaching:
+        """Keep waypoints while a person moves the arm, for as long as a block::
+
+            with robot.teach(digital_input=0) as teaching:
+                while input("Enter keeps a waypoint, q ends: ") != "q":
+                    teaching.record()
+            teaching.taught.save("pick.json")
+            teaching.taught.play(robot, wait=True)
+
+        Args:
+            digital_input: number of an input that keeps a waypoint each time that it is switched on.
+            bank: which digital inputs that is one of.
+            button: the arm is moved with its own freedrive button held, and each time that it is let go keeps a
+                waypoint; no program runs then. Needs RTDE.
+            on_point: called with each waypoint, in the thread that has kept it.
+            axes, frame, watchdog, link: see `freedrive`.
+
+        Raises:
+            BadValue: there is no such input, or as `freedrive`.
+            LocalError: as `freedrive`; or with `button`, the firmware has no RTDE.
+        """
+        from .motion.teaching import Teaching, Triggers
+
+        banks = {each.name: each for each in (commands.STANDARD, commands.CONFIGURABLE, commands.TOOL)}
+        check_choice(bank, "bank", tuple(banks))
+        if on_point is not None:
+            check_callable(on_point, "on_point")
+        triggers = Triggers(
+            None if digital_input is None else banks[bank].bit(self.firmware, digital_input, "input"),
+            self.rtde.outputs("robot_status_bits") if button else None,
+            on_point or (lambda point: None),
+        )
+        mode = None if button else self.freedrive(axes, frame=frame, watchdog=watchdog, link=link)
+        return Teaching(self.realtime, self.model, mode, triggers)
 
     def zero_force_sensor(self) -> None:
         """Take what the force at the TCP is now for zero, from 3.0 on. Nothing should touch the tool then; nothing

@@ -52,6 +52,14 @@ def test_watch_safety() -> None:
     assert any(line.startswith("RobotCommMessage(") and "code=153" in line for line in told)
 
 
+@pytest.mark.slow
+def test_press_and_teach() -> None:
+    lines = output("press_and_teach.py").splitlines()
+    assert lines[0].startswith("the table is at z = ")
+    assert lines[1] == "pressed with 10 N"
+    assert lines[2:] == ["a waypoint is kept", "a waypoint is kept", "played"]
+
+
 NOTEBOOK = """
 import ast, json, sys
 import matplotlib

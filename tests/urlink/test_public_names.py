@@ -117,6 +117,9 @@ NAMES = [
     "SubPackage",
     "Subscription",
     "Table",
+    "Taught",
+    "TaughtPoint",
+    "Teaching",
     "TextMessage",
     "ToleranceExceeded",
     "ToolCommunicationInfo",
@@ -166,7 +169,7 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address close controller dashboard firmware freedrive gripper identity io kinematics model motion popup
-        primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp
+        primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp teach
         zero_force_sensor""",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
@@ -178,6 +181,8 @@ SURFACES = {
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.path([urlink.Joint([0, -1.5, 1.5, -1.5, -1.5, 0])])": f"{HANDLE} progress segment segments",
     "robot.motion.jog()": f"{HANDLE} frame move progress stop timeout",
+    "robot.teach()": "freedrive record taught",
+    "robot.teach().taught": "add load model play points remove_last save waypoints",
     "robot.freedrive()": f"{HANDLE} progress",
     "robot.motion.servo()": f"{HANDLE} progress rate send stats",
     "robot.script": "run send_line",
@@ -200,7 +205,7 @@ SURFACES = {
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags follow
         greeting gripper host is_running_program is_serving is_up model modes passing pendant ports program_name push
         realtime_packet received registers remote_control robot_api rtde schedule serial signals speed_fraction start
-        state_package step stopped_since take take_messages time world""",
+        state_package step stopped_since take take_messages teach_button time world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
         remove wrench""",
     "robot.controller.gripper": "fault holds_object is_active is_connected place position registers reply take_away",

@@ -23,6 +23,7 @@ from . import (
     script,
     serve,
     sim,
+    teach,
 )
 
 __all__ = ["main"]
@@ -36,6 +37,7 @@ _COMMANDS = (
     doctor,
     script,
     jog,
+    teach,
     dashboard,
     record,
     replay,

@@ -8,6 +8,8 @@ from .jog import Jog
 from .motions import Motions
 from .path import Circular, Joint, Linear, PathMotion, Waypoint
 from .servo import Servo, ServoStatistics
+from .taught import Taught, TaughtPoint
+from .teaching import Teaching
 from .torque import Torque
 
 __all__ = [
@@ -23,6 +25,9 @@ __all__ = [
     "PathMotion",
     "Servo",
     "ServoStatistics",
+    "Taught",
+    "TaughtPoint",
+    "Teaching",
     "Torque",
     "TrajectoryFeedback",
     "Waypoint",

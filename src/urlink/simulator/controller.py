@@ -310,6 +310,15 @@ class Controller:
         self._state.remote_control = is_remote
 
     @property
+    def teach_button(self) -> bool:
+        """The button for freedrive is held: it shows in `robot_status_bits`, and no more. Can be set."""
+        return self._state.teach_button
+
+    @teach_button.setter
+    def teach_button(self, is_held: bool) -> None:
+        self._state.teach_button = is_held
+
+    @property
     def speed_fraction(self) -> float:
         """Of the speed slider, 0 to 1. Can be set."""
         return self._state.speed_fraction

@@ -127,6 +127,7 @@ class ControllerState:
         is_paused: the source waits: its program was paused, by hand or by a protective stop.
         speed_fraction: of the speed slider, 0 to 1.
         remote_control: of an e-Series: whether it takes commands from others than the pendant.
+        teach_button: the button for freedrive is held.
         flags: of `set_flag`.
         stopped_since: `time` at which the present stop began; None without one.
         popup: text that the pendant shows, or None.
@@ -146,6 +147,7 @@ class ControllerState:
         self.cycles_down = 0
         self.signals = Signals()
         self.remote_control = True
+        self.teach_button = False
         self.fieldbus: str | None = None
         self.log: list[str] = []
         self.counters = Counters()

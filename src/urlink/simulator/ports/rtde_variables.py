@@ -43,6 +43,8 @@ def _robot_status(state: ControllerState) -> int:
         bits |= RobotStatusBits.POWER_ON
     if state.modes.program_state is ProgramState.PLAYING:
         bits |= RobotStatusBits.PROGRAM_RUNNING
+    if state.teach_button:
+        bits |= RobotStatusBits.TEACH_BUTTON_PRESSED
     return int(bits)
 
 

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from urlink.motion import Taught
+from urlink.simulator import Controller, Still
+
+from .conftest import Run
+
+
+@pytest.mark.slow
+def test_waypoints_are_taught_by_lines_and_played(
+    spawn: Callable[..., subprocess.Popen[str]], run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "taught.json"
+    with Controller("UR5e", "5.11", motion=Still()) as controller:
+        process = spawn("teach", controller.address, str(file), stdin=subprocess.PIPE)
+        out, _ = process.communicate("\n\n\nu\nwhat\nq\n", timeout=40)
+        assert process.returncode == 0
+        lines = out.splitlines()
+        assert lines[0] == "move the arm; Enter keeps a waypoint, q ends"
+        assert [line.split(":")[0] for line in lines[1:4]] == ["q"] * 3
+        assert lines[4:] == [
+            "2 waypoints",
+            "Enter keeps a waypoint, u forgets the last, q ends",
+            f"2 waypoints in {file}",
+        ]
+        taught = Taught.load(file)
+        assert (len(taught), taught.model) == (2, "UR5e")
+        status, out, err = run("teach", controller.address, str(file), "--play", "--speed", "1")
+        assert (status, err) == (0, "")
+        assert out.splitlines()[-1] == "done"
+        with Path("/dev/null").open() as nothing:
+            monkeypatch.setattr(sys, "stdin", nothing)
+            status, _, err = run("teach", controller.address, str(file))
+        assert status == 1
+        assert "no waypoint was taught, so nothing was saved" in err
+    assert Taught.load(file).points
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (["none.json", "--play"], 1, "cannot read none.json"),
+        (["a.json", "--axes", "12"], 2, "'12' is not six of 0 and 1"),
+        (["a.json", "--digital-input", "9"], 1, "standard digital input"),
+    ],
+)
+def test_what_makes_no_sense(run: Run, arguments: list[str], status: int, text: str) -> None:
+    found, _, err = run("teach", "sim://", *arguments)
+    assert found == status
+    assert text in err
