@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     )
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.recording.file import RecordingWriter as RecordingWriter
+    from linkcore.realtime import RealtimeReport as RealtimeReport, realtime_options as realtime_options
     from linkcore.recording.recorder import Recorder as Recorder
     from linkcore.recording.table import Table as Table
     from linkcore.stamp import Stamp as Stamp
@@ -174,6 +175,7 @@ else:
             """,
             "linkcore.handle": "Handle Motion Phase",
             "linkcore.recording.file": "RecordingWriter",
+            "linkcore.realtime": "RealtimeReport realtime_options",
             "linkcore.recording.recorder": "Recorder",
             "linkcore.recording.table": "Table",
             "linkcore.stamp": "Stamp",

@@ -67,6 +67,7 @@ def connect(
     reverse_port: int = 0,
     reverse_peer: str | None = None,
     commands_via: CommandsVia = "auto",
+    isolate: bool = False,
 ) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
@@ -95,6 +96,8 @@ def connect(
             simulator in a container may come from another.
         commands_via: how outputs and the speed slider are set: "auto" over RTDE where the controller has it and nobody
             else holds the inputs, and by script otherwise; "script" never claims an input of RTDE.
+        isolate: a process of its own reads the real-time interface: the newest state is there whenever it is asked for,
+            also in a program that holds the interpreter's lock for long. Not on Windows.
 
     Raises:
         BadAddress: nobody can read the address.
@@ -118,6 +121,7 @@ def connect(
         reverse_port,
         reverse_peer,
         commands_via,
+        isolate,
     )
     if isinstance(wanted.place, RecordingAddress):
         return Robot(
@@ -152,6 +156,7 @@ class Wanted(NamedTuple):
     backoff: Backoff | None
     silence: float
     options: Options
+    isolate: bool
 
 
 def check(
@@ -168,6 +173,7 @@ def check(
     reverse_port: int,
     reverse_peer: str | None,
     commands_via: CommandsVia,
+    isolate: bool,
 ) -> Wanted:
     """The arguments of `connect`, each as it should be.
 
@@ -191,7 +197,12 @@ def check(
         raise BadValue(f"require_enable={require_enable!r}; expected one of {', '.join(get_args(Policy))}")
     if backoff is not None and not isinstance(backoff, Backoff):
         raise BadValue(f"backoff is {backoff!r}; expected an urlink.Backoff")
-    return Wanted(os.fspath(address), parse_address(address), timeout, read_only, backoff, silence, options)
+    place = parse_address(address)
+    if isolate and isinstance(place, RecordingAddress):
+        raise BadValue(
+            f"isolate={isolate!r}: {os.fspath(address)} is a recording, which no other process can read sooner"
+        )
+    return Wanted(os.fspath(address), place, timeout, read_only, backoff, silence, options, bool(isolate))
 
 
 def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
@@ -210,7 +221,12 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
 def source_of(wanted: Wanted, place: RobotAddress) -> Source:
     """Where the bytes of a controller on the network come from."""
     return networked(
-        place, timeout=wanted.timeout, read_only=wanted.read_only, backoff=wanted.backoff, silence=wanted.silence
+        place,
+        timeout=wanted.timeout,
+        read_only=wanted.read_only,
+        backoff=wanted.backoff,
+        silence=wanted.silence,
+        isolate=wanted.isolate,
     )
 
 

@@ -75,6 +75,7 @@ class Source(NamedTuple):
         """
         numbers = itertools.count()
         is_realtime = interface == "realtime"
+        transport = self.transport(interface)
 
         def protocol() -> PacketProtocol:
             if next(numbers):
@@ -83,12 +84,12 @@ class Source(NamedTuple):
 
         kind: type[State] = RealtimeState if is_realtime else RobotState
         if is_realtime:
-            fan_out = FanOut(kind)
+            fan_out = FanOut(kind, ahead=getattr(transport, "newest", None))
         else:
             fan_out = FanOut(kind, parts=_parts, others=(SubPackage, RobotMessage, OtherPackage))
         connection = self.connection(
             name,
-            self.transport(interface),
+            transport,
             protocol,
             fan_out,
             backoff=self.backoff,
@@ -112,12 +113,14 @@ def networked(
     silence: float,
     tcp: type[TcpTransport] = TcpTransport,
     known: Identity | None = None,
+    isolate: bool = False,
 ) -> Source:
     """A controller on the network, or a simulated one.
 
     Args:
         tcp: what its bytes come by.
         known: what it has said of itself already.
+        isolate: another process reads the real-time interface.
     """
     suffix = "_readonly" if read_only else ""
     last: list[Identity] = [] if known is None else [known]
@@ -135,6 +138,12 @@ def networked(
         port = "rtde" if interface == "rtde" else interface + suffix
         if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")
+        if isolate and interface == "realtime":
+            from linkcore.isolation.isolated_transport import IsolatedTransport
+
+            boundary = "urlink.interfaces.realtime.framing:RealtimeBoundary"
+            decode = RealtimeProtocol().decode
+            return IsolatedTransport(place.host, place.ports[port], silence=silence, boundary=boundary, decode=decode)
         return tcp(
             place.host,
             place.ports[port],

@@ -82,6 +82,7 @@ NAMES = [
     "ProgramStateMessage",
     "ProgramStatus",
     "ProgramStopped",
+    "RealtimeReport",
     "RealtimeState",
     "Recorder",
     "Recording",
@@ -144,6 +145,7 @@ NAMES = [
     "drop_oldest",
     "latest",
     "load",
+    "realtime_options",
 ]
 
 

@@ -21,6 +21,7 @@ from typing import Any
 
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError
 from ..net.awaited import AwaitedTransport, watch
+from ..realtime import urgent
 from ..streaming.connection import Connection
 from ..streaming.events import ConnectionState
 from ..streaming.receiver import Receiver
@@ -208,6 +209,10 @@ class LoopConnection(Connection):
 
     async def _keep_up(self) -> None:
         """What the reader thread of a `Connection` does."""
+        with urgent():  # the thread of the loop
+            await self._connect_until_closed()
+
+    async def _connect_until_closed(self) -> None:
         try:
             while True:
                 error: Exception | None = None

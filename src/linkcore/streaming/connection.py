@@ -17,6 +17,7 @@ from typing import Any
 
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer
 from ..net.transport import Finished, Transport
+from ..realtime import urgent
 from ..stamp import Stamp
 from ..text import printable
 from ..threads import started
@@ -357,6 +358,7 @@ class Connection:
 
     # -- the reader thread -----------------------------------------------------------------------
 
+    @urgent()
     def _read(self) -> None:
         while True:
             error: Exception | None = None

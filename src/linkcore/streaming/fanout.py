@@ -57,17 +57,25 @@ class FanOut:
         kind: the main class of packet.
         parts: the packets inside a packet; None if there are none.
         others: base classes of what else comes, parts included.
+        ahead: the newest packet where somebody else knows it before it is published; None if there is none. For a
+            stream without parts.
 
     Attributes:
         taps: those who get the bytes as they came.
     """
 
     def __init__(
-        self, kind: type, *, parts: Callable[[Any], Iterable[Any]] | None = None, others: Iterable[type] = ()
+        self,
+        kind: type,
+        *,
+        parts: Callable[[Any], Iterable[Any]] | None = None,
+        others: Iterable[type] = (),
+        ahead: Callable[[], Any | None] | None = None,
     ) -> None:
         self.kinds = (kind, *others)
         self._kind = kind
         self._parts = parts
+        self._ahead = ahead
         # Re-entrant: a stream that is collected in the middle of a change ends its fan-out from here.
         self._lock = threading.RLock()
         self._routes: tuple[_Route, ...] = ()
@@ -132,7 +140,7 @@ class FanOut:
     def newest(self, kind: type[K]) -> K | None:
         """The newest packet of class `kind`."""
         if self._parts is None:
-            last = self._last
+            last = self._last if self._ahead is None else self._ahead()
             return last if isinstance(last, kind) else None
         exact = self._newest.get(kind)
         if exact is not None:

@@ -232,6 +232,8 @@ class _Connecting:
 
     async def _connect(self) -> AsyncRobot:
         wanted, place = self._wanted, self._wanted.place
+        if wanted.isolate:
+            raise LocalError("isolate=True is for urlink.connect: the event loop reads by itself")
         if isinstance(place, RecordingAddress):
             raise LocalError(f"{wanted.address} is a recording, which urlink.connect plays, and no event loop")
         loop = asyncio.get_running_loop()

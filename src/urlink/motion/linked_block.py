@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from linkcore.errors import Closed, LinkError, LinkTimeout, LocalError
 from linkcore.handle import Motion
+from linkcore.realtime import urgent
 
 from .context import MotionContext
 from .linked import CONNECT_TIMEOUT, Dialogue, Link, LinkedProgram
@@ -40,6 +41,7 @@ class LinkedBlock(Motion):
         super().__init__(life)
         self._context = context
         self._is_entered = False
+        self._block = contextlib.ExitStack()
         #: settled once the program has connected, or will not any more
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
@@ -68,15 +70,17 @@ class LinkedBlock(Motion):
             raise
         if self.error is not None:
             raise self.error
+        self._block.enter_context(urgent())  # whose loop has a set-point to send in each cycle
         return self
 
     def __exit__(self, *exc: object) -> None:
         """Stop the arm, and wait until it stands or two seconds are over. Does not raise what ended it before."""
-        try:
-            self._program.finish()
-            self.wait(_END_TIMEOUT)
-        except LinkError:
-            self.cancel()
+        with self._block:
+            try:
+                self._program.finish()
+                self.wait(_END_TIMEOUT)
+            except LinkError:
+                self.cancel()
 
     def _check_open(self) -> None:
         """Refuse to be told anything outside the block, or after the end.
