@@ -230,6 +230,7 @@ ROLES = {
     "errors": "the exceptions of its folder",
     "framing": "the frame boundaries of one interface",
     "gripper": "the simulated gripper, and the port that serves it",
+    "interpreter": "interpreter mode: what users hold, and the port that serves it",
     "packets": "the declared packets of one interface",
     "programs": "the programs that are running, and the text of those that are sent",
     "protocol": "the protocol of one interface",

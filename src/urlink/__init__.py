@@ -61,6 +61,7 @@ if TYPE_CHECKING:
         urdf as urdf,
     )
     from .aio.async_robot import AsyncRobot as AsyncRobot, connect_async as connect_async
+    from .commanding.interpreter import Interpreter as Interpreter, InterpreterState as InterpreterState
     from .commanding.io import IO as IO, Analog as Analog
     from .commanding.safety import Safety as Safety
     from .commanding.scripts import Program as Program, Scripts as Scripts
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
         SafetyStop as SafetyStop,
         ScriptError as ScriptError,
         ScriptFailed as ScriptFailed,
+        StatementDiscarded as StatementDiscarded,
         ToleranceExceeded as ToleranceExceeded,
     )
     from .firmware import Firmware as Firmware
@@ -188,6 +190,7 @@ else:
             "linkcore.streaming.subscription": "Subscription",
             "linkcore.wire.packet": "State",
             ".aio.async_robot": "AsyncRobot connect_async",
+            ".commanding.interpreter": "Interpreter InterpreterState",
             ".commanding.io": "IO Analog",
             ".commanding.safety": "Safety",
             ".commanding.scripts": "Program Scripts",
@@ -195,7 +198,7 @@ else:
             ".decoding": "decode",
             ".errors": """
                 CompileError NoContact NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
-                ScriptError ScriptFailed ToleranceExceeded
+                ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
             """,
             ".firmware": "Firmware",
             ".interfaces.dashboard.client": "Dashboard DashboardRefused",

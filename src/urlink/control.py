@@ -14,6 +14,7 @@ from linkcore.wire.version import Since
 
 from .commanding.channel import CommandChannel
 from .commanding.interlock import Interlock, Policy
+from .commanding.interpreter import Interpreters
 from .commanding.io import IO
 from .commanding.monitor import SafetyMonitor
 from .commanding.programs import Programs
@@ -72,7 +73,7 @@ class Control:
         rtde: gives the robot's RTDE.
 
     Attributes:
-        safety, script, io, motion, settings: what users hold.
+        safety, script, interpreters, io, motion, settings: what users hold.
     """
 
     def __init__(
@@ -117,6 +118,15 @@ class Control:
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
         setting_channel = SettingChannel(channel, slow, section, inputs)
         self.settings = Settings(setting_channel, slow, fast, who, section, self._is_remote, options.start_flag)
+        self.interpreters = Interpreters(
+            host,
+            ports.get("interpreter"),
+            programs,
+            channel,
+            callbacks,
+            lambda: who.identity.firmware,
+            timeout,
+        )
         self.io = IO(self.settings, primary, realtime)
         reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
         registers = RegisterPort(lambda names: rtde().inputs(*names))
@@ -188,6 +198,7 @@ class Control:
         self._monitor.close()
         for dashboard in self._dashboards.values():
             dashboard.close()
+        self.interpreters.close()
         for gripper in self._grippers.values():
             gripper._disconnect()
         self._callbacks.close(max(until - time.monotonic(), 0.0))

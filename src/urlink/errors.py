@@ -13,6 +13,7 @@ They hang below a branch of `linkcore.errors`::
         ├── ScriptError             the controller complains of a program: `line`, `column`, `text`
         │   ├── CompileError        it did not begin
         │   └── ScriptFailed        it failed while it ran
+        ├── StatementDiscarded      interpreter mode does not take a statement: `statement`, `number`
         └── ProgramStopped          stopped from elsewhere: pendant, dashboard, somebody else's program
 """
 
@@ -30,6 +31,7 @@ __all__ = [
     "SafetyStop",
     "ScriptError",
     "ScriptFailed",
+    "StatementDiscarded",
     "ToleranceExceeded",
 ]
 
@@ -94,6 +96,23 @@ class CompileError(ScriptError):
 
 class ScriptFailed(ScriptError):
     """The program failed while it ran."""
+
+
+class StatementDiscarded(RemoteError):
+    """Interpreter mode does not take a statement: it does not compile, or no program is in the mode.
+
+    Attributes:
+        statement: as it was sent.
+        number: that the controller gave it.
+    """
+
+    def __init__(self, statement: str, number: int) -> None:
+        super().__init__(statement, number)
+        self.statement = statement
+        self.number = number
+
+    def __str__(self) -> str:
+        return f"the controller has discarded statement {self.number}, which does not compile: {self.statement!r}"
 
 
 class ProgramStopped(RemoteError):

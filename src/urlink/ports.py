@@ -19,6 +19,7 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "rtde": 30004,
         "dashboard": 29999,
         "robot_api": 80,
+        "interpreter": 30020,
         "gripper": 63352,
     }
 )

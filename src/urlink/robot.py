@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from typing_extensions import Self
 
+    from .commanding.interpreter import Interpreter
     from .interfaces.dashboard.client import Dashboard
     from .interfaces.gripper.client import Gripper
     from .kinematics import Arm
@@ -426,6 +427,31 @@ class Robot:
     def dashboard(self) -> Dashboard:
         """Power, brakes, installed programs, and unlocking after a protective stop."""
         return self._commanded().dashboard
+
+    def interpreter(
+        self,
+        *,
+        start_timeout: float = 10.0,
+        finish_timeout: float = 60.0,
+        on_text: Callable[[str], object] | None = None,
+    ) -> Interpreter:
+        """Begin interpreter mode, in which statements of URScript are executed one by one as they are handed over.
+
+        It sends a program, which preempts the one that runs, and returns once that takes statements. From 5.10 on.
+
+        Args:
+            start_timeout: seconds for that.
+            finish_timeout: seconds that statements may still take where the block of a ``with`` is left.
+            on_text: called with each line of `textmsg`, in the robot's thread for callbacks.
+
+        Raises:
+            BadValue: a time that is none.
+            LocalError: the firmware has no interpreter mode.
+            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
+            LinkTimeout: it has not begun in time; nothing of it is left behind.
+            LinkError: it could not be begun, or what has ended it meanwhile.
+        """
+        return self._commanded().interpreters.begin(start_timeout, finish_timeout, on_text)
 
     @property
     def gripper(self) -> Gripper:

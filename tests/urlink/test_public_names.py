@@ -48,6 +48,8 @@ NAMES = [
     "Handle",
     "History",
     "IO",
+    "Interpreter",
+    "InterpreterState",
     "Jog",
     "Joint",
     "JointData",
@@ -114,6 +116,7 @@ NAMES = [
     "SingularityInfo",
     "Stamp",
     "State",
+    "StatementDiscarded",
     "Stream",
     "SubPackage",
     "Subscription",
@@ -170,11 +173,12 @@ def test_each_is_there_and_says_what_it_is() -> None:
 HANDLE = "add_done_callback cancel done error name phase wait"
 #: The attributes and methods of what users hold, as tab completion shows them.
 SURFACES = {
-    "robot": """address close controller dashboard firmware freedrive gripper identity io kinematics model motion popup
-        primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp teach
-        zero_force_sensor""",
+    "robot": """address close controller dashboard firmware freedrive gripper identity interpreter io kinematics model
+        motion popup primary realtime record registers rtde safety script secondary set_payload set_speed_slider
+        set_tcp teach zero_force_sensor""",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
+    "robot.interpreter()": f"{HANDLE} abort clear end execute skip state texts wait_executed",
     "robot.identity": "arm description dh_table firmware kinematics model said_so",
     "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
         speed_linear stop torque until_contact""",
@@ -256,11 +260,16 @@ def test_what_users_hold_shows_what_they_should_touch() -> None:
 DEFAULTS = {
     "robot.close": "timeout=2.0",
     "robot.freedrive": "axes=None, frame='base', watchdog=0.5, link='reverse'",
+    "robot.interpreter": "start_timeout=10.0, finish_timeout=60.0, on_text=None",
     "robot.popup": "title='Popup', warning=False, error=False",
     "robot.record": "interfaces=('realtime', 'primary')",
     "robot.set_payload": "cog=None, inertia=None, confirm=1.0",
     "robot.set_speed_slider": "confirm=1.0",
     "robot.set_tcp": "confirm=1.0",
+    "robot.teach": (
+        "digital_input=None, bank='standard', button=False, on_point=None, axes=None, frame='base', watchdog=0.5, "
+        "link='reverse'"
+    ),
     "robot.motion.follow": (
         "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
         "feedback=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, link='reverse', wait=False"

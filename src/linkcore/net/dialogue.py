@@ -64,19 +64,26 @@ class Dialogue:
         self._lock = threading.Lock()
         self._protocol: DialogueProtocol | None = None
 
-    def ask(self, text: str, timeout: float, stays: Callable[[str], bool] = lambda answer: True) -> str:
+    def ask(
+        self,
+        text: str,
+        timeout: float,
+        stays: Callable[[str], bool] = lambda answer: True,
+        gate: Callable[[Callable[[], object]], object] = lambda send: send(),
+    ) -> str:
         """Ask, and wait for the answer.
 
         Args:
             text: the question.
             timeout: seconds for all of it.
             stays: says by the answer whether the connection is kept.
+            gate: calls what sends, which does not wait, or raises what keeps the question from being sent.
 
         Raises:
             LinkTimeout: no answer came in time, or other threads had their turn for so long.
             ConnectFailed, ConnectionLost: the peer is not there, or went away.
             Closed: `close` was called.
-            LinkError: whatever the protocol raises.
+            LinkError: whatever the protocol or the gate raises.
         """
         until = time.monotonic() + timeout
         if not self._lock.acquire(timeout=timeout):
@@ -85,7 +92,7 @@ class Dialogue:
             )
         try:
             protocol = self._connected(min(until, time.monotonic() + self._timeout))
-            self._transport.send(protocol.ask(text), max(until - time.monotonic(), 0.0))
+            gate(lambda: self._send(protocol.ask(text), text))
             answer = None
             while answer is None:
                 answer = protocol.feed(self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s"))
@@ -127,6 +134,11 @@ class Dialogue:
             return self._transport.receive_waiting() is None and protocol.is_in_step
         except ConnectionLost:
             return False
+
+    def _send(self, data: bytes, text: str) -> None:
+        """Hand over all of it at once: a peer that has answered every question has room for the next."""
+        if self._transport.send_some(data) < len(data):
+            raise LinkTimeout(f"{self._name} does not take {text[:80]!r}")
 
     def _received(self, protocol: DialogueProtocol, until: float, otherwise: str) -> bytes:
         left, settling = until - time.monotonic(), protocol.settling

@@ -15,10 +15,10 @@ from linkcore.handle import Handle, Lifecycle
 from .channel import CommandChannel
 from .programs import Programs
 
-__all__ = ["Program", "Scripts"]
+__all__ = ["TEXTS", "Program", "Scripts"]
 
 #: Lines of `textmsg` that are kept of a program.
-_TEXTS = 1000
+TEXTS = 1000
 
 
 class Program(Handle):
@@ -75,7 +75,7 @@ class Scripts:
         wrapped = self._programs.wrap(_text(source) if isinstance(source, os.PathLike) else source)
         life = self._programs.life(wrapped.name)
         life.brake = lambda: self._programs.stop(life)
-        texts: deque[str] = deque(maxlen=_TEXTS)
+        texts: deque[str] = deque(maxlen=TEXTS)
         program = Program(life, texts)
 
         def hear(text: str) -> None:

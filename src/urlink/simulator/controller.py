@@ -25,6 +25,7 @@ from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
 from .ports.dashboard import DashboardPort
 from .ports.gripper import GripperPort
+from .ports.interpreter import InterpreterPort
 from .ports.port import Client, Port, ScriptReceiver
 from .ports.primary import PrimaryPort, RobotStates, SecondaryPort
 from .ports.realtime import RealtimePort
@@ -163,6 +164,7 @@ class Controller:
             "rtde": self._rtde,
             "dashboard": self._dashboard,
             "robot_api": self._robot_api,
+            "interpreter": InterpreterPort(state, self._runner),
             "gripper": GripperPort(state, self._gripper),
         }
 

@@ -42,6 +42,7 @@ __all__ = [
     "ReverseSocket",
     "each",
     "indented",
+    "interpreter_mode",
     "introduction",
     "lines",
     "missable",
@@ -148,6 +149,11 @@ def takes_duration(firmware: Firmware) -> bool:
     Differences).
     """
     return not (3, 1) <= firmware[:2] < (3, 3)
+
+
+def interpreter_mode() -> list[str]:
+    """Take statements of clients until one of them ends it."""
+    return ["interpreter_mode()"]
 
 
 def stop(acceleration: float) -> list[str]:

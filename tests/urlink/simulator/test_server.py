@@ -193,7 +193,7 @@ def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
     links = [connect(controller, port) for port in SERVED]
     for port, link in zip(SERVED, links, strict=True):
         # These two say nothing before they are asked.
-        link.send({"rtde": b"\0\3v", "gripper": b"GET POS\n"}.get(port, b""))
+        link.send({"rtde": b"\0\3v", "gripper": b"GET POS\n", "interpreter": b"x = 1\n"}.get(port, b""))
         link.segment()
     assert threading.active_count() == before + 1
     host, ports = controller.host, controller.ports

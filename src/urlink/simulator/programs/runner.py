@@ -18,6 +18,8 @@ from ..robot.generator import Drive, LimitViolation
 from ..robot.sources import Setpoint, SetpointSource
 from ..state import ControllerState
 from ..urscript import Execution, Script, ScriptError
+from ..urscript.machine import StatementCode
+from ..urscript.statements import StatementQueue
 from .program_sockets import Route
 from .program_world import ProgramWorld
 
@@ -53,6 +55,11 @@ class RunningProgram:
         self._drive = Drive(state.kinematics, state.arm.setpoint)
         self._world = ProgramWorld(state, route, self._drive)
         self._execution = Execution(script, self._world)
+
+    @property
+    def statements(self) -> StatementQueue[StatementCode]:
+        """What clients hand to it in interpreter mode."""
+        return self._execution.statements
 
     @property
     def error(self) -> ScriptError | None:
@@ -111,6 +118,11 @@ class ProgramRunner:
     def is_running(self) -> bool:
         """A program that was sent runs, so that every cycle counts."""
         return bool(self._secondary or self._waiting) or (self.main is not None and self.main.is_program)
+
+    @property
+    def statements(self) -> StatementQueue[StatementCode] | None:
+        """What clients hand to the program that runs in interpreter mode; None where none runs."""
+        return self.main.statements if self.main is not None and self.main.is_program else None
 
     # -- beginning and ending ------------------------------------------------------------------------
 

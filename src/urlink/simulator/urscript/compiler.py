@@ -7,8 +7,9 @@ in the expression is worked out before, into slots too, so that the order is tha
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from urlink.firmware import Firmware
 
@@ -21,8 +22,10 @@ from .instructions import (
     await_builtin,
     branch,
     call,
+    enter_interpreter,
     evaluate,
     halt,
+    interpret,
     join,
     jump,
     kill,
@@ -33,7 +36,7 @@ from .instructions import (
     store,
     store_element,
 )
-from .machine import FIRST, Code, Instruction, Script
+from .machine import FIRST, Code, Instruction, Script, StatementCode
 from .operations import Function
 from .parser import parse
 from .scopes import Functions, Names, global_names
@@ -107,9 +110,10 @@ class _Program:
             body = [*statements[:-1], *last.body]
         self.globals = {variable: slot for slot, variable in enumerate(global_names(body))}
         self._builtins: dict[str, Builtin | None] = {}
-        main = Code(name)
+        main = Code(name, source)
         _Compiler(self, main, body, (), None).compile()
-        self.script = Script(source, name, "sec" if self.kind == "sec" else "def", firmware, main, len(self.globals))
+        kind: Literal["def", "sec"] = "sec" if self.kind == "sec" else "def"
+        self.script = Script(source, name, kind, firmware, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
         """The built-in function of that name, if the firmware has it."""
@@ -135,9 +139,10 @@ class _Compiler:
         self._program = program
         self._code = code
         self._body = body
+        self._outer = outer
         self._parameters = [parameter for one in definition for parameter in one.parameters]
         names = Names.of(body)
-        self._functions = Functions(names, outer)
+        self.functions = Functions(names, program.source, outer)
         own = [
             *(parameter.name for parameter in self._parameters),
             *sorted(names.local),
@@ -174,6 +179,36 @@ class _Compiler:
         self._code.size = self._top
         self._code.instructions.extend(maker(at) for at, (maker, _) in enumerate(self._makers, 1))
         self._code.places.extend(place for _, place in self._makers)
+
+    def statement(self, text: str) -> StatementCode:
+        """A statement that comes while the program runs, compiled into the scope of this function.
+
+        What it assigns is a variable of this function, or of the program where this is its own body; what it defines
+        is known to later statements.
+
+        Raises:
+            ScriptError: it does not compile.
+        """
+        source = Source(text)
+        body = parse(source)
+        known = self._program.globals
+        names = Names.of(body)
+        for name in global_names(body) if self._outer is None else names.global_:
+            known.setdefault(name, len(known))
+        for name in (*names.local, *names.free):
+            if name not in known and name not in self._slots:
+                self._slots[name] = self._code.size
+                self._code.size += 1
+        # The same program, with places in another text.
+        program = copy.copy(self._program)
+        program.source = source
+        compiler = _Compiler(program, Code("statement", source), body, (), self.functions)
+        compiler._slots = self._slots
+        compiler._used = compiler._top = self._code.size
+        compiler.compile()
+        if compiler.functions.has_any:
+            self.functions = compiler.functions
+        return StatementCode(compiler._code, len(known))
 
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
         """It is worked out in the function that is called, each time (a guess)."""
@@ -241,12 +276,12 @@ class _Compiler:
                 self._define(s)
 
     def _define(self, s: Definition) -> None:
-        found = self._functions.find(s.name)
+        found = self.functions.find(s.name)
         assert found is not None
         definition, code = found
         if definition is not s or s.kind == "sec":
             raise self._program.error(s, f"compile_error_name_already_used:{s.name}:")
-        _Compiler(self._program, code, s.body, (s,), self._functions).compile()
+        _Compiler(self._program, code, s.body, (s,), self.functions).compile()
 
     def _assign(self, s: Assign) -> None:
         is_known = s.name in self._slots or s.name in self._program.globals
@@ -315,7 +350,7 @@ class _Compiler:
             return self._taking[id(node)]
         taking = False
         if isinstance(node, Call) and not node.is_run:
-            builtin = None if self._functions.find(node.name) else self._program.builtin(node.name)
+            builtin = None if self.functions.find(node.name) else self._program.builtin(node.name)
             taking = builtin is None or builtin.takes_time
         if alone:
             return taking
@@ -394,7 +429,7 @@ class _Compiler:
     # -- calls -------------------------------------------------------------------------------------
 
     def _call(self, node: Call) -> Function:
-        found = self._functions.find(node.name)
+        found = self.functions.find(node.name)
         if found is None:
             if node.is_run:
                 raise self._program.not_found(node, node.name)
@@ -437,11 +472,20 @@ class _Compiler:
             arguments = self._sequence([*node.arguments, *(value for _, value in node.named)])
         else:
             arguments = self._arguments(node, builtin.parameters)
+        if node.name == "interpreter_mode":
+            return self._interpreter_mode(node, arguments)
         if not builtin.takes_time:
             return operations.call(builtin.function, arguments, node.place)
         slot = self._slot()
         self._emit(node, lambda after: await_builtin(builtin.function, arguments, slot, after))
         return operations.temporary(slot)
+
+    def _interpreter_mode(self, node: Call, arguments: Sequence[Function]) -> Function:
+        """It runs statements that come while the program runs, so it is no function but two instructions."""
+        slot = self._slot()
+        self._emit(node, lambda after: enter_interpreter(self.statement, arguments[0], arguments[1], after))
+        self._emit(node, lambda after: interpret(slot, after))
+        return operations.constant(None)
 
     def _takes_time(self, node: Node, what: str) -> None:
         """That a `sec` program in which time passes does not compile, is a guess; it may not have such calls."""

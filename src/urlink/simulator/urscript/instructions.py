@@ -7,7 +7,7 @@ from typing import Any
 
 from . import values
 from .errors import Fault, type_error
-from .machine import ENDED, GLOBALS, THREAD, Code, Frame, Instruction, ScriptThread, Waiting
+from .machine import ENDED, GLOBALS, THREAD, Code, Frame, Instruction, ScriptThread, StatementCode, Waiting
 from .operations import Function
 from .values import NUMBERS, UNSET
 
@@ -16,8 +16,10 @@ __all__ = [
     "await_builtin",
     "branch",
     "call",
+    "enter_interpreter",
     "evaluate",
     "halt",
+    "interpret",
     "join",
     "jump",
     "kill",
@@ -174,6 +176,47 @@ def await_builtin(
     def run(f: Frame) -> int:
         thread: ScriptThread = f[THREAD]
         return thread.await_(function(thread, *[argument(f) for argument in arguments]), after, destination)
+
+    return run
+
+
+def enter_interpreter(
+    statement: Callable[[str], StatementCode], clear_on_enter: Function, clear_on_end: Function, after: int
+) -> Instruction:
+    """Begin interpreter mode; `statement` compiles what comes."""
+
+    def run(f: Frame) -> int:
+        thread: ScriptThread = f[THREAD]
+        machine = thread.machine
+        if machine.main is not thread:
+            raise Fault("interpreter_mode() is for the main thread only")
+        if machine.statements.is_on:
+            raise Fault("interpreter_mode() was called in interpreter mode")
+        machine.statements.enter(statement, values.truth(clear_on_enter(f)), values.truth(clear_on_end(f)))
+        return after
+
+    return run
+
+
+def interpret(destination: int, after: int) -> Instruction:
+    """Run the next statement, or wait for one; go on when the mode is over."""
+    here = after - 1
+
+    def wait() -> Waiting:
+        yield
+
+    def run(f: Frame) -> int:
+        thread: ScriptThread = f[THREAD]
+        statements = thread.machine.statements
+        if not statements.is_on:
+            return after
+        taken = statements.take()
+        if taken is None:
+            return thread.await_(wait(), here, destination)
+        # It has the variables of this function, and may have brought more.
+        f.extend([UNSET] * (taken.code.size - len(f)))
+        f[GLOBALS].extend([UNSET] * (taken.n_globals - len(f[GLOBALS])))
+        return thread.call(taken.code, f, here, destination)
 
     return run
 

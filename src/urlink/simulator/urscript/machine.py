@@ -18,7 +18,7 @@ import random
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
@@ -26,6 +26,7 @@ from urlink.firmware import Firmware
 from ..robot.generator import Unreachable
 from .errors import ANOTHER_THREAD, Fault, ScriptError, endless
 from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, MAX_WORK
+from .statements import StatementQueue
 from .tokens import Source
 from .values import UNSET, weight
 from .world import Move, World
@@ -44,6 +45,7 @@ __all__ = [
     "Machine",
     "Script",
     "ScriptThread",
+    "StatementCode",
     "Waiting",
 ]
 
@@ -65,12 +67,26 @@ class Code:
         size: of its frame.
         instructions: one after the other.
         places: where in the text each stands.
+        source: the text.
     """
 
     name: str
+    source: Source
     size: int = FIRST
     instructions: list[Instruction] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
+
+
+class StatementCode(NamedTuple):
+    """A statement that came while the program runs; it runs in the frame of the function whose scope it has.
+
+    Attributes:
+        code: its instructions.
+        n_globals: how many global variables the program has by now.
+    """
+
+    code: Code
+    n_globals: int
 
 
 @dataclass(eq=False)
@@ -205,7 +221,7 @@ class ScriptThread:
     def _error(self, at: int, text: str, place: int | None) -> ScriptError:
         places = self._code.places
         where = places[min(max(at, 0), len(places) - 1)] if place is None else place
-        return self.machine.source.failure(where, text)
+        return self._code.source.failure(where, text)
 
     @property
     def memory(self) -> int:
@@ -218,8 +234,8 @@ class Machine:
     """All threads of one program.
 
     Attributes:
-        source: the text of the program.
         world: the controller.
+        statements: that clients hand to it in interpreter mode.
         left: instructions that may still be run in this cycle.
         reads: from sockets, in this cycle.
         random: for the function of that name; it gives the same numbers in every run.
@@ -228,8 +244,9 @@ class Machine:
     """
 
     def __init__(self, script: Script, world: World) -> None:
-        self.source = script.source
         self.world = world
+        self.statements: StatementQueue[StatementCode] = StatementQueue()
+        self.statements.aborts = self.abort_motion
         self.left = MAX_INSTRUCTIONS
         self.reads = 0
         self.random = random.Random(0)
@@ -237,6 +254,7 @@ class Machine:
         self.has_moved = False
         self._owner: ScriptThread | None = None
         self._move: Move | None = None
+        self._is_aborted = False
         self._firmware = script.firmware
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
@@ -294,6 +312,7 @@ class Machine:
         if self._owner is not None and self._owner is not thread and self._move is not None and not self._move.is_over:
             raise Fault(ANOTHER_THREAD)
         self._owner, self._move = thread, None
+        self._is_aborted = False
         self.has_moved = True
         try:
             move = self._move = begin()
@@ -302,10 +321,16 @@ class Machine:
         while True:
             # Even one that is there already takes a cycle.
             yield
-            if move.is_over:
+            if move.is_over or self._is_aborted:
                 break
         if self._owner is thread:
             self._owner = None
+
+    def abort_motion(self) -> None:
+        """End the motion that a thread waits for: the arm brakes, and the thread goes on in the next cycle."""
+        if self._owner is not None and self._move is not None and not self._move.is_over:
+            self._is_aborted = True
+            self.world.motion.release()
 
     # -- bounds ------------------------------------------------------------------------------------
 
@@ -341,6 +366,11 @@ class Execution:
         self.error: ScriptError | None = None
         self._world = world
         self._machine = Machine(script, world)
+
+    @property
+    def statements(self) -> StatementQueue[StatementCode]:
+        """What clients hand to it in interpreter mode."""
+        return self._machine.statements
 
     def advance(self) -> None:
         """One controller cycle: every thread runs until it waits for a later one."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from .machine import Code
 from .syntax import Assign, Block, Declare, Definition, If, While
+from .tokens import Source
 
 __all__ = ["Functions", "Names", "global_names"]
 
@@ -64,14 +65,20 @@ class Functions:
 
     Args:
         names: of the function they stand in.
+        source: the text.
         outer: what is known around that.
     """
 
-    def __init__(self, names: Names, outer: Functions | None) -> None:
+    def __init__(self, names: Names, source: Source, outer: Functions | None) -> None:
         self._outer = outer
         self._known: dict[str, tuple[Definition, Code]] = {}
         for definition in names.definitions:
-            self._known[definition.name] = (definition, Code(definition.name))
+            self._known[definition.name] = (definition, Code(definition.name, source))
+
+    @property
+    def has_any(self) -> bool:
+        """Some stand in it, beside those around it."""
+        return bool(self._known)
 
     def find(self, name: str) -> tuple[Definition, Code] | None:
         """The one of that name, the innermost if there are several."""

@@ -70,3 +70,24 @@ def protective_stop(thread: ScriptThread) -> Waiting:
     """Asked for by the program itself; it goes on when someone has unlocked the stop (a guess)."""
     thread.world.protective_stop("protective_stop() was called by the program")
     yield
+
+
+# -- interpreter mode --------------------------------------------------------------------------------
+
+
+@FAMILY.declare(takes_time=True, in_secondary=False, since="5.10")
+def interpreter_mode(thread: ScriptThread, clearQueueOnEnter: Any = True, clearOnEnd: Any = True) -> Waiting:
+    """Run what clients of port 30020 hand over. The compiler makes instructions of it, and never calls this."""
+    yield
+
+
+@FAMILY.declare(since="5.10")
+def end_interpreter(thread: ScriptThread) -> None:
+    """Leave interpreter mode, when this statement is over."""
+    thread.machine.statements.leave()
+
+
+@FAMILY.declare(since="5.10")
+def clear_interpreter(thread: ScriptThread) -> None:
+    """Forget the statements that were begun, which makes room for others."""
+    thread.machine.statements.clear()

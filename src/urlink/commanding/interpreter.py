@@ -1,0 +1,305 @@
+"""`robot.interpreter()`: statements that a running program takes one by one (interpreter mode, port 30020).
+
+The program is one of the library's own: it asks for permission as motions do, calls `interpreter_mode()`, and ends when
+that returns. Each statement may move the arm, so it leaves through the interlock, and only as long as the program's
+life is not over. What ends the life ends the program on the robot, and with it the mode.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from linkcore.arguments import check_callable, check_seconds, check_wait
+from linkcore.callbacks import CallbackThread
+from linkcore.errors import Cancelled, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
+from linkcore.handle import Lifecycle
+from linkcore.net.dialogue import Dialogue
+from linkcore.net.transport import TcpTransport
+from linkcore.wire.version import Since
+
+from ..errors import NotRunning, SafetyStop, StatementDiscarded
+from ..firmware import Firmware
+from ..interfaces.interpreter.protocol import InterpreterProtocol, Reply, parse_reply, statement_line
+from ..services import refusal_hint
+from ..urscript import programs as scripts
+from .channel import CommandChannel
+from .programs import Programs
+from .scripts import TEXTS, Program
+
+__all__ = ["CLEAR_AFTER", "Interpreter", "InterpreterState", "Interpreters"]
+
+_SINCE = Since("5.10")
+#: Statements after which those before are cleared on the controller, which keeps a limited number of them. As public
+#: clients do it.
+CLEAR_AFTER = 500
+#: Seconds between two questions of something that is waited for.
+_POLL = 0.02
+#: Seconds for each reply, and for each that nobody waits for any more.
+_REPLY, _LAST_WORDS = 5.0, 0.5
+
+_log = logging.getLogger(__name__)
+
+
+class InterpreterState(NamedTuple):
+    """How far the controller is; numbers of statements count from the first, and are 0 where there is none.
+
+    Attributes:
+        last_interpreted: the last that it has taken.
+        last_executed: the last that it has begun.
+        last_cleared: the last that it has forgotten.
+        unexecuted: how many it has taken and not begun.
+    """
+
+    last_interpreted: int
+    last_executed: int
+    last_cleared: int
+    unexecuted: int
+
+
+class Interpreter(Program):
+    """Interpreter mode while it lasts; made by `robot.interpreter()`.
+
+    As a context manager it ends the mode once every statement has been executed; where the block is left by an
+    exception the program is stopped, and the arm brakes. It is the handle of the program that is in the mode, so
+    `wait`, `done`, `error`, `cancel` and `texts` are that program's. Threads may share it; they take turns.
+    """
+
+    def __init__(
+        self, life: Lifecycle, texts: deque[str], dialogue: Dialogue, channel: CommandChannel, finish_timeout: float
+    ) -> None:
+        super().__init__(life, texts)
+        self._dialogue = dialogue
+        self._channel = channel
+        self._finish_timeout = finish_timeout
+        self._since_clear = 0
+
+    def execute(self, statement: str, *, wait: bool | float = False) -> int:
+        """Hand a statement over; it begins once those before it are over.
+
+        Args:
+            statement: of URScript, complete: a call, an assignment, a whole ``if`` or ``def``. What it assigns and
+                defines is there for later statements.
+            wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
+
+        Returns:
+            its number.
+
+        Raises:
+            BadValue: it is no statement; nothing was sent.
+            StatementDiscarded: it does not compile, or the program is not in interpreter mode.
+            SafetyStop, NotRunning: the arm may not be moved now; nothing was sent.
+            LinkTimeout: with `wait`, it was not over in time; it goes on.
+            LinkError: it could not be sent, or what has ended the program.
+        """
+        seconds = check_wait(wait)
+        line = statement_line(statement)
+        if self._since_clear >= CLEAR_AFTER:
+            self.wait_executed(self._finish_timeout)
+            self.clear()
+        number = self._hand_over(line)
+        if seconds:
+            self.wait_executed(seconds)
+        return number
+
+    def wait_executed(self, timeout: float = 60.0) -> None:
+        """Wait until everything that was handed over is over.
+
+        Raises:
+            LinkTimeout: it was not in time; it goes on.
+            LinkError: what has ended the program.
+        """
+        seconds = check_seconds(timeout, "timeout", finite=True)
+        until = time.monotonic() + seconds
+        # What is last begun says nothing of its end; that something after it has begun does.
+        barrier = self._hand_over("sync()")
+        while self._ask("statelastexecuted") < barrier:
+            left = until - time.monotonic()
+            if left <= 0:
+                raise LinkTimeout(f"statements were not executed within {seconds:g} s: {self.state}; they go on")
+            time.sleep(min(_POLL, left))
+
+    def clear(self) -> int:
+        """Let the controller forget the statements that were executed, of which it keeps a limited number.
+
+        It is a statement of its own and has its turn; `execute` does it after each 500 by itself. Returns its number.
+        """
+        number = self._hand_over("clear_interpreter()")
+        self._since_clear = 0
+        return number
+
+    def abort(self) -> None:
+        """End the motion that is being executed: the arm brakes, or goes over to the next statement. Without asking the
+        interlock."""
+        self._ask("abort")
+
+    def skip(self) -> None:
+        """Throw away the statements that were not begun. Without asking the interlock."""
+        self._ask("skipbuffer")
+
+    @property
+    def state(self) -> InterpreterState:
+        """How far the controller is."""
+        words = ("statelastinterpreted", "statelastexecuted", "statelastcleared", "stateunexecuted")
+        return InterpreterState(*map(self._ask, words))
+
+    def end(self, timeout: float | None = None) -> None:
+        """End the mode once everything is executed, and wait for the end of its program. Without effect if it is over.
+
+        Args:
+            timeout: seconds; by default what `robot.interpreter` was given as `finish_timeout`.
+
+        Raises:
+            LinkTimeout: it was not over in time; it was cancelled, and the arm brakes.
+            LinkError: what else has ended the program.
+        """
+        seconds = self._finish_timeout if timeout is None else check_seconds(timeout, "timeout", finite=True)
+        try:
+            if not self.done:
+                self._hand_over("end_interpreter()")
+            self.wait(seconds)
+        finally:
+            self._close()
+
+    def __exit__(self, *exc: object) -> None:
+        if exc[0] is None:
+            self.end()
+        else:
+            self._close()
+
+    def _close(self) -> None:
+        """End the program where it has not ended, and the connection."""
+        # Its life can be over before the program is: in a stop that is only paused, and it would go on one day.
+        is_left = isinstance(self.error, (SafetyStop, NotRunning, ConnectionLost))
+        self.cancel()
+        try:
+            if is_left:
+                for line in ("skipbuffer", "abort", "end_interpreter()"):
+                    self._dialogue.ask(line, _LAST_WORDS)
+        except LinkError as error:
+            _log.info("%s: its program may still wait for statements: %s", self.name, error)
+        finally:
+            self._dialogue.close()
+
+    # -- what is said ----------------------------------------------------------------------------------
+
+    def _hand_over(self, line: str) -> int:
+        """A statement, through the interlock; its number."""
+
+        def gate(send: Callable[[], object]) -> None:
+            def send_if_wanted() -> None:
+                if self._life.is_over:
+                    raise self._life.error or Cancelled(f"{self.name} is over")
+                send()
+
+            self._channel.setpoint(send_if_wanted)
+
+        reply = self._reply(line, gate)
+        if reply.word != "ack":
+            if self._life.error is not None:
+                raise self._life.error
+            raise StatementDiscarded(line, reply.number)
+        self._since_clear += 1
+        return reply.number
+
+    def _ask(self, word: str) -> int:
+        """The number that one of the words is answered by."""
+        if self._life.error is not None:
+            raise self._life.error
+        return self._reply(word, lambda send: send()).number
+
+    def _reply(self, line: str, gate: Callable[[Callable[[], object]], object]) -> Reply:
+        return parse_reply(self._dialogue.ask(line, _REPLY, gate=gate))
+
+
+class Interpreters:
+    """Begins interpreter mode.
+
+    Args:
+        host: of the controller.
+        port: of its interpreter mode; None where it is not served.
+        programs, channel, callbacks: of the robot.
+        firmware: of the controller at present.
+        timeout: seconds for a connection.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int | None,
+        programs: Programs,
+        channel: CommandChannel,
+        callbacks: CallbackThread,
+        firmware: Callable[[], Firmware],
+        timeout: float,
+    ) -> None:
+        self._host = host
+        self._port = port
+        self._programs = programs
+        self._channel = channel
+        self._callbacks = callbacks
+        self._firmware = firmware
+        self._timeout = timeout
+        #: the connections of those that were begun and not ended
+        self._open: list[Dialogue] = []
+
+    def close(self) -> None:
+        """Disconnect what was not ended; its programs have been stopped."""
+        for dialogue in self._open:
+            dialogue.close()
+
+    def begin(
+        self, start_timeout: float, finish_timeout: float, on_text: Callable[[str], object] | None
+    ) -> Interpreter:
+        """See `Robot.interpreter`."""
+        until = time.monotonic() + check_seconds(start_timeout, "start_timeout", positive=True, finite=True)
+        check_seconds(finish_timeout, "finish_timeout", finite=True)
+        if on_text is not None:
+            check_callable(on_text, "on_text")
+        firmware = self._firmware()
+        if firmware not in _SINCE:
+            raise LocalError(f"firmware {firmware} has no interpreter mode; the first that has it is 5.10")
+        if self._port is None:
+            raise LocalError("the controller does not serve interpreter mode")
+        transport = TcpTransport(self._host, self._port, silence=_REPLY, refused=lambda: refusal_hint(self._firmware()))
+        name = f"interpreter mode at {transport.name}"
+        dialogue = Dialogue(transport, InterpreterProtocol, name, self._timeout)
+        life = self._programs.life("interpreter mode")
+        life.brake = lambda: self._programs.stop(life)
+        texts: deque[str] = deque(maxlen=TEXTS)
+        self._open = [each for each in self._open if not each.is_closed] + [dialogue]
+        interpreter = Interpreter(life, texts, dialogue, self._channel, finish_timeout)
+
+        def hear(text: str) -> None:
+            texts.append(text)
+            if on_text is not None:
+                self._callbacks.call(on_text, text)
+
+        try:
+            # Refused before the arm's program is replaced, where the service is switched off.
+            parse_reply(dialogue.ask("statelastexecuted", _REPLY))
+            wrapped = self._programs.own(scripts.interpreter_mode())
+            self._programs.start(wrapped, life, left_alone="its program executes what it has taken", on_text=hear)
+            self._await_mode(interpreter, until, start_timeout)
+        except BaseException:
+            interpreter._close()
+            raise
+        return interpreter
+
+    def _await_mode(self, interpreter: Interpreter, until: float, timeout: float) -> None:
+        """Until the controller takes a statement."""
+        while True:
+            if interpreter.done:
+                interpreter.wait(0)
+                raise RemoteError(f"{interpreter.name} was over before it began")
+            try:
+                interpreter._hand_over("sync()")
+                return
+            except StatementDiscarded:
+                left = until - time.monotonic()
+            if left <= 0:
+                raise LinkTimeout(f"{interpreter.name} has not begun within {timeout:g} s")
+            time.sleep(min(_POLL, left))

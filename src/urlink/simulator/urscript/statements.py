@@ -1,0 +1,130 @@
+"""Interpreter mode: the statements that a client hands to a program that waits for them, and what has become of each.
+
+The main thread calls `interpreter_mode()` and stays there. What comes is compiled into the scope of the function that
+called it: it sees its variables and functions, and what it assigns is there for later statements. Statements run one
+after the other, each to its end. Source: reference ur-interpreter-gripper. Guesses:
+
+- identifiers count from 1 in each program, and count the statements that are discarded too; outside of the mode they
+  are 0;
+- `MOST` statements are kept until they are cleared, and those beyond it discarded; so are longer ones than `LONGEST`;
+- `clear_interpreter()` clears those that were begun, and leaves what they have defined;
+- `abort` ends every kind of motion that a program waits for.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, NamedTuple, TypeVar
+
+from .errors import ScriptError
+
+__all__ = ["LONGEST", "MOST", "Reply", "StatementQueue"]
+
+#: Statements that are kept, executed or not, until they are cleared.
+MOST = 1000
+#: Characters of a statement.
+LONGEST = 1 << 13
+
+
+class Reply(NamedTuple):
+    """What a client is answered.
+
+    Attributes:
+        word: ack, discard or state.
+        number: of the statement, or what was asked for.
+    """
+
+    word: str
+    number: int
+
+
+S = TypeVar("S")
+
+
+class StatementQueue(Generic[S]):
+    """The statements of one program, in the order in which they came: compiled, what `take` hands out.
+
+    Attributes:
+        is_on: the program is in interpreter mode.
+        last_interpreted, last_executed, last_cleared: the largest number of a statement that was taken, begun and
+            cleared; 0 for none.
+        aborts: called to end the motion that the program waits for.
+    """
+
+    def __init__(self) -> None:
+        self.is_on = False
+        self.last_interpreted = self.last_executed = self.last_cleared = 0
+        self.aborts: Callable[[], object] = lambda: None
+        self._compile: Callable[[str], S] | None = None
+        self._waiting: deque[tuple[int, S]] = deque()
+        self._numbers = 0
+        self._kept = 0
+        self._clears_on_end = True
+
+    # -- what the program does -------------------------------------------------------------------------
+
+    def enter(self, compile_: Callable[[str], S], clear_on_enter: bool, clear_on_end: bool) -> None:
+        """The mode begins; `compile_` makes a statement ready to run, or raises `ScriptError`."""
+        self._compile = compile_
+        if clear_on_enter:
+            self._forget_waiting()
+        self._clears_on_end = clear_on_end
+        self.is_on = True
+
+    def leave(self) -> None:
+        """The mode ends."""
+        self.is_on = False
+        if self._clears_on_end:
+            self._forget_waiting()
+            self.clear()
+
+    def take(self) -> S | None:
+        """The next statement, which begins; None if none waits."""
+        if not self._waiting:
+            return None
+        self.last_executed, statement = self._waiting.popleft()
+        return statement
+
+    def clear(self) -> None:
+        """Forget the statements that were begun."""
+        self.last_cleared = self.last_executed
+        self._kept = len(self._waiting)
+
+    def _forget_waiting(self) -> None:
+        self._kept -= len(self._waiting)
+        self._waiting.clear()
+
+    # -- what clients do -------------------------------------------------------------------------------
+
+    def put(self, text: str) -> Reply:
+        """A statement."""
+        if not self.is_on or self._compile is None:
+            return Reply("discard", 0)
+        self._numbers += 1
+        if self._kept >= MOST or len(text) > LONGEST:
+            return Reply("discard", self._numbers)
+        try:
+            statement = self._compile(text)
+        except ScriptError:
+            return Reply("discard", self._numbers)
+        self.last_interpreted = self._numbers
+        self._kept += 1
+        self._waiting.append((self._numbers, statement))
+        return Reply("ack", self._numbers)
+
+    def obey(self, word: str) -> Reply | None:
+        """One of the words that are no statements; None if it is none of them."""
+        if word == "skipbuffer":
+            self._forget_waiting()
+        elif word == "abort":
+            self.aborts()
+        elif word == "stateunexecuted":
+            return Reply("state", len(self._waiting))
+        elif word == "statelastinterpreted":
+            return Reply("state", self.last_interpreted)
+        elif word == "statelastcleared":
+            return Reply("state", self.last_cleared)
+        elif word != "statelastexecuted":
+            return None
+        return Reply("state", self.last_executed)
