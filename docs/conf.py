@@ -38,6 +38,7 @@ exclude_patterns = ["_build", "_extensions"]
 
 html_theme = "furo"
 html_title = f"urlink {release}"
+html_favicon = "_static/logo.svg"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
 

@@ -51,3 +51,15 @@ def test_a_section_that_is_not_there_is_noticed() -> None:
     assert leads_somewhere("primary.md", ", section Robot state")
     assert not leads_somewhere("primary.md", ", section Robot stare")
     assert not leads_somewhere("primery.md", "")
+
+
+def test_each_test_that_answers_a_thread_is_there() -> None:
+    page = (ROOT / "docs" / "answered.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\S+?\.py)`: `(test_\w+)`", page)
+    assert len(named) > 10
+    missing = [
+        f"{file}: {test}"
+        for file, test in named
+        if f"def {test}(" not in (ROOT / "tests" / file).read_text(encoding="utf-8")
+    ]
+    assert missing == []

@@ -1,14 +1,24 @@
-"""The directive `summary`: every name that a page documents, with its first sentence, in the order of the page."""
+"""The directive `summary`: every name that a page documents, with its first sentence, in the order of the page.
+
+Beneath a class stand its methods.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from docutils import nodes
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+
+
+class _Name(NamedTuple):
+    anchor: str
+    name: str
+    text: str
+    methods: list[tuple[str, str]]
 
 
 class _Place(nodes.General, nodes.Element):
@@ -36,8 +46,8 @@ def fill(app: Sphinx, document: nodes.document, page: str) -> None:
         place.replace_self(found)
 
 
-def _rows(section: nodes.section) -> Iterator[tuple[str, str, str]]:
-    """Of each description that is directly in a section: its anchor, its name, and its first sentence."""
+def _rows(section: nodes.section) -> Iterator[_Name]:
+    """Of each description that is directly in a section: its anchor, its name, its first sentence, and its methods."""
     for described in section.children:
         if not isinstance(described, addnodes.desc):
             continue
@@ -47,22 +57,32 @@ def _rows(section: nodes.section) -> Iterator[tuple[str, str, str]]:
             continue
         first = next((each for each in content.children if isinstance(each, nodes.paragraph)), None)
         text = "" if first is None else first.astext().partition(". ")[0].replace("\n", " ").rstrip(".:")
-        yield signature["ids"][0], signature["fullname"], text
+        methods = [
+            (each[0]["ids"][0], each[0].next_node(addnodes.desc_name).astext())
+            for each in content.children
+            if isinstance(each, addnodes.desc) and each["objtype"] == "method" and each[0]["ids"]
+        ]
+        yield _Name(signature["ids"][0], signature["fullname"], text, methods)
 
 
-def _table(rows: list[tuple[str, str, str]]) -> nodes.table:
+def _table(rows: list[_Name]) -> nodes.table:
     group = nodes.tgroup(cols=2)
     group += [nodes.colspec(colwidth=1), nodes.colspec(colwidth=1)]
     body = nodes.tbody()
-    for anchor, name, text in rows:
-        link = nodes.reference("", "", nodes.literal(name, name), refid=anchor, internal=True)
-        body += nodes.row(
-            "",
-            nodes.entry("", nodes.paragraph("", "", link)),
-            nodes.entry("", nodes.paragraph("", text)),
-        )
+    for row in rows:
+        cell = nodes.entry("", nodes.paragraph("", row.text))
+        if row.methods:
+            links = nodes.paragraph("", classes=["methods"])
+            for anchor, name in row.methods:
+                links += [_link(anchor, name), nodes.Text(" ")]
+            cell += links
+        body += nodes.row("", nodes.entry("", nodes.paragraph("", "", _link(row.anchor, row.name))), cell)
     group += body
     return nodes.table("", group, classes=["colwidths-auto", "summary"])
+
+
+def _link(anchor: str, name: str) -> nodes.reference:
+    return nodes.reference("", "", nodes.literal(name, name), refid=anchor, internal=True)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
