@@ -1,7 +1,7 @@
 """Interpreter mode (port 30020), sans-IO: a statement a line out, and a line back that says what becomes of it.
 
 `ack: NUMBER: TEXT` or `discard: NUMBER: TEXT` for a statement, `state: NUMBER: TEXT` for a word that asks something;
-public clients match replies loosely. Source: reference ur-interpreter-gripper.
+public clients match replies loosely. Source: docs/protocols/urscript.md, section Interpreter mode.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The main thread calls `interpreter_mode()` and stays there. What comes is compiled into the scope of the function that
 called it: it sees its variables and functions, and what it assigns is there for later statements. Statements run one
-after the other, each to its end. Source: reference ur-interpreter-gripper. Guesses:
+after the other, each to its end. Source: docs/protocols/urscript.md, section Interpreter mode. Guesses:
 
 - identifiers count from 1 in each program, and count the statements that are discarded too; outside of the mode they
   are 0;
