@@ -224,8 +224,9 @@ SURFACES = {
 
 #: The same of a robot for programs that use asyncio.
 ASYNC_SURFACES = {
-    "robot": """address call close controller dashboard firmware identify identity io kinematics model motion popup
-        primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp""",
+    "robot": """address call close controller dashboard firmware freedrive identify identity io kinematics model motion
+        popup primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp teach
+        zero_force_sensor""",
     "robot.realtime": "close connection failure iterate latest name of start stats stream subscribe wait wait_until",
     "robot.realtime.of(urlink.RealtimeState)": "iterate latest subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",

@@ -176,6 +176,18 @@ class AsyncRobot:
         """As `Robot.set_speed_slider`."""
         return self.call(self._robot.set_speed_slider, *arguments, **options)
 
+    def freedrive(self, *arguments: Any, **options: Any) -> Call[Any]:
+        """As `Robot.freedrive`: ``async with robot.freedrive():``."""
+        return self.call(self._robot.freedrive, *arguments, **options)
+
+    def teach(self, *arguments: Any, **options: Any) -> Call[Any]:
+        """As `Robot.teach`: ``async with robot.teach() as teaching:``."""
+        return self.call(self._robot.teach, *arguments, **options)
+
+    def zero_force_sensor(self) -> Call[None]:
+        """As `Robot.zero_force_sensor`."""
+        return self.call(self._robot.zero_force_sensor)
+
     def popup(self, *arguments: Any, **options: Any) -> Call[None]:
         """As `Robot.popup`."""
         return self.call(self._robot.popup, *arguments, **options)

@@ -12,6 +12,7 @@ from typing import Any
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware, release_of
+from urlink.interfaces.enums import ControlMode
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
@@ -127,6 +128,7 @@ class ControllerState:
         is_paused: the source waits: its program was paused, by hand or by a protective stop.
         speed_fraction: of the speed slider, 0 to 1.
         remote_control: of an e-Series: whether it takes commands from others than the pendant.
+        control_mode: what the program that runs has the arm regulate; position without one.
         teach_button: the button for freedrive is held.
         flags: of `set_flag`.
         stopped_since: `time` at which the present stop began; None without one.
@@ -164,6 +166,7 @@ class ControllerState:
         self.uptime = 0
         self.modes = Modes(firmware)
         self.is_paused = False
+        self.control_mode = ControlMode.POSITION
         self.speed_fraction = 1.0
         self.flags = [False] * FLAGS
         self.registers = Registers()

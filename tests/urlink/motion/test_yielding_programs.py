@@ -7,6 +7,9 @@ from collections.abc import Sequence
 import pytest
 
 from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.motion.kept_word import KeptWord
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word
 from urlink.simulator import Controller, Plane, Still
 from urlink.urscript import programs, yielding
 from urlink.urscript.programs import FOLLOW, STOP, InputRegisters
@@ -175,5 +178,19 @@ def test_over_a_socket_they_compile_too(firmware: str) -> None:
         yielding.force_mode(version, link, [0.0] * 6, DOWN, [0.1] * 6, kind=2, damping=None, gain=None, watchdog=0.5),
         yielding.freedrive(version, link, None, [0.0] * 6, watchdog=0.5),
     ]
-    for body in bodies:
+    for body, end in zip(bodies, ("end_force_mode()", "end_freedrive_mode()"), strict=True):
         compile_script(program("p", body, None).text, version)
+        # Before it brakes, whatever ended it.
+        assert body.index(f"  {end}") < body.index("  stopj(4.0)")
+
+
+def test_a_word_is_said_with_every_state_until_the_users_own_loop_does() -> None:
+    told = KeptWord(lambda link: [])
+    state = RealtimeState(Firmware(5, 11))
+    assert told.step(b"", state, 0.0) == WAIT_WORD
+    told.values = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    for _ in range(2):
+        assert read_word(told.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    told.is_mute = True
+    assert told.step(b"", state, 0.0) == b""
+    assert told.farewell == STOP_WORD

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import urlink
 from linkcore.errors import BadValue
 from urlink.dynamics import Dynamics
-from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.enums import ControlMode, SafetyMode
 from urlink.poses import rotvec_to_matrix
 from urlink.simulator import Controller, Plane, Spring, Still
 from urlink.simulator.robot.generator.free_joints import ROTORS
@@ -389,6 +390,30 @@ def test_direct_torque_of_zero_lets_the_arm_be_pushed() -> None:
     bench.controller.push([0, 0, 10.0, 0, 0, 0])
     bench.go(0.2)
     assert bench.moved[2] > 0.01
+
+
+@pytest.mark.parametrize(
+    ("body", "mode"),
+    [
+        ("sleep(9)", "POSITION"),
+        (f"force_mode({DOWN.format(force=0)}, 2, [1,1,1,1,1,1])\nsleep(9)", "FORCE"),
+        ("freedrive_mode()\nsleep(9)", "TEACH"),
+        ("freedrive_mode([1,0,0,0,0,0])\nsleep(9)", "TEACH"),
+        ("freedrive_mode()\nend_freedrive_mode()\nsleep(9)", "POSITION"),
+        ("while True:\n  direct_torque([0,0,0,0,0,0])\nend", "TORQUE"),
+    ],
+)
+def test_the_robot_state_says_what_is_regulated(body: str, mode: str) -> None:
+    bench = Bench("5.25")
+    bench.run(body, 0.02)
+    (state,) = urlink.decode(bench.controller.state_package(), "primary", "5.25")
+    assert isinstance(state, urlink.RobotState)
+    assert state.robot_mode_data is not None
+    assert state.robot_mode_data.control_mode is ControlMode[mode]
+    # Not once the program is over.
+    bench.controller.take("def q():\n  sync()\nend")
+    bench.go(0.05)
+    assert bench.controller._state.control_mode is ControlMode.POSITION
 
 
 def test_optimised_moves_arrive() -> None:

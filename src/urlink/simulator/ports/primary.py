@@ -149,6 +149,7 @@ def _robot_mode(state: ControllerState) -> Fields:
         "is_program_running": playing == "PLAYING",
         "is_program_paused": playing in ("PAUSING", "PAUSED"),
         "robot_mode": modes.robot_mode,
+        "control_mode": state.control_mode,
         "target_speed_fraction": state.speed_fraction,
         "speed_scaling": modes.speed_scaling * state.speed_fraction,
         "target_speed_fraction_limit": 1.0,

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from ...interfaces.enums import ControlMode
 from .. import messages
 from ..robot.generator import Drive, LimitViolation
 from ..robot.sources import Setpoint, SetpointSource
@@ -79,7 +80,9 @@ class RunningProgram:
             if self._execution.is_over:
                 self.end()
         try:
-            return drive.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+            setpoint = drive.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
+            state.control_mode = drive.control_mode
+            return setpoint
         except LimitViolation as violation:
             state.stop_protectively(violation.reason)
             return drive.setpoint
@@ -191,6 +194,7 @@ class ProgramRunner:
             The set-point that the arm is to follow; None where it is to brake, and to stand.
         """
         state, modes = self._state, self._state.modes
+        state.control_mode = ControlMode.POSITION
         self._watch()
         if modes.holds_program:
             if self.main is not None and self.main.is_program:

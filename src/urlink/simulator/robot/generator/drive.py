@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from urlink.interfaces.enums import ControlMode
 from urlink.kinematics import Arm
 
 from ..sources import Setpoint
@@ -46,6 +47,7 @@ class Drive:
         self._limits = JointLimits(kinematics.model)
         self._compliance: Compliance | None = None
         self._free: FreeJoints | None = None
+        self._mode = ControlMode.POSITION
         # Of force mode, as a program has set them.
         self._damping, self._gain = ForceTask.damping, ForceTask.gain
 
@@ -56,6 +58,11 @@ class Drive:
         """In force mode or freedrive, in which the arm moves without being commanded."""
         return self._compliance is not None or self._free is not None
 
+    @property
+    def control_mode(self) -> ControlMode:
+        """What is regulated in this cycle."""
+        return ControlMode.TORQUE if not self.yields and self.generator.follows_torque else self._mode
+
     def force_mode(self, task: ForceTask) -> None:
         """Begin, or go on with another task."""
         task = replace(task, damping=self._damping, gain=self._gain)
@@ -64,6 +71,7 @@ class Drive:
         else:
             self.end_mode()
             self._compliance = self._comply(task)
+        self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
         """Of force mode, from its next beginning on, and of one that is on; 0 to 1."""
@@ -86,6 +94,7 @@ class Drive:
             self._free = FreeJoints(self._kinematics, self._limits, self.generator.tcp, self.setpoint)
         else:
             self._compliance = self._comply(free_tool(frame, axes))
+        self._mode = ControlMode.TEACH
 
     def _comply(self, task: ForceTask) -> Compliance:
         return Compliance(self._kinematics, self._limits, self.generator.tcp, self.setpoint, task)
@@ -94,6 +103,7 @@ class Drive:
         """Follow the program alone again."""
         if self.yields:
             self._compliance = self._free = None
+            self._mode = ControlMode.POSITION
             self.generator.resume(self.setpoint)
 
     # -- time --------------------------------------------------------------------------------------
@@ -123,5 +133,6 @@ class Drive:
     def start(self, q: Sequence[float]) -> None:
         """Go on from rest at six joint positions in rad, to which the arm was braked by a stop; no mode is on."""
         self._compliance = self._free = None
+        self._mode = ControlMode.POSITION
         self.generator.start(q)
         self.setpoint = self.generator.setpoint

@@ -93,6 +93,11 @@ class MotionGenerator:
         return (self._command is None or self._command.is_at_rest) and not any(self.setpoint.qd)
 
     @property
+    def follows_torque(self) -> bool:
+        """The joints are turned by torques in this cycle."""
+        return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest
+
+    @property
     def waypoint(self) -> list[float] | None:
         """The pose of the TCP at the end of the present path move, m and rad; None without one."""
         command = self._command
