@@ -38,8 +38,8 @@ _FADE_LEAST = 0.2
 #: Factor by which a trajectory may be followed faster to catch up. Chosen: a second makes up for a tenth, and the jump
 #: in speed is no more than an arm takes from point to point of a coarse trajectory.
 _CATCHING_UP = 1.1
-#: Seconds over which a program that gets no set-point is to close what is left to the trajectory, in place and in time.
-#: Chosen: longer than set-points stay away on a busy computer, so that it does not run past.
+#: Seconds over which what is left to the trajectory is closed, in place and in time, at least. Chosen: those for which
+#: the program goes on by itself (`urlink.urscript.programs.COASTING`), so that it does not run past.
 _SETTLING = 0.1
 
 
@@ -69,13 +69,12 @@ class _Gap:
     Args:
         offset: (6,) rad, at first.
         begin: s on the trajectory.
-        least: s that this takes at least.
     """
 
-    def __init__(self, offset: Sequence[float], begin: float, least: float) -> None:
+    def __init__(self, offset: Sequence[float], begin: float) -> None:
         self._offset = list(offset)
         self._begin = begin
-        self._seconds = max(max(map(abs, offset)) / _FADE_SPEED, least)
+        self._seconds = max(max(map(abs, offset)) / _FADE_SPEED, _SETTLING)
 
     def at(self, t: float) -> tuple[list[float], list[float]]:
         """What is left of it at a time, rad, and its speed, rad/s."""
@@ -99,10 +98,9 @@ class Follower(Following):
         super().__init__(trajectory, tolerances, self._cycle)
         self.farewell = STOP_WORD
         self._servoing = servoing
-        # The program on the robot goes on by itself for as long as its watchdog lets it.
-        self._limit = SpeedLimit(model, self._cycle, late=servoing.watchdog)
+        self._limit = SpeedLimit(model, self._cycle, late=servoing.late)
         #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
-        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0, _SETTLING)
+        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0)
         #: s that have passed on the trajectory, by the controller's clock; None before it began
         self._t: float | None = None
         #: s since the last set-point, by the controller's clock
@@ -159,9 +157,7 @@ class Follower(Following):
             s = self._s + self._pace * coasted
             gap = self._gap
             if missed:
-                # Twice as long as none came just now: with so few it would else be past the trajectory before the next.
-                settling = max(_SETTLING, 2.0 * missed * self._cycle)
-                gap = _Gap(_difference(here, self.desired(s)[0]), s, settling)
+                gap = _Gap(_difference(here, self.desired(s)[0]), s)
             most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
             for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
                 q = _sum(self.desired(s + ahead)[0], gap.at(s + ahead)[0])

@@ -357,8 +357,9 @@ class Motions:
             lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
-        servoing = self._servoing(watchdog, lookahead_time, gain)
         pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
+        # With a filter set-points are made in each cycle, however often targets come.
+        servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
         if target_filter is not None:
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
@@ -619,13 +620,14 @@ class Motions:
             )
         return self._context.registers.open
 
-    def _servoing(self, watchdog: float, lookahead_time: float, gain: float) -> Servoing:
+    def _servoing(self, watchdog: float, lookahead_time: float, gain: float, period: float = 0.0) -> Servoing:
         return Servoing(
             self._context.who.identity.firmware,
             largest_speeds(self._context.who.identity.arm),
             checked(watchdog, "watchdog", 0.01, 10.0),
             checked(lookahead_time, "lookahead_time", 0.03, 0.2),
             checked(gain, "gain", 100.0, 2000.0),
+            period,
         )
 
     def __repr__(self) -> str:

@@ -68,7 +68,7 @@ class PacedSetpoints:
         self._servoing = servoing
         self._cycle = 1.0 / servoing.firmware.rate
         self._source = source
-        self._limit = SpeedLimit(model, self._cycle, late=servoing.watchdog)
+        self._limit = SpeedLimit(model, self._cycle, late=servoing.late)
         self._clock = ControllerClock(self._cycle)
         self._rest = Rest("the servo")
         self._has_begun = False

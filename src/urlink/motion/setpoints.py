@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
-from ..urscript.programs import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable, streaming
+from ..urscript.programs import COASTING, FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable, streaming
 
 __all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "read_word", "setpoint"]
 
@@ -47,6 +47,7 @@ class Servoing:
         speeds: (6,) rad/s at most of each joint.
         watchdog: seconds without one after which the robot brakes.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
+        period: seconds between two set-points, where they do not come in each cycle.
     """
 
     firmware: Firmware
@@ -54,20 +55,31 @@ class Servoing:
     watchdog: float
     lookahead_time: float
     gain: float
+    period: float = 0.0
 
     @property
-    def missable(self) -> int:
-        """Cycles without a set-point after which the robot brakes."""
-        return missable(self.watchdog, self.firmware.rate)
+    def _coasting(self) -> float:
+        """Seconds. With three periods, a loop that is slower than the controller still leads the arm evenly."""
+        return max(COASTING, 3.0 * self.period)
+
+    @property
+    def coastable(self) -> int:
+        """Cycles without a set-point in which the program on the robot goes on by itself."""
+        return missable(min(self.watchdog, self._coasting), self.firmware.rate)
+
+    @property
+    def late(self) -> float:
+        """Seconds of lateness that may be made up for at once, since the robot has gone on by itself meanwhile."""
+        return self.coastable / self.firmware.rate
 
     def coasting(self, missed: int) -> float:
         """For how many cycles at full speed the program on the robot goes on in so many without a set-point."""
-        n = min(missed, self.missable)
-        return n - n * (n + 1) / (2.0 * self.missable)
+        n = min(missed, self.coastable)
+        return n - n * (n + 1) / (2.0 * self.coastable)
 
     def share(self, missed: int) -> float:
         """The part of its speed that it has in the last of them."""
-        return 1.0 - min(missed, self.missable) / self.missable
+        return 1.0 - min(missed, self.coastable) / self.coastable
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program that gets its set-points by `link`."""
@@ -76,6 +88,7 @@ class Servoing:
             link,
             speeds=self.speeds,
             watchdog=self.watchdog,
+            coasting=self._coasting,
             lookahead_time=self.lookahead_time,
             gain=self.gain,
         )

@@ -28,6 +28,7 @@ from ..firmware import Firmware
 from .text import checked, integer, number, pose, quoted, vector
 
 __all__ = [
+    "COASTING",
     "FOLLOW",
     "LINK_ENDED",
     "NO_CONNECTION",
@@ -73,6 +74,9 @@ STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 _SEGMENT = "urlink: segment "
 
+#: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
+#: watchdog. Longer, an arm would be led a good way past the end of a movement by a computer that is too busy.
+COASTING = 0.1
 #: Seconds for which a program waits for the first word in its registers.
 _LINK_TIMEOUT = 5.0
 
@@ -215,28 +219,31 @@ def streaming(
     *,
     speeds: Sequence[float],
     watchdog: float = 0.1,
+    coasting: float = COASTING,
     lookahead_time: float = 0.1,
     gain: float = 300.0,
     deceleration: float = 4.0,
 ) -> list[str]:
     """Follow set-points, one per cycle, and brake where they stay away.
 
-    While one is late the arm goes on at the speed that came with the last, ever slower, until it has come to rest when
-    the watchdog's time is up. The speed is told, and not derived from the last two positions: where set-points come
-    only every tenth cycle, a difference between positions holds mostly what the program itself went on by, and so it
-    would go on in a direction that is not wanted any more. No set-point is followed faster than the joints can move:
-    where it is further away, it is approached at their largest speed. So whatever goes wrong on the way, the arm does
-    not leap.
+    While one is late the arm goes on at the speed that came with the last, ever slower, and rests after `coasting`
+    seconds, or when the watchdog's time is up, if that is sooner. The speed is told, and not derived from the last two
+    positions: where set-points come only every tenth cycle, a difference between positions holds mostly what the
+    program itself went on by, and so it would go on in a direction that is not wanted any more. No set-point is
+    followed faster than the joints can move: where it is further away, it is approached at their largest speed. So
+    whatever goes wrong on the way, the arm does not leap.
 
     Args:
         link: how the set-points come.
         speeds: (6,) rad/s at most of each joint.
         watchdog: seconds without a set-point after which it brakes.
+        coasting: seconds without one after which the arm has come to rest.
         lookahead_time, gain: of ``servoj``, where the firmware has them.
         deceleration: rad/s² with which it brakes.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     most_missed = missable(watchdog, firmware.rate)
+    most_coasted = missable(min(watchdog, coasting), firmware.rate)
     cycle = number(1.0 / firmware.rate)
     ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
     way = way_of(link, firmware, watchdog)
@@ -277,8 +284,10 @@ def streaming(
               {servo}
             elif missed < {most_missed}:
               missed = missed + 1
-              share = 1.0 - missed / {number(most_missed)}
-              aim = [{each("aim[{i}] + step[{i}] * share")}]
+              if missed < {most_coasted}:
+                share = 1.0 - missed / {number(most_coasted)}
+                aim = [{each("aim[{i}] + step[{i}] * share")}]
+              end
               q = [{each("bounded(aim[{i}], q[{i}], {way})", ways)}]
               {servo}
             else:

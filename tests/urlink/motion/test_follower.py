@@ -24,7 +24,7 @@ from urlink.motion.following import ControllerClock, Tolerances
 from urlink.motion.setpoints import WORD_SIZE, Servoing
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
-from urlink.urscript.programs import ReverseSocket
+from urlink.urscript.programs import ReverseSocket, missable
 
 TOKEN = 7
 LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)
@@ -299,7 +299,8 @@ class Program:
         self._step = [0.0] * 6
         self._cycle = 1.0 / servoing.firmware.rate
         self._missed = 0
-        self._missable = servoing.missable
+        self._missable = missable(servoing.watchdog, servoing.firmware.rate)
+        self._coastable = servoing.coastable
         self._ways = [speed / servoing.firmware.rate for speed in servoing.speeds]
         self._has_begun = False
 
@@ -316,7 +317,7 @@ class Program:
             self._has_begun, self._missed = True, 0
         elif self._missed < self._missable:
             self._missed += 1
-            share = 1.0 - self._missed / self._missable
+            share = max(1.0 - self._missed / self._coastable, 0.0)
             self._aim = [aim + step * share for aim, step in zip(self._aim, self._step, strict=True)]
             self.q = self._bounded()
         else:
@@ -346,16 +347,18 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
         expected.append(modelled.cycle(words))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
-    assert len(targets) > 24 + servoing(firmware).missable
+    assert len(targets) > 24 + missable(0.1, firmware.rate)
     assert modelled.is_over
 
 
-@pytest.mark.parametrize("late", [0.012, 0.2, 0.4], ids=lambda each: f"{1000 * each:.0f} ms")
+@pytest.mark.parametrize("late", [0.012, 0.06, 0.4], ids=lambda each: f"{1000 * each:.0f} ms")
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_set_points_that_come_seldom_lead_along_the_trajectory(firmware: Firmware, late: float) -> None:
-    """As from a computer that is too busy: the program goes on by itself for most of the time, and by the right speed.
+    """As from a computer that is too busy, which has asked for a long watchdog: most of the time the program goes on by
+    itself, at the right speed and not for long, and the arm stays on its path, the slower the fewer come.
 
-    With the speed taken from the last two set-points it went on past the end, by 0.2 rad.
+    With the speed taken from the last two set-points, and for as long as the watchdog let it, it went on past the end
+    by 0.2 rad.
     """
     path = Trajectory.from_arrays([0.0, 0.5, 1.0], [turned(0.2), turned(0.0), turned(0.2)])
     led = follower(firmware, path, Tolerances(path=None, goal=0.01, goal_time=3.0, start=0.05), watchdog=5.0)
@@ -363,19 +366,18 @@ def test_set_points_that_come_seldom_lead_along_the_trajectory(firmware: Firmwar
     feeding.q = turned(0.2)
     program = Program(servoing(firmware, watchdog=5.0), feeding.q)
     every = max(round(late * firmware.rate), 1)
-    places = [program.cycle(feeding.state())[5]]
+    places, errors = [program.cycle(feeding.state())[5]], []
     while not led.is_over:
         for _ in range(every - 1):
             places.append(program.cycle(b"")[5])
         feeding.q = program.q
         places.append(program.cycle(feeding.state(every))[5])
         feeding.q = program.q
-    times = np.arange(2, len(places) + 2) * feeding.cycle
-    error = np.abs(np.array(places) - path.at(times)[0][:, 5])
+        errors.append(places[-1] - led.desired(led.progress * path.duration)[0][5])
     fastest = np.abs(path.at(np.linspace(0, 1, 1000))[1]).max()
-    assert error.max() < late * fastest
-    assert max(places) < 0.2 + 0.05
-    assert times[-1] < 1.0 + 3.0 + 2 * late
+    assert np.abs(errors).max() < fastest * (min(late, 0.05) + 3 * feeding.cycle)
+    assert -0.02 < min(places) < 0.02
+    assert max(places) < 0.22
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
