@@ -313,6 +313,16 @@ def test_no_such_policy() -> None:
         Interlock("sometimes")  # type: ignore[arg-type]
 
 
+def test_every_source_has_to_say_something_anew() -> None:
+    interlock = Interlock()
+    running = Status(RobotMode.RUNNING, SafetyMode.NORMAL)
+    interlock.hear("primary", running, 100.0)
+    interlock.hear("realtime", running, 100.05)
+    assert [interlock.has_heard_since(since) for since in (99.9, 100.0, 100.05)] == [True, False, False]
+    interlock.hear("primary", running, 100.1)
+    assert interlock.has_heard_since(100.0)
+
+
 def test_the_newest_word_comes_first() -> None:
     interlock = Interlock()
     slow, fast = Status(RobotMode.RUNNING, SafetyMode.NORMAL), Status(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)

@@ -375,6 +375,30 @@ def test_each_text_is_told(robot: StandIn) -> None:
         robot.script.run("textmsg(1)", on_text=3)  # type: ignore[arg-type]
 
 
+def test_texts_before_it_has_begun_are_another_programs(robot: StandIn) -> None:
+    heard: list[str] = []
+    robot.clear()
+    program = robot.script.run("textmsg(1)", on_text=heard.append)
+    robot.text("0")
+    robot.begins(program)
+    robot.text("1")
+    robot.comes_to_its_end(program)
+    program.wait(5)
+    until(lambda: heard)
+    assert heard == ["1"]
+
+
+def test_texts_of_a_secondary_program_cannot_be_told_apart(robot: StandIn) -> None:
+    heard: list[str] = []
+    robot.clear()
+    program = robot.script.run("sec blink():\n  textmsg(1)\nend", on_text=heard.append)
+    robot.begins(program)
+    robot.text("1")
+    robot.comes_to_its_end(program)
+    program.wait(5)
+    assert program.texts == ()
+
+
 def test_a_callback_for_texts_may_wait_for_the_program(robot: StandIn) -> None:
     robot.clear()
     ended = threading.Event()

@@ -11,6 +11,7 @@ import pytest
 
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError
 from linkcore.streaming.backoff import Backoff
+from linkcore.streaming.events import ConnectionState
 from tests.linkcore.script import ScriptedTransport
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
@@ -38,6 +39,55 @@ def test_nothing_connects_before_it_is_used(robot: StandIn) -> None:
     robot.channel.motion("movej(q)")
     assert robot.fast.opened == 1
     assert robot.sent == ["set_tool_voltage(0)\n", "movej(q)\n"]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda robot: robot.safety.cause,
+        lambda robot: robot.safety.wait_for_stop(5).cause,
+        lambda robot: robot.safety.refusal.cause,
+    ],
+    ids=["cause", "wait_for_stop", "refusal"],
+)
+def test_the_first_question_listens(robot: StandIn, ask: Callable[[StandIn], str]) -> None:
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
+    assert ask(robot) == "protective stop"
+
+
+def test_what_is_asked_before_a_motion_listens_to_both(robot: StandIn) -> None:
+    """The real-time interface tells of a stop up to 0.1 s before the primary one."""
+    robot.state()
+    robot.channel.check()
+    assert (robot.slow.opened, robot.fast.opened) == (1, 1)
+
+
+def test_enabling_waits_for_a_stop_that_is_just_ending() -> None:
+    """Whoever has unlocked the arm by the dashboard need not wait himself."""
+    with StandIn(policy="always") as robot:
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        robot.monitor.listen(closely=True)
+        until(lambda: robot.safety.cause == "protective stop")
+        waits = robot.monitor.wait_for
+
+        def unlocked(*arguments: Any) -> bool:
+            robot.state()
+            return waits(*arguments)
+
+        robot.monitor.wait_for = unlocked  # type: ignore[method-assign,assignment]
+        robot.safety.enable()
+        assert robot.safety.is_enabled
+
+
+def test_a_connection_that_is_lost_already_is_no_knowledge() -> None:
+    with StandIn(backoff=Backoff(first=60.0, most=60.0)) as robot:
+        robot.state(fast=False)
+        robot.primary.wait(5)
+        robot.slow.put(ConnectionLost("pulled"))
+        until(lambda: robot.primary.connection is not ConnectionState.CONNECTED)
+        refusal = robot.safety.refusal
+        assert isinstance(refusal, NotRunning)
+        assert "not connected at present" in str(refusal)
 
 
 def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: StandIn) -> None:
