@@ -115,6 +115,8 @@ ROS_GENERATORS = (
 
 #: adapter -> its extra, and what its tests need beside what it requires itself.
 ADAPTERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    # Any torch will do: it is not used here.
+    "lerobot": ("", ("torch",)),
     "rr": ("", ()),
     "ros2": ("[pypi]", ROS_GENERATORS),
     "zenoh": ("", ()),
@@ -130,7 +132,8 @@ def adapters(session: nox.Session, adapter: str) -> None:
     session.install("-e", f"./adapters/{adapter}{extra}", *needs)
     if adapter == "ros2":
         _build_control_msgs(session)
-    session.run("pytest", *(session.posargs or [f"adapters/{adapter}/tests"]))
+    folder = f"adapters/{adapter}"
+    session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
 
 
 @nox.session

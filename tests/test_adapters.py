@@ -79,6 +79,27 @@ def test_no_module_of_the_library_imports_a_middleware() -> None:
     assert found == set()
 
 
+#: What the base classes of LeRobot 0.4.4 leave to be implemented, as read there: it needs torch, which is not had here.
+LEROBOT = {
+    "ur.py": {
+        *("observation_features", "action_features", "is_connected", "is_calibrated"),
+        *("connect", "calibrate", "configure", "get_observation", "send_action", "disconnect"),
+    },
+    "leader.py": {
+        *("action_features", "feedback_features", "is_connected", "is_calibrated"),
+        *("connect", "calibrate", "configure", "get_action", "send_feedback", "disconnect"),
+    },
+}
+
+
+@pytest.mark.parametrize("module", LEROBOT)
+def test_the_classes_for_lerobot_have_what_its_base_classes_leave_open(module: str) -> None:
+    path = ROOT / "adapters/lerobot/src/lerobot_robot_urlink" / module
+    classes = [node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef)]
+    defined = {node.name for each in classes for node in each.body if isinstance(node, ast.FunctionDef)}
+    assert LEROBOT[module] <= defined
+
+
 @pytest.mark.parametrize("project", ADAPTERS, ids=lambda path: path.parent.name)
 def test_an_adapter_imports_public_names_only(project: Path) -> None:
     sources = list((project.parent / "src").rglob("*.py")) + list(project.parent.glob("examples/*.py"))

@@ -1,0 +1,153 @@
+"""The robot and the teleoperator against LeRobot's own base classes, with simulated arms."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lerobot.robots import Robot, RobotConfig, make_robot_from_config
+from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_config
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.import_utils import register_third_party_plugins
+
+import urlink
+from lerobot_robot_urlink import UR, URConfig, URLeader, URLeaderConfig
+from urlink.simulator import Controller
+
+NAMES = [f"joint_{number}.pos" for number in range(1, 7)]
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
+        with urlink.connect(controller.address) as robot:
+            robot.motion.move_joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0], wait=True)
+        yield controller
+
+
+@pytest.fixture
+def arm(controller: Controller, tmp_path: Path) -> Iterator[UR]:
+    arm = UR(URConfig(id="test", calibration_dir=tmp_path, address=controller.address, fps=50.0))
+    yield arm
+    arm.disconnect()
+
+
+# Not out of `tests`: draccus, which LeRobot needs, installs a package of that name.
+def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.01)
+
+
+def positions(arm: UR) -> np.ndarray:
+    observation = arm.get_observation()
+    return np.array([observation[name] for name in NAMES])
+
+
+def test_lerobot_finds_them_by_name_and_makes_them(tmp_path: Path) -> None:
+    register_third_party_plugins()
+    kind = RobotConfig.get_choice_class("ur")
+    assert kind is URConfig
+    made = make_robot_from_config(URConfig(id="a", calibration_dir=tmp_path, address="sim://"))
+    assert isinstance(made, UR)
+    assert isinstance(made, Robot)
+    assert TeleoperatorConfig.get_choice_class("ur_leader") is URLeaderConfig
+    leader = make_teleoperator_from_config(URLeaderConfig(id="b", calibration_dir=tmp_path, address="sim://"))
+    assert isinstance(leader, URLeader)
+
+
+def test_it_says_what_it_has_while_it_is_not_connected(arm: UR) -> None:
+    assert list(arm.action_features) == NAMES
+    assert list(arm.observation_features)[:6] == NAMES
+    assert not arm.is_connected
+    assert arm.is_calibrated
+    for use in (arm.get_observation, lambda: arm.send_action(dict.fromkeys(NAMES, 0.0))):
+        with pytest.raises(DeviceNotConnectedError):
+            use()
+
+
+def test_an_observation_has_what_is_declared(arm: UR) -> None:
+    arm.connect()
+    with pytest.raises(DeviceAlreadyConnectedError):
+        arm.connect()
+    observation = arm.get_observation()
+    assert list(observation) == list(arm.observation_features)
+    assert all(isinstance(value, float) for value in observation.values())
+    arm.disconnect()
+    assert not arm.is_connected
+    arm.disconnect()
+    arm.connect()  # it can be had back
+    assert arm.is_connected
+
+
+def test_actions_lead_the_arm_in_small_steps(arm: UR) -> None:
+    arm.connect()
+    start = positions(arm)
+    goal = start + np.array([0.3, 0, 0, 0, 0, 0.1])
+    sent = []
+    for _ in range(60):
+        sent.append(arm.send_action(dict(zip(NAMES, goal.tolist(), strict=True))))
+        time.sleep(0.02)
+    led = np.array([[step[name] for name in NAMES] for step in sent])
+    # What was really sent is returned: no more than a step at once, and at last the goal.
+    assert np.abs(np.diff(led, axis=0)).max() <= arm.config.max_step + 1e-9
+    assert led[-1] == pytest.approx(goal)
+    until(lambda: np.abs(positions(arm) - goal).max() < 0.01, 5.0)
+
+
+@pytest.mark.parametrize("action", [{}, dict.fromkeys(NAMES, float("nan")), dict.fromkeys(NAMES, "x")])
+def test_bad_actions_are_refused(arm: UR, action: dict[str, object]) -> None:
+    arm.connect()
+    with pytest.raises(urlink.BadValue):
+        arm.send_action(action)
+
+
+def test_a_stop_is_raised_and_the_next_action_goes_on(arm: UR, controller: Controller) -> None:
+    arm.connect()
+    here = dict(zip(NAMES, positions(arm).tolist(), strict=True))
+    arm.send_action(here)
+    controller.faults.protective_stop()
+    until(lambda: not _works(arm, here), 5.0)
+    with pytest.raises(urlink.SafetyStop):
+        arm.send_action(here)
+    controller.faults.clear()
+    until(lambda: _works(arm, here))
+
+
+def _works(arm: UR, action: dict[str, float]) -> bool:
+    try:
+        arm.send_action(action)
+    except urlink.LinkError:
+        return False
+    return True
+
+
+def test_an_arm_without_actions_brakes_by_itself(arm: UR, controller: Controller) -> None:
+    arm.connect()
+    goal = positions(arm) + np.array([1.0, 0, 0, 0, 0, 0])
+    for _ in range(10):
+        arm.send_action(dict(zip(NAMES, goal.tolist(), strict=True)))
+        time.sleep(0.02)
+    # As if the process hung: no action, no end.
+    until(lambda: abs(arm.get_observation()["joint_1.vel"]) < 1e-3, 5.0)
+    assert positions(arm)[0] < 0.9
+
+
+def test_one_arm_leads_another(arm: UR, controller: Controller, tmp_path: Path) -> None:
+    leader = URLeader(URLeaderConfig(id="leader", calibration_dir=tmp_path, address=controller.address))
+    with pytest.raises(DeviceNotConnectedError):
+        leader.get_action()
+    leader.connect()
+    try:
+        assert list(leader.get_action()) == list(leader.action_features)
+        assert set(leader.action_features) == set(arm.action_features)
+        arm.connect()
+        arm.send_action(leader.get_action())
+    finally:
+        leader.disconnect()
+    assert os.listdir(tmp_path) == []  # nothing is calibrated, so nothing is kept
