@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from linkcore.errors import BadValue, BadVersion, ConnectionLost, LinkTimeout, LocalError, PacketError, WrongPeer
+from linkcore.errors import (
+    BadRecording,
+    BadValue,
+    BadVersion,
+    ConnectionLost,
+    LinkTimeout,
+    LocalError,
+    PacketError,
+    WrongPeer,
+)
 from linkcore.net.transport import TcpTransport
 
 from .firmware import Firmware, infer, release_of
@@ -20,7 +29,7 @@ from .services import refusal_hint
 if TYPE_CHECKING:
     from .kinematics import Arm, DenavitHartenberg
 
-__all__ = ["Identity", "Introduction", "KnownIdentity", "identify"]
+__all__ = ["Identity", "Introduction", "KnownIdentity", "described_identity", "identify"]
 
 #: How long to wait for the rest once a part is known: the first state follows within 0.1 s.
 _GRACE = 1.0
@@ -81,6 +90,28 @@ class Identity:
             names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
             said["dh_table"] = {name: list(map(float, getattr(self.dh_table, name))) for name in names}
         return said
+
+
+def described_identity(said: Mapping[str, Any]) -> Identity:
+    """What `Identity.description` has told of a controller, in a recording.
+
+    Raises:
+        BadRecording: it names no firmware, or what it has under ``dh_table`` are no DH parameters.
+        BadVersion: the firmware is no version.
+    """
+    firmware, written = said.get("firmware"), said.get("dh_table")
+    if not isinstance(firmware, str):
+        raise BadRecording(f"channel {said.get('name')!r} does not say what firmware it was recorded from")
+    table = None
+    if written is not None:
+        from .kinematics import DhTable
+
+        try:
+            table = DhTable(**written)
+        except TypeError as error:
+            name = said.get("name")
+            raise BadRecording(f"channel {name!r} has no DH parameters under dh_table: {error}") from None
+    return Identity(Firmware.parse(firmware), said_so=True, model=said.get("model"), dh_table=table)
 
 
 class KnownIdentity:

@@ -19,8 +19,7 @@ from linkcore.wire.protocol import PacketProtocol
 
 from .address import RecordingAddress, RobotAddress
 from .decoding import INTERFACES
-from .firmware import Firmware
-from .identity import Identity, identify
+from .identity import Identity, described_identity, identify
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
@@ -31,7 +30,6 @@ from .services import refusal_hint
 if TYPE_CHECKING:
     from .interfaces.rtde.protocol import Plan
     from .interfaces.rtde.transport import RtdeTransport
-    from .kinematics import DenavitHartenberg
 
 __all__ = ["Source", "networked", "recorded"]
 
@@ -154,23 +152,6 @@ def networked(
     return Source(ask, transport, backoff, timeout, silence, is_lossless=False)
 
 
-def _dh_table(info: Mapping[str, Any]) -> DenavitHartenberg | None:
-    """The DH parameters that `Robot.record` wrote down; None in recordings without them.
-
-    Raises:
-        BadRecording: they are no such parameters.
-    """
-    written = info.get("dh_table")
-    if written is None:
-        return None
-    from .kinematics import DhTable
-
-    try:
-        return DhTable(**written)
-    except TypeError as error:
-        raise BadRecording(f"channel {info.get('name')!r} has no DH parameters under dh_table: {error}") from None
-
-
 def recorded(place: RecordingAddress) -> Source:
     """A recording, which is played as it is read.
 
@@ -183,8 +164,7 @@ def recorded(place: RecordingAddress) -> Source:
     def ask() -> Identity:
         for info in recording.channels.values():
             if "firmware" in info:
-                firmware = Firmware.parse(info["firmware"])
-                return Identity(firmware, said_so=True, model=info.get("model"), dh_table=_dh_table(info))
+                return described_identity(info)
         raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
 
     def transport(interface: str) -> Transport:

@@ -12,16 +12,23 @@ also for a calibrated arm. There are no shapes: the meshes belong to the vendor'
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
 
 from . import rigid
 from .kinematics import Arm
 from .kinematics.geometry import Link
 from .models import Model
-from .poses import rotvec_to_rpy
+from .poses import compose, rotvec_to_rpy
 from .rigid import Rigid
 
-__all__ = ["JOINTS", "to_urdf"]
+__all__ = ["JOINTS", "link_poses", "to_urdf"]
+
+#: Of the shapes that links are drawn with, m.
+_RADIUS = 0.05
 
 _LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 #: The joints, from the base on.
@@ -35,12 +42,14 @@ JOINTS = (
 )
 
 
-def to_urdf(arm: Arm | Model | str, *, name: str | None = None) -> str:
+def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = False) -> str:
     """The arm as the text of a URDF file.
 
     Args:
         arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
         name: of the robot in the file; by default that of the model, in lower case.
+        shapes: give the links cylinders and spheres, so that viewers have something to draw. They follow the geometry
+            and are no likeness of the arm, nor a hull of it.
 
     Returns:
         XML; write it to a file with the ending `.urdf`.
@@ -55,17 +64,21 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None) -> str:
     arm = arm if isinstance(arm, Arm) else Arm(arm)
     model = arm.model
     root = ElementTree.Element("robot", name=name or model.name.lower().replace(" ", ""))
-    ElementTree.SubElement(root, "link", name="base_link")
+    parent_element = ElementTree.SubElement(root, "link", name="base_link")
     parent, origin = "base_link", rigid.IDENTITY
     for i, (link, child, joint) in enumerate(zip(arm.geometry.links, _LINKS, JOINTS, strict=True)):
         # The joint turns about the z axis of the frame before the link. Along that axis a joint may sit anywhere: as in
         # the vendor's description, it sits where the link begins, at the link's offset d.
-        origin = rigid.product(origin, rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset]))
+        origin = rigid.product(origin, _begin(link))
+        if shapes:
+            _add_shapes(parent_element, origin)
         _add_joint(root, model, i, joint, parent, child, origin)
         element = ElementTree.SubElement(root, "link", name=child)
         origin = _end(link)
         _add_inertial(element, model, i, origin)
-        parent = child
+        parent, parent_element = child, element
+    if shapes:
+        _add_shapes(parent_element, origin)
     ElementTree.SubElement(root, "link", name="tool0")
     fixed = ElementTree.SubElement(root, "joint", name="wrist_3_link-tool0", type="fixed")
     ElementTree.SubElement(fixed, "parent", link=parent)
@@ -73,6 +86,30 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None) -> str:
     _add_origin(fixed, origin)
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def link_poses(arm: Arm, q: NDArray[np.float64]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+    """Where each frame of the URDF is in the one before it, for joint positions (n, 6), rad.
+
+    Yields the name of the frame before, the name of the frame, and its poses (n, 6): m, and rotation vector in rad.
+    """
+    parent, origin = "base_link", rigid.IDENTITY
+    for i, (link, child) in enumerate(zip(arm.geometry.links, _LINKS, strict=True)):
+        origin = rigid.product(origin, _begin(link))
+        turned = np.zeros((len(q), 6))
+        turned[:, 5] = q[:, i]
+        yield parent, child, compose(_pose(origin), turned)
+        parent, origin = child, _end(link)
+    yield parent, "tool0", np.tile(_pose(origin), (len(q), 1))
+
+
+def _pose(frame: Rigid[float]) -> NDArray[np.float64]:
+    return np.array([*frame[9:], *rigid.rotation_vector(frame)])
+
+
+def _begin(link: Link) -> Rigid[float]:
+    """Where the joint of a link sits in the frame before it, and how that is turned when the joint stands at 0."""
+    return rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
 
 
 def _end(link: Link) -> Rigid[float]:
@@ -94,6 +131,24 @@ def _add_joint(
     limits = {} if endless else {"lower": _number(low), "upper": _number(high)}
     most = {"effort": _number(float(model.max_torque[i])), "velocity": _number(float(model.max_speed[i]))}
     ElementTree.SubElement(joint, "limit", {**limits, **most})
+
+
+def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
+    """A sphere at the beginning of a link, and a cylinder to its end."""
+    x, y, z = end[9:]
+    length = math.hypot(x, y, z)
+    turned = (math.atan2(math.hypot(x, y), z), math.atan2(y, x))
+    for shape, sizes, xyz, (pitch, yaw) in (
+        ("sphere", {"radius": _RADIUS}, (0.0, 0.0, 0.0), (0.0, 0.0)),
+        ("cylinder", {"radius": 0.8 * _RADIUS, "length": length}, (x / 2, y / 2, z / 2), turned),
+    ):
+        if shape == "cylinder" and length < _RADIUS:
+            continue
+        visual = ElementTree.SubElement(element, "visual")
+        place = " ".join(map(_number, xyz))
+        ElementTree.SubElement(visual, "origin", xyz=place, rpy=" ".join(map(_number, (0.0, pitch, yaw))))
+        geometry = ElementTree.SubElement(visual, "geometry")
+        ElementTree.SubElement(geometry, shape, {key: _number(value) for key, value in sizes.items()})
 
 
 def _add_inertial(element: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:

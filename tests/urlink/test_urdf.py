@@ -88,6 +88,24 @@ def test_links_and_joints_have_the_names_and_places_of_the_vendors_description(n
         np.testing.assert_allclose(found[joint], place, atol=1e-15)
 
 
+@pytest.mark.parametrize("name", ["UR3e", "UR20"])
+def test_shapes_reach_from_joint_to_joint(name: str) -> None:
+    """Each cylinder is as long as its link and ends where the next joint begins."""
+    root = ElementTree.fromstring(to_urdf(name, shapes=True))
+    joints = {vector_of(joint, "parent"): joint for joint in root.findall("joint")}
+    drawn = 0
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            cylinder = visual.find("geometry/cylinder")
+            if cylinder is not None:
+                half = np.array([0.0, 0.0, float(cylinder.attrib["length"]) / 2, 1.0])
+                end = origin(visual) @ half
+                np.testing.assert_allclose(end[:3], origin(joints[link.attrib["name"]])[:3, 3], atol=1e-12)
+                drawn += 1
+    assert drawn == 5  # the shoulder has no length, and the flange is where the last link begins
+    assert ElementTree.fromstring(to_urdf(name)).find("link/visual") is None
+
+
 def test_masses_and_limits() -> None:
     root, model = ElementTree.fromstring(to_urdf("UR10e", name="left")), MODELS["UR10e"]
     assert root.attrib["name"] == "left"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.errors import BadRecording
+from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.recording.columns import PacketColumns
 from linkcore.recording.packets import states_of
 from linkcore.recording.recorder import Recorder
@@ -22,10 +23,10 @@ from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from linkcore.wire.packet import State
 
+from ..identity import described_identity
 from ..interfaces.primary.robot_message import RobotMessage
 from ..interfaces.primary.robot_state import RobotState
-from ..models import UnknownModel
-from ..urdf import to_urdf
+from ..kinematics import Arm
 from .mcap_file import McapFile
 from .robot_states import RobotStates
 from .ros_messages import Topic, description_topic, log_topic, topics_of
@@ -63,7 +64,8 @@ class McapRecorder(Recorder):
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
         """Record `stream` too; see `Recorder.add`. The first one that is added says which arm it is."""
         writer, name = self._writer, info["name"]
-        writer.describe(info.get("model"))
+        with contextlib.suppress(LocalError, WrongPeer):
+            writer.describe(described_identity(info).kinematics)
 
         def write(state: State) -> None:
             if isinstance(state, (stream._kind, RobotMessage)):
@@ -85,7 +87,7 @@ class _McapWriter:
         self._waiting: dict[str, list[State]] = {}
         self._since = time.monotonic()
         self._owners: dict[str, str] = {}
-        self._is_described = False
+        self._arm: Arm | None = None
         try:
             self._file = path.open("xb")
         except FileExistsError:
@@ -99,17 +101,12 @@ class _McapWriter:
             path.unlink(missing_ok=True)
             raise
 
-    def describe(self, model: str | None) -> None:
+    def describe(self, arm: Arm) -> None:
         """Say which arm it is, once."""
-        if model is None or self._is_described:
-            return
-        self._is_described = True
-        try:
-            urdf = to_urdf(model)
-        except UnknownModel:
-            return
         with self._lock:
-            self._write([description_topic(urdf, np.datetime64(time.time_ns(), "ns"))])
+            if self._arm is None:
+                self._arm = arm
+                self._write([description_topic(arm, np.datetime64(time.time_ns(), "ns"))])
 
     def add(self, name: str, state: State) -> None:
         """A state of the stream called `name`; may be called from several threads."""
@@ -123,7 +120,7 @@ class _McapWriter:
         self._since = time.monotonic()
         topics = []
         for name, states in waiting.items():
-            for topic in topics_of_states(name, states):
+            for topic in topics_of_states(name, states, self._arm):
                 # A topic that several streams could have is that of the first.
                 if self._owners.setdefault(topic.name, name) == name:
                     topics.append(topic)
@@ -154,10 +151,10 @@ class _McapWriter:
                 self._file.close()
 
 
-def topics_of_states(name: str, states: list[State]) -> list[Topic]:
+def topics_of_states(name: str, states: Sequence[State], arm: Arm | None) -> list[Topic]:
     """The messages of ROS 2 that states of a live stream make."""
     rows = [state for state in states if not isinstance(state, RobotMessage)]
-    topics = list(topics_of(name, table_of(name, rows))) if rows else []
+    topics = list(topics_of(name, table_of(name, rows), arm)) if rows else []
     messages = [state for state in states if isinstance(state, RobotMessage)]
     if messages:
         topics.append(log_topic(messages, _wall(messages)))

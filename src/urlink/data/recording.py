@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from linkcore.errors import BadRecording
+from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.columns import PacketColumns, is_continuous
 from linkcore.recording.exporting import Progress, chosen, export
@@ -25,6 +25,7 @@ from linkcore.wire.packet import State
 from linkcore.wire.protocol import PacketProtocol
 
 from ..firmware import Firmware
+from ..identity import described_identity
 from ..interfaces.primary.protocol import PrimaryProtocol
 from ..interfaces.primary.robot_message import RobotMessage
 from ..interfaces.primary.robot_state import RobotState
@@ -32,9 +33,8 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..interfaces.realtime.protocol import RealtimeProtocol
 from ..interfaces.rtde.protocol import RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
-from ..models import UnknownModel
+from ..kinematics import Arm
 from ..rtde.outputs import recorded_plan
-from ..urdf import to_urdf
 from .mcap_file import McapFile
 from .robot_states import RobotStates
 from .ros_messages import Topic, description_topic, log_topic, topics_of
@@ -93,6 +93,24 @@ class Recording:
 
     def _said(self, key: str) -> Any:
         return next((info[key] for info in self.channels.values() if info.get(key) is not None), None)
+
+    @property
+    def kinematics(self) -> Arm:
+        """Of the arm that was recorded, as calibrated where the recorder said how it is; see `Robot.kinematics`.
+
+        Raises:
+            LocalError: the recorder did not say which arm it is, or nobody knows it.
+            BadRecording: it did not say which firmware it has, or wrote down what are no DH parameters.
+        """
+        for info in self.channels.values():
+            if "firmware" in info:
+                return described_identity(info).kinematics
+        raise BadRecording(f"{self.path} does not say what firmware it was recorded from")
+
+    def _arm(self) -> Arm | None:
+        with contextlib.suppress(LocalError, WrongPeer):
+            return self.kinematics
+        return None
 
     @property
     def duration(self) -> float:
@@ -235,14 +253,14 @@ class Recording:
         last = max((table.time[-1] for table in tables.values()), default=0.0)
         with path.open("xb") as file:
             mcap = McapFile(file)
-            if tables and self.model is not None:
-                with contextlib.suppress(UnknownModel):
-                    mcap.write([description_topic(to_urdf(self.model), min(each.wall[0] for each in tables.values()))])
+            arm = self._arm()
+            if tables and arm is not None:
+                mcap.write([description_topic(arm, min(each.wall[0] for each in tables.values()))])
             # A stretch of time after the other: all messages at once might be more than there is memory.
             for start in np.arange(first, last + _STRETCH, _STRETCH).tolist():
                 topics: dict[str, Topic] = {}
                 for name, table in tables.items():
-                    for topic in topics_of(name, table.between(start, start + _STRETCH)):
+                    for topic in topics_of(name, table.between(start, start + _STRETCH), arm):
                         topics.setdefault(topic.name, topic)  # of a topic that several streams have, the first
                     if isinstance(stream := self.tables[name], RobotStates):
                         said = stream.of(RobotMessage)

@@ -21,8 +21,9 @@ from linkcore.wire.packet import State
 
 from ..interfaces.enums import ReportLevel
 from ..interfaces.primary.robot_message import KeyMessage, PopupMessage, RobotCommMessage, RuntimeExceptionMessage
+from ..kinematics import Arm
 from ..poses import rotvec_to_quaternion
-from ..urdf import JOINTS
+from ..urdf import JOINTS, link_poses, to_urdf
 from .cdr import Message
 
 __all__ = ["Topic", "description_topic", "log_topic", "topics_of"]
@@ -64,6 +65,15 @@ _DEFINITIONS = {
         _TIME,
     ),
     "std_msgs/msg/String": "string data",
+    "tf2_msgs/msg/TFMessage": _definition(
+        "geometry_msgs/TransformStamped[] transforms",
+        ("geometry_msgs/TransformStamped", f"{_STAMPED}string child_frame_id\ngeometry_msgs/Transform transform"),
+        _HEADER,
+        _TIME,
+        ("geometry_msgs/Transform", "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation"),
+        _VECTOR,
+        _QUATERNION,
+    ),
 }
 
 #: Fields of the real-time interface and of RTDE that mean the same.
@@ -104,8 +114,11 @@ class Topic(NamedTuple):
     messages: list[bytes]
 
 
-def topics_of(name: str, table: Table) -> Iterator[Topic]:
-    """The messages of a stream called `name`, as far as it has the fields for them. Text goes into none."""
+def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic]:
+    """The messages of a stream called `name`, as far as it has the fields for them. Text goes into none.
+
+    With the arm, `/tf` has the frames of its links.
+    """
     wall = table.wall
 
     def topic(path: str, kind: str, message: Message) -> Topic:
@@ -122,11 +135,14 @@ def topics_of(name: str, table: Table) -> Iterator[Topic]:
         message.sequence(nothing if velocity is None else velocity)
         message.sequence(nothing if current is None else current)
         yield topic("/joint_states", "sensor_msgs/msg/JointState", message)
+    if position is not None and arm is not None:
+        frames = list(link_poses(arm, position))
+        message = Message(len(table)).length(len(frames))
+        for parent, child, poses in frames:
+            message.header(wall, parent).text(child).numbers(poses[:, :3]).numbers(_orientation(poses))
+        yield topic("/tf", "tf2_msgs/msg/TFMessage", message)
     if (pose := column(_TCP_POSE)) is not None:
-        # While a connection was lost, what is resampled is NaN.
-        orientation = rotvec_to_quaternion(np.nan_to_num(pose[:, 3:]))
-        orientation[np.isnan(pose[:, 3:]).any(axis=1)] = np.nan
-        message = Message(len(table)).header(wall, _FRAME).numbers(pose[:, :3]).numbers(orientation)
+        message = Message(len(table)).header(wall, _FRAME).numbers(pose[:, :3]).numbers(_orientation(pose))
         yield topic("/tcp_pose", "geometry_msgs/msg/PoseStamped", message)
     for path, kind, names in (
         ("/tcp_speed", "geometry_msgs/msg/TwistStamped", _TCP_SPEED),
@@ -136,6 +152,13 @@ def topics_of(name: str, table: Table) -> Iterator[Topic]:
             yield topic(path, kind, Message(len(table)).header(wall, _FRAME).numbers(six))
     if table.fields:
         yield _everything(name, table)
+
+
+def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions of poses; NaN where they are, which what is resampled is while a connection was lost."""
+    quaternions = rotvec_to_quaternion(np.nan_to_num(poses[:, 3:]))
+    quaternions[np.isnan(poses[:, 3:]).any(axis=1)] = np.nan
+    return quaternions
 
 
 def _everything(name: str, table: Table) -> Topic:
@@ -183,7 +206,8 @@ def _words(message: State) -> str:
     return (text if isinstance(text, str) else str(message)).replace("\0", "")
 
 
-def description_topic(urdf: str, wall: np.datetime64) -> Topic:
+def description_topic(arm: Arm, wall: np.datetime64) -> Topic:
     """The description of the arm, once, for viewers that draw it."""
+    urdf = to_urdf(arm, shapes=True)
     kind = "std_msgs/msg/String"
     return Topic("/robot_description", kind, _DEFINITIONS[kind], np.array([wall]), Message(1).text(urdf).encoded())

@@ -9,7 +9,7 @@ import pytest
 
 from .conftest import Run, write
 
-COMMANDS = ("monitor", "echo", "hz", "info", "record", "replay", "plot", "export", "dissect", "sim")
+COMMANDS = ("monitor", "echo", "hz", "info", "record", "replay", "plot", "export", "foxglove", "dissect", "sim")
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 

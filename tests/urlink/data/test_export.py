@@ -17,7 +17,7 @@ import urlink
 import urlink.cli
 from linkcore.recording.exporting import export
 from rhdlink.plugins.turtle import Turtle
-from urlink.poses import quaternion_to_rotvec
+from urlink.poses import compose, quaternion_to_rotvec
 
 CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.urlog"
 
@@ -88,7 +88,7 @@ def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> No
     found = read_mcap(recording.export(tmp_path / "run.mcap"))
     realtime = recording.realtime
     counts = Counter({topic: len(messages) for topic, messages in found.items()})
-    each = dict.fromkeys(("/realtime", "/joint_states", "/tcp_pose", "/tcp_speed", "/wrench"), len(realtime))
+    each = dict.fromkeys(("/realtime", "/joint_states", "/tf", "/tcp_pose", "/tcp_speed", "/wrench"), len(realtime))
     robot_messages = recording.primary.of(urlink.RobotMessage)
     assert counts == {**each, "/primary": len(recording.primary), "/log": len(robot_messages), "/robot_description": 1}
     types = {topic: messages[0].schema.name for topic, messages in found.items()}
@@ -108,6 +108,15 @@ def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> No
     assert [pose.position.x, pose.position.y, pose.position.z] == realtime["tool_vector_actual"][-1, :3].tolist()
     vector = quaternion_to_rotvec([turn.x, turn.y, turn.z, turn.w])
     np.testing.assert_allclose(vector, realtime["tool_vector_actual"][-1, 3:], atol=1e-9)
+    # The frames of the links, one in the other, lead to where the arm's own kinematics say that its flange is.
+    reached, parent = np.zeros(6), "base_link"
+    for link in found["/tf"][-1].decoded_message.transforms:
+        assert link.header.frame_id == parent
+        moved, turn = link.transform.translation, link.transform.rotation
+        vector = quaternion_to_rotvec([turn.x, turn.y, turn.z, turn.w])
+        reached, parent = compose(reached, [moved.x, moved.y, moved.z, *vector]), link.child_frame_id
+    assert parent == "tool0"
+    np.testing.assert_allclose(reached, recording.kinematics.forward(realtime["q_actual"][-1]), atol=1e-9)
     wrench = found["/wrench"][-1].decoded_message.wrench
     assert [wrench.force.z, wrench.torque.x] == realtime["tcp_force"][-1, 2:4].tolist()
     whole = found["/realtime"][-1].decoded_message
