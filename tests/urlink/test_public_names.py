@@ -208,10 +208,11 @@ SURFACES = {
     "robot.registers": "read_bit read_float read_integer write_bit write_float write_integer",
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv from_poses
         has_velocities is_quintic points q qd qdd retimed sample time to_csv""",
-    "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags follow
-        greeting gripper host is_running_program is_serving is_up model modes passing pendant ports program_name push
-        realtime_packet received registers remote_control robot_api rtde schedule serial signals speed_fraction start
-        state_package step stopped_since take take_messages teach_button time world""",
+    "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags
+        follow greeting gripper host is_running_program is_serving is_up modbus model modes passing pendant
+        ports program_name push realtime_packet received registers remote_control robot_api rtde schedule
+        serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
+        time world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
         remove wrench""",
     "robot.controller.gripper": "fault holds_object is_active is_connected place position registers reply take_away",

@@ -145,6 +145,8 @@ class HttpParser:
             if len(head) > LONGEST_HEAD:
                 raise self._error(f"its headers have more than {LONGEST_HEAD} bytes")
             first, *lines = bytes(head).split(_END)
+            if self._kind == "response" and head and not b"HTTP/1.".startswith(head[:7]):
+                raise self._error(f"it begins with {bytes(first[:80])!r}")
             if not end and len(head) < 16 and not lines:
                 return False  # too little to tell
             start = pattern.fullmatch(first)

@@ -37,6 +37,7 @@ from .programs.runner import ProgramRunner
 from .registers import Registers
 from .robot.arm import Arm
 from .robot.gripper import SimulatedGripper
+from .robot.modbus import ModbusSignals
 from .robot.modes import Modes
 from .robot.signals import Signals
 from .robot.sources import Demonstration, SetpointSource
@@ -239,6 +240,11 @@ class Controller:
     def signals(self) -> Signals:
         """Inputs and outputs."""
         return self._state.signals
+
+    @property
+    def modbus(self) -> ModbusSignals:
+        """Modbus signals by name: `modbus["pressure"] = 42` is what programs read of it."""
+        return self._state.modbus
 
     @property
     def registers(self) -> Registers:

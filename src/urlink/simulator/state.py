@@ -19,6 +19,7 @@ from urlink.models import Model
 from .claims import InputClaims
 from .registers import Registers, Watchdogs
 from .robot.arm import Arm
+from .robot.modbus import ModbusSignals
 from .robot.modes import Modes, Stop
 from .robot.signals import Signals
 from .robot.sources import SetpointSource
@@ -119,6 +120,7 @@ class ControllerState:
         arm: joints, tool and sensors.
         modes: of robot, safety and program.
         signals: inputs and outputs.
+        modbus: signals by name, with no bus behind them.
         registers: general-purpose registers, which a reboot clears (a guess).
         watchdogs: of the program that runs, over RTDE inputs.
         rtde_inputs: name -> the last value that a client has sent.
@@ -148,6 +150,7 @@ class ControllerState:
         self.cycle = 0
         self.cycles_down = 0
         self.signals = Signals()
+        self.modbus = ModbusSignals(lambda: self.time)
         self.remote_control = True
         self.teach_button = False
         self.fieldbus: str | None = None

@@ -96,8 +96,8 @@ def test_an_interim_response_is_passed_over_and_no_content_is_whole_at_once() ->
 @pytest.mark.parametrize(
     ("kind", "data", "error"),
     [
-        ("response", b"Connected: Universal Robots Dashboard Server\n" * 2, None),
-        ("response", b"Connected: Universal\r\n", "it begins with b'Connected: Universal'"),
+        ("response", b"Connected: Universal Robots Dashboard Server\n", "it begins with b'Connected: Universal Robots"),
+        ("response", b"HTTP/1.1 no status\r\n", "it begins with b'HTTP/1.1 no status'"),
         ("request", b"get / HTTP/1.1\r\n\r\n", "it begins with b'get / HTTP/1.1'"),
         ("request", b"GET / HTTP/1.1\r\nno header\r\n\r\n", "b'no header' is no header"),
         ("request", b"GET / HTTP/1.1\r\nA: " + b"a" * LONGEST_HEAD, "its headers have more than 16384 bytes"),

@@ -13,6 +13,7 @@ from urlink.kinematics import Arm
 from ..messages import popup_message, text_message
 from ..registers import Action, Registers
 from ..robot.generator import Drive, ForceTask, MotionGenerator
+from ..robot.modbus import ModbusSignals
 from ..robot.signals import Signals
 from ..state import ControllerState
 from .program_sockets import ProgramSockets, Route
@@ -65,6 +66,10 @@ class ProgramWorld:
     @property
     def registers(self) -> Registers:
         return self._state.registers
+
+    @property
+    def modbus(self) -> ModbusSignals:
+        return self._state.modbus
 
     @property
     def q_actual(self) -> Sequence[float]:

@@ -16,6 +16,7 @@ from urlink.firmware import Firmware
 from . import operations
 from .builtins import find
 from .builtins.declaration import REQUIRED, Builtin
+from .builtins.remote_procedures import call_method
 from .errors import ScriptError
 from .instructions import (
     Label,
@@ -36,7 +37,7 @@ from .instructions import (
     store,
     store_element,
 )
-from .machine import FIRST, Code, Instruction, Script, StatementCode
+from .machine import FIRST, Code, Instruction, Script, ScriptThread, StatementCode, Waiting
 from .operations import Function
 from .parser import parse
 from .scopes import Functions, Names, global_names
@@ -307,7 +308,7 @@ class _Compiler:
         if isinstance(expression, Name) and expression.name in _BARE:
             expression = Call(expression.place, 1, True, expression.name, [], [], False)
         value = self._value(expression)
-        if not (isinstance(expression, Call) and self._takes(expression, alone=True)):
+        if not (isinstance(expression, (Call, MethodCall)) and self._takes(expression, alone=True)):
             self._emit(s, lambda after: evaluate(value, after))
 
     def _if(self, s: If) -> None:
@@ -348,7 +349,7 @@ class _Compiler:
             return False
         if not alone and id(node) in self._taking:
             return self._taking[id(node)]
-        taking = False
+        taking = isinstance(node, MethodCall)
         if isinstance(node, Call) and not node.is_run:
             builtin = None if self.functions.find(node.name) else self._program.builtin(node.name)
             taking = builtin is None or builtin.takes_time
@@ -450,8 +451,14 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _method_call(self, node: MethodCall) -> Function:
-        base, *arguments = self._sequence((node.base, *node.arguments))
-        return operations.method_call(base, node.name, arguments, node.place)
+        self._takes_time(node, node.name)
+        operands, slot = self._sequence((node.base, *node.arguments)), self._slot()
+
+        def call_it(thread: ScriptThread, base: Any, *arguments: Any) -> Waiting:
+            return call_method(thread, base, node.name, arguments)
+
+        self._emit(node, lambda after: await_builtin(call_it, operands, slot, after))
+        return operations.temporary(slot)
 
     def _struct(self, node: Call) -> Function:
         """`struct(a=1, b=2)`: the names of its arguments are those of its members."""

@@ -238,6 +238,7 @@ class Machine:
         statements: that clients hand to it in interpreter mode.
         left: instructions that may still be run in this cycle.
         reads: from sockets, in this cycle.
+        remote_calls: of methods of servers, so far.
         random: for the function of that name; it gives the same numbers in every run.
         history: the joint positions of past cycles, newest last.
         has_moved: a motion was begun.
@@ -248,7 +249,7 @@ class Machine:
         self.statements: StatementQueue[StatementCode] = StatementQueue()
         self.statements.aborts = self.abort_motion
         self.left = MAX_INSTRUCTIONS
-        self.reads = 0
+        self.reads = self.remote_calls = 0
         self.random = random.Random(0)
         self.history: deque[tuple[float, ...]] = deque(maxlen=500)
         self.has_moved = False

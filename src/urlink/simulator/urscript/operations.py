@@ -33,7 +33,6 @@ __all__ = [
     "inverted",
     "local_variable",
     "member",
-    "method_call",
     "operation",
     "placed",
     "pose_display",
@@ -163,15 +162,6 @@ def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Fu
 def member(base: Function, name: str, place: int) -> Function:
     """`base.name`"""
     return placed(lambda f: values.member(base(f), name), place)
-
-
-def method_call(base: Function, name: str, arguments: Sequence[Function], place: int) -> Function:
-    """`base.name(arguments)`. Nothing that this simulator makes has methods: `rpc_factory` is not modelled."""
-
-    def run(f: Frame) -> Any:
-        raise type_error(f"{values.type_name(base(f))} has no method '{name}'")
-
-    return placed(run, place)
 
 
 def truth(value: Any) -> bool:

@@ -32,6 +32,7 @@ __all__ = [
     "UNSET",
     "Charge",
     "Pose",
+    "RpcHandle",
     "Struct",
     "Unset",
     "add",
@@ -82,6 +83,18 @@ class Struct:
         self.depth: int = 1 + max((value.depth for value in members.values() if isinstance(value, Struct)), default=0)
 
 
+class RpcHandle:
+    """What `rpc_factory` makes: where the server of its methods is."""
+
+    __slots__ = ("host", "path", "port", "url")
+
+    def __init__(self, url: str, host: str, port: int, path: str) -> None:
+        self.url = url
+        self.host = host
+        self.port = port
+        self.path = path
+
+
 class Unset:
     """What a variable holds before anything was assigned."""
 
@@ -99,6 +112,7 @@ _NAMES = {
     tuple: "list",
     Pose: "pose",
     Struct: "struct",
+    RpcHandle: "handle of a server",
     type(None): "none",
 }
 

@@ -15,6 +15,7 @@ from urlink.vectors import FloatArray
 
 from ..registers import Action, Registers
 from ..robot.generator import ForceTask
+from ..robot.modbus import ModbusSignals
 from ..robot.signals import Signals
 
 __all__ = ["MotionCommands", "Move", "Sockets", "World"]
@@ -166,6 +167,8 @@ class World(Protocol):
     def flags(self) -> list[bool]: ...
     @property
     def registers(self) -> Registers: ...
+    @property
+    def modbus(self) -> ModbusSignals: ...
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
         """The RTDE input of that name has to come so many times a second from now on; at 0, no longer.

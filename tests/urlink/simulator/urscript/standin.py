@@ -11,6 +11,7 @@ from urlink.firmware import Firmware
 from urlink.kinematics import Arm
 from urlink.simulator.registers import Action, Registers
 from urlink.simulator.robot.generator import ForceTask, Unreachable
+from urlink.simulator.robot.modbus import ModbusSignals
 from urlink.simulator.robot.signals import Signals
 from urlink.simulator.robot.sources import HOME
 from urlink.simulator.urscript import Execution, compile_script
@@ -170,6 +171,7 @@ class StandIn:
         self.payload_inertia: Sequence[float] = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
         self.flags = [False] * 32
         self.registers = Registers()
+        self.modbus = ModbusSignals(lambda: self.cycle * self.period)
         self.has_popup = False
         self.signals = Signals()
         self.motion = StandInMotion(self)

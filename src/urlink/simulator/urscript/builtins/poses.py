@@ -17,8 +17,8 @@ from urlink.kinematics import Unreachable
 
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
-from ..values import Pose, type_name
-from .declaration import Family, is_list, joints, number, pose, vector
+from ..values import Pose, list_of, type_name
+from .declaration import Family, is_list, joints, number, numbers, pose, vector
 
 __all__ = ["FAMILY"]
 
@@ -38,6 +38,22 @@ def pose_trans(thread: ScriptThread, p_from: Any, p_from_to: Any) -> Pose:
 @FAMILY.declare()
 def pose_inv(thread: ScriptThread, p_from: Any) -> Pose:
     return _inverse(thread, pose(p_from, "pose_inv: p_from"))
+
+
+@FAMILY.declare(since="3.0")
+def inv(thread: ScriptThread, m: Any) -> Any:
+    """Of a pose, as `pose_inv`, or of a square matrix, a list of its rows."""
+    if m.__class__ is Pose:
+        return _inverse(thread, pose(m, "inv: m"))
+    rows = [numbers(row, "inv: m") for row in m] if is_list(m) else []
+    if not rows or any(len(row) != len(rows) for row in rows):
+        raise type_error("inv: m is a pose or a square matrix")
+    thread.machine.charge(len(rows) ** 3)
+    try:
+        inverse = np.linalg.inv(np.array(rows)).tolist()
+    except np.linalg.LinAlgError:
+        raise Fault("inv: m has no inverse") from None
+    return list_of([list_of(row, thread.machine.charge) for row in inverse], thread.machine.charge)
 
 
 @FAMILY.declare(since="3.0")

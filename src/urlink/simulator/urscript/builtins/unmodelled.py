@@ -21,17 +21,9 @@ _LABELS = ["jump_to_label"]
 _NETWORK = [
     "eip_reader_factory",
     "eip_writer_factory",
-    "modbus_add_signal",
-    "modbus_delete_signal",
-    "modbus_get_error",
-    "modbus_get_signal_status",
-    "modbus_get_time_since_signal_invalid",
-    "modbus_set_output_signal",
-    "modbus_set_runstate_dependent_choice",
-    "modbus_set_signal_update_frequency",
-    "modbus_set_signal_watchdog",
-    "rpc_factory",
 ]
+#: In public programs, and in no manual as far as they are remembered.
+_UNKNOWN = ["tool_pose"]
 _CONVEYOR = [
     "encoder_enable_pulse_decode",
     "get_conveyor_tick_count",
@@ -48,9 +40,10 @@ def _unmodelled(name: str, what: str) -> Callable[..., Any]:
 
 
 for _names, _what in (
-    (_NETWORK, "XML-RPC, Modbus and EtherNet/IP are"),
+    (_NETWORK, "EtherNet/IP is"),
     (_CONVEYOR, "conveyors are"),
     (_LABELS, "jumping is"),
+    (_UNKNOWN, "what it gives is not known, and it is"),
 ):
     for _name in _names:
         FAMILY.declare(name=_name, since="3.0")(_unmodelled(_name, _what))

@@ -1,0 +1,125 @@
+"""The Modbus signals of a simulated controller: named values, with no bus behind them.
+
+A program adds a signal, reads or sets it, and asks how it is; a test sets what it shows and what is wrong with it.
+Guesses: that signals outlive the program that added them, and that a signal is valid from the moment it is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from linkcore.errors import BadValue
+
+__all__ = ["ModbusSignal", "ModbusSignals"]
+
+#: What `modbus_add_signal` calls the types 0 to 3.
+KINDS = ("digital input", "digital output", "register input", "register output")
+#: Values of a register.
+_HIGHEST = 65535
+
+
+@dataclass
+class ModbusSignal:
+    """One signal, as a program has added it.
+
+    Attributes:
+        host: address of the device.
+        slave, address: of the signal in it.
+        kind: 0 digital input, 1 digital output, 2 register input, 3 register output.
+        value: 0 or 1, or 0 to 65535.
+        frequency: with which it would be read, Hz.
+        watchdog: a failure of it stops programs.
+        choice: what happens to an output while no program runs, 0 to 4.
+        error: number of the error; 0 for none.
+        invalid_since: s on the controller's clock at which the error came.
+    """
+
+    host: str
+    slave: int
+    address: int
+    kind: int
+    value: int = 0
+    frequency: float = 10.0
+    watchdog: bool = False
+    choice: int = 0
+    error: int = 0
+    invalid_since: float = 0.0
+
+    @property
+    def is_digital(self) -> bool:
+        """It is on or off."""
+        return self.kind < 2
+
+    @property
+    def is_input(self) -> bool:
+        """The device sets it, and programs cannot."""
+        return self.kind in (0, 2)
+
+
+class ModbusSignals(Mapping[str, int]):
+    """Name -> value of the signals of one controller. Setting one that no program has added yet lets it begin so.
+
+    Args:
+        clock: seconds of the controller.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._signals: dict[str, ModbusSignal] = {}
+        self._values: dict[str, int] = {}
+
+    def __getitem__(self, name: str) -> int:
+        signal = self._signals.get(name)
+        return self._values[name] if signal is None else signal.value
+
+    def __setitem__(self, name: str, value: int) -> None:
+        """Let a signal have a value: 0 or 1, or 0 to 65535.
+
+        Raises:
+            BadValue: it cannot have that.
+        """
+        signal = self._signals.get(name)
+        highest = 1 if signal is not None and signal.is_digital else _HIGHEST
+        if not isinstance(value, int) or not 0 <= value <= highest:
+            raise BadValue(f"Modbus signal {name!r} takes a whole number from 0 to {highest}, not {value!r}")
+        self._values[name] = int(value)
+        if signal is not None:
+            signal.value = int(value)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def signal(self, name: str) -> ModbusSignal | None:
+        """What a program has added under that name; None if nothing."""
+        return self._signals.get(name)
+
+    def fail(self, name: str, error: int) -> None:
+        """Let something be wrong with a signal; 0 mends it.
+
+        Raises:
+            BadValue: there is none of that name.
+        """
+        signal = self._signals.get(name)
+        if signal is None:
+            raise BadValue(f"no program has added a Modbus signal {name!r}")
+        signal.error, signal.invalid_since = error, self._clock()
+
+    def add(self, name: str, signal: ModbusSignal) -> None:
+        """Add one; it takes the place of the one of that name."""
+        highest = 1 if signal.is_digital else _HIGHEST
+        signal.value = min(self._values.get(name, 0), highest)
+        self._signals[name] = signal
+        self._values[name] = signal.value
+
+    def delete(self, name: str) -> bool:
+        """Delete one; False if there is none."""
+        self._values.pop(name, None)
+        return self._signals.pop(name, None) is not None
+
+    def seconds_invalid(self, signal: ModbusSignal) -> float:
+        """For how long something has been wrong with a signal; 0 if nothing is."""
+        return max(self._clock() - signal.invalid_since, 0.0) if signal.error else 0.0

@@ -1,0 +1,129 @@
+"""Modbus signals: named values that programs add, read and set. No device is connected to them; see `robot.modbus`.
+
+Parameters are those of the manual, as far as they are remembered; whether a secondary program asks makes no difference
+here. What is out of range, and a signal that nobody has added, end the program (a guess).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...robot.modbus import KINDS, ModbusSignal
+from ..errors import Fault, type_error
+from ..machine import ScriptThread
+from .declaration import Family, boolean, integer, is_list, number, string
+
+__all__ = ["FAMILY"]
+
+FAMILY = Family()
+
+
+def _signal(thread: ScriptThread, name: Any, what: str) -> ModbusSignal:
+    wanted = string(name, f"{what}: signal_name")
+    found = thread.world.modbus.signal(wanted)
+    if found is None:
+        raise Fault(f"{what}: there is no Modbus signal '{wanted}'")
+    return found
+
+
+@FAMILY.declare(since="3.0")
+def modbus_add_signal(
+    thread: ScriptThread,
+    IP: Any,
+    slave_number: Any,
+    signal_address: Any,
+    signal_type: Any,
+    signal_name: Any,
+    sequential_mode: Any = False,
+) -> None:
+    what = "modbus_add_signal"
+    boolean(sequential_mode, f"{what}: sequential_mode")
+    signal = ModbusSignal(
+        string(IP, f"{what}: IP"),
+        integer(slave_number, f"{what}: slave_number", 0, 255),
+        integer(signal_address, f"{what}: signal_address", 0, 65535),
+        integer(signal_type, f"{what}: signal_type", 0, len(KINDS) - 1),
+    )
+    thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
+    """False if there is none."""
+    return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
+
+
+@FAMILY.declare(since="3.0")
+def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
+    """True or False of a digital signal, the number of a register."""
+    signal = _signal(thread, signal_name, "modbus_get_signal_status")
+    return bool(signal.value) if signal.is_digital else signal.value
+
+
+def _set(thread: ScriptThread, name: Any, value: Any, what: str, is_digital: bool) -> None:
+    signal = _signal(thread, name, what)
+    if signal.is_input or signal.is_digital is not is_digital:
+        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
+    thread.world.modbus[str(name)] = value
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_output_signal(
+    thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
+) -> None:
+    what = "modbus_set_output_signal"
+    _set(thread, signal_name, int(boolean(digital_value, f"{what}: digital_value")), what, True)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_output_register(
+    thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
+) -> None:
+    what = "modbus_set_output_register"
+    _set(thread, signal_name, integer(register_value, f"{what}: register_value", 0, 65535), what, False)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
+    what = "modbus_set_signal_update_frequency"
+    frequency = number(update_frequency, f"{what}: update_frequency")
+    if not 0 <= frequency <= 125:
+        raise Fault(f"{what}: update_frequency is from 0 to 125, not {frequency:g}")
+    _signal(thread, signal_name, what).frequency = frequency
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
+    """Shown in the signal; a failure stops no program here."""
+    what = "modbus_set_signal_watchdog"
+    _signal(thread, signal_name, what).watchdog = boolean(is_watched, f"{what}: is_watched")
+
+
+@FAMILY.declare(since="3.0")
+def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
+    """Shown in the signal; outputs keep their values whatever runs here."""
+    what = "modbus_set_runstate_dependent_choice"
+    _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
+    return _signal(thread, signal_name, "modbus_get_error").error
+
+
+@FAMILY.declare(since="3.0")
+def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
+    """s; 0 where nothing is wrong with it."""
+    signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
+    return thread.world.modbus.seconds_invalid(signal)
+
+
+@FAMILY.declare(since="3.0")
+def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
+    """Checked, and sent to nobody."""
+    what = "modbus_send_custom_command"
+    string(IP, f"{what}: IP")
+    integer(slave_number, f"{what}: slave_number", 0, 255)
+    integer(function_code, f"{what}: function_code", 0, 255)
+    if not is_list(data):
+        raise type_error(f"{what}: data is a list of bytes")

@@ -1,0 +1,144 @@
+"""XML-RPC: `h = rpc_factory("xmlrpc", "http://127.0.0.1:40404/RPC2")`, and then `h.method(arguments)`.
+
+A call is an HTTP request over one of the program's connections, so it reaches what its sockets reach: this computer,
+and those that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz, as the manual has it.
+Guesses: that connecting happens at each call, that a call gives up after `PATIENCE`, that a method of the server which
+fails, or none being there, ends the program, and that structs of other members are structs of URScript too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import urlsplit
+
+from linkcore.errors import BadValue, PacketError
+from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
+
+from ..errors import Fault, type_error
+from ..machine import ScriptThread, Waiting
+from ..values import Pose, RpcHandle, Struct, list_of, struct_of, type_name
+from .declaration import Family, string
+
+__all__ = ["FAMILY", "call_method"]
+
+FAMILY = Family()
+
+#: Seconds that a call may take.
+PATIENCE = 30.0
+_POSE = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@FAMILY.declare(since="3.0")
+def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
+    """A handle whose methods are those of the server; it is not connected to before the first call."""
+    if string(type, "rpc_factory: type") != "xmlrpc":
+        raise Fault(f"rpc_factory: type is 'xmlrpc', not '{type}'")
+    address = string(url, "rpc_factory: url")
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port or 80
+    except ValueError:
+        host, port = None, 0
+    if host is None or parts.scheme != "http":
+        raise Fault(f"rpc_factory: '{address}' is no address such as http://127.0.0.1:40404/RPC2")
+    return RpcHandle(address, host, port, parts.path or "/RPC2")
+
+
+def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[Any]) -> Waiting:
+    """`base.name(arguments)`"""
+    if not isinstance(base, RpcHandle):
+        raise type_error(f"{type_name(base)} has no method '{name}'")
+    if name == "closeXMLRPCClientConnection":
+        return None
+    # Loaded by who needs it: it brings a good part of the standard library along.
+    from xmlrpc.client import dumps
+
+    body = dumps(tuple(map(_sent, arguments)), methodname=name).encode()
+    thread.machine.charge(len(body))
+    answer = yield from _exchange(thread, base, name, body)
+    return _received(thread, base, name, answer)
+
+
+def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -> Waiting:
+    """The body of the answer."""
+    what, sockets = f"{name}: {handle.url}", thread.world.sockets
+    thread.machine.remote_calls += 1
+    # A name that no program writes: its strings hold one kind of quote or the other.
+    socket, left = f"rpc '{thread.machine.remote_calls}\"", PATIENCE / thread.world.period
+    sockets.open(socket, handle.host, handle.port)
+    try:
+        while sockets.state(socket) == "connecting" and left > 0:
+            left -= 1
+            yield
+        try:
+            request = HttpRequest("POST", handle.path, {"Content-Type": "text/xml"}, body)
+            is_sent = sockets.send(socket, request.encode(f"{handle.host}:{handle.port}"))
+        except BadValue as error:
+            raise Fault(f"{what}: {error}") from None
+        if not is_sent:
+            raise Fault(f"{what} cannot be connected to")
+        parser = HttpParser("response")
+        while True:
+            buffer = sockets.received(socket)
+            data = bytes(buffer)
+            buffer.clear()
+            try:
+                response = parser.feed(data) if data else None
+                if response is None and not data and sockets.state(socket) != "open":
+                    response = parser.end()
+            except PacketError as error:
+                raise Fault(f"{what} does not answer as a server of XML-RPC: {error}") from None
+            if response is not None:
+                assert isinstance(response, HttpResponse)
+                if response.status != 200:
+                    raise Fault(f"{what} answers {response.status} {response.reason}")
+                return response.body
+            if left <= 0:
+                raise Fault(f"{what} has not answered within {PATIENCE:g} s")
+            left -= 1
+            yield
+    finally:
+        sockets.close(socket)
+
+
+def _sent(value: Any) -> Any:
+    """As it goes into a request."""
+    if isinstance(value, Pose):
+        return dict(zip(_POSE, map(float, value), strict=True))
+    if value.__class__ is tuple:
+        return [_sent(item) for item in value]
+    if isinstance(value, Struct):
+        return {name: _sent(member) for name, member in value.members.items()}
+    if isinstance(value, (bool, int, float, str)):
+        return value
+    raise type_error(f"a {type_name(value)} cannot be an argument of a remote method")
+
+
+def _received(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -> Any:
+    from xmlrpc.client import Fault as RemoteFault
+    from xmlrpc.client import ResponseError, loads
+
+    thread.machine.charge(len(body))
+    try:
+        (result,), _ = loads(body)
+    except RemoteFault as fault:
+        raise Fault(f"{name}: {handle.url} answers with fault {fault.faultCode}: {fault.faultString}") from None
+    except (ResponseError, ValueError, ArithmeticError, LookupError, RecursionError, SyntaxError, TypeError):
+        raise Fault(f"{name}: {handle.url} does not answer as a server of XML-RPC") from None
+    return _value(thread, result, name)
+
+
+def _value(thread: ScriptThread, result: Any, name: str) -> Any:
+    if isinstance(result, (bool, float, str)):
+        return result
+    if isinstance(result, int):
+        return result if -(2**31) <= result < 2**31 else float(result)
+    if isinstance(result, list):
+        return list_of([_value(thread, item, name) for item in result], thread.machine.charge)
+    if isinstance(result, dict):
+        if result.keys() == set(_POSE) and all(isinstance(result[key], (int, float)) for key in _POSE):
+            return Pose(float(result[key]) for key in _POSE)
+        members = {str(key): _value(thread, member, name) for key, member in result.items()}
+        return struct_of(members, thread.machine.charge)
+    raise Fault(f"{name}: a value of XML-RPC that URScript does not have: {type(result).__name__}")

@@ -1,0 +1,166 @@
+"""What programs reach beyond the arm: servers of XML-RPC, Modbus signals, and the tool's line and outputs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+import urlink
+from linkcore.errors import BadValue
+from urlink.simulator import Controller, Still
+
+PATIENCE = 20.0
+Run = Callable[[str], tuple[str, ...]]
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11", motion=Still()) as controller:
+        yield controller
+
+
+@pytest.fixture
+def run(controller: Controller) -> Iterator[Run]:
+    """Runs a program to its end; what it has said."""
+    with urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot:
+
+        def run(text: str) -> tuple[str, ...]:
+            return robot.script.run(text, wait=PATIENCE).texts
+
+        yield run
+
+
+@pytest.fixture
+def server() -> Iterator[SimpleXMLRPCServer]:
+    made = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False, allow_none=True)
+    made.register_function(lambda *values: list(values), "echo")
+    made.register_function(lambda a, b: a + b, "add")
+    made.register_function(lambda: {"x": 1, "y": 2.5, "z": 0, "rx": 0, "ry": 0, "rz": 3}, "where")
+    made.register_function(lambda: {"name": "part", "count": 3}, "part")
+    made.register_function(lambda pose: pose["y"], "y_of")
+    made.register_function(lambda: 1 / 0, "fail")
+    made.register_function(lambda: b"bytes", "odd")
+    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    yield made
+    made.shutdown()
+    made.server_close()
+    thread.join()
+
+
+def test_methods_of_a_server_are_called(run: Run, server: SimpleXMLRPCServer) -> None:
+    url = f"http://127.0.0.1:{server.server_address[1]}/RPC2"
+    texts = run(
+        f"""rpc = rpc_factory("xmlrpc", "{url}")
+textmsg(rpc.echo(1, 2.5))
+textmsg(rpc.echo(True)[0])
+textmsg(rpc.echo("text")[0])
+x = rpc.add(1, 2) + rpc.add(0.5, rpc.add(1, 1))
+textmsg(x)
+if rpc.add(1, 1) == 2 and rpc.add(1, 1) != 3:
+  textmsg("both")
+end
+p1 = rpc.where()
+textmsg(p1)
+textmsg(rpc.y_of(p1))
+textmsg(rpc.part().count)
+rpc.closeXMLRPCClientConnection()
+"""
+    )
+    assert texts == ("[1,2.5]", "True", "text", "5.5", "both", "p[1,2.5,0,0,0,3]", "2.5", "3")
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        ("h.fail()", "answers with fault 1: .*division by zero"),
+        ("h.nothing()", 'answers with fault 1: .*method "nothing" is not supported'),
+        ("h.odd()", "a value of XML-RPC that URScript does not have"),
+    ],
+)
+def test_what_a_server_answers_otherwise(run: Run, server: SimpleXMLRPCServer, call: str, error: str) -> None:
+    url = f"http://127.0.0.1:{server.server_address[1]}/RPC2"
+    with pytest.raises(urlink.ScriptFailed, match=error):
+        run(f'h = rpc_factory("xmlrpc", "{url}")\nx = {call}\n')
+
+
+@pytest.mark.parametrize(
+    ("program", "error"),
+    [
+        (
+            'h = rpc_factory("xmlrpc", "http://127.0.0.1:1/RPC2")\nh.method()',
+            r"method: http://127\.0\.0\.1:1/.* cannot",
+        ),
+        # Beyond this computer only where a socket may go too.
+        ('h = rpc_factory("xmlrpc", "http://192.0.2.1/RPC2")\nh.method()', "cannot be connected to"),
+        ('h = rpc_factory("soap", "http://127.0.0.1/")', "type is 'xmlrpc', not 'soap'"),
+        ('h = rpc_factory("xmlrpc", "127.0.0.1:40404")', "is no address such as"),
+        ("h = 5\nh.method()", "int has no method 'method'"),
+        ('h = rpc_factory("xmlrpc", "http://127.0.0.1:29999/")\nh.method()', "does not answer as a server of XML-RPC"),
+        ("x = tool_pose()", "tool_pose: what it gives is not known, and it is not modelled"),
+        ('eip_reader_factory("x", 1)', "eip_reader_factory: EtherNet/IP is not modelled"),
+    ],
+)
+def test_what_ends_a_program(run: Run, program: str, error: str) -> None:
+    with pytest.raises(urlink.ScriptFailed, match=error):
+        run(program)
+
+
+def test_modbus_signals_are_named_values(controller: Controller, run: Run) -> None:
+    controller.modbus["pressure"] = 420
+    add = 'modbus_add_signal("192.168.0.5", 255, 128, {}, "{}", False)\n'
+    texts = run(
+        add.format(2, "pressure")
+        + add.format(0, "door")
+        + add.format(1, "lamp")
+        + add.format(3, "speed")
+        + """modbus_set_signal_update_frequency("pressure", 20)
+modbus_set_signal_watchdog("pressure", True)
+modbus_set_runstate_dependent_choice("lamp", 3)
+textmsg(modbus_get_signal_status("pressure", False))
+textmsg(modbus_get_signal_status("door", False))
+modbus_set_output_signal("lamp", True, False)
+modbus_set_output_register("speed", 77, False)
+textmsg(modbus_get_error("door"), modbus_get_time_since_signal_invalid("door"))
+modbus_send_custom_command("192.168.0.5", 255, 6, [1, 2])
+"""
+    )
+    assert texts == ("420", "False", "00")
+    assert dict(controller.modbus) == {"pressure": 420, "door": 0, "lamp": 1, "speed": 77}
+    pressure = controller.modbus.signal("pressure")
+    assert pressure is not None
+    assert (pressure.frequency, pressure.watchdog, pressure.address) == (20, True, 128)
+    controller.modbus["door"] = 1
+    controller.modbus.fail("door", 11)
+    wait = "while modbus_get_time_since_signal_invalid('door') < 0.02:\n  sync()\nend\n"
+    assert run(wait + "textmsg(modbus_get_error('door'), modbus_get_signal_status('door', False))") == ("11True",)
+    for name, value, error in (("door", 2, "from 0 to 1"), ("speed", 65536, "from 0 to 65535"), ("speed", -1, "0")):
+        with pytest.raises(BadValue, match=error):
+            controller.modbus[name] = value
+    with pytest.raises(BadValue, match="no program has added"):
+        controller.modbus.fail("nothing", 1)
+    for program, error in (
+        ("modbus_get_signal_status('nothing', False)", "there is no Modbus signal 'nothing'"),
+        ("modbus_set_output_signal('door', True, False)", "'door' is a digital input"),
+        ("modbus_delete_signal('door')\nmodbus_get_error('door')", "there is no Modbus signal 'door'"),
+    ):
+        with pytest.raises(urlink.ScriptFailed, match=error):
+            run(program)
+
+
+def test_the_tool_is_set_up_by_a_program(controller: Controller, run: Run) -> None:
+    run(
+        "set_tool_communication(True, 115200, 2, 1, 1.5, 3.5)\nset_tool_voltage(24)\nset_tool_output_mode(0)\n"
+        "set_tool_digital_output_mode(0, 2)\nset_tool_digital_output_mode(1, 3)\nset_tool_digital_out(1, True)\n"
+        "m = inv([[2, 0], [0, 4]])\nset_standard_analog_out(0, m[1, 1])\n"
+    )
+    signals = controller.signals
+    assert signals.tool_communication == (True, 115200, 2, 1, 1.5, 3.5)
+    assert (signals.tool_output_voltage, signals.tool_digital_output_modes) == (24, [2, 3])
+    assert signals.digital_outputs >> 17 & 1
+    assert signals.analog_outputs[0] == pytest.approx(0.008)
+    with pytest.raises(urlink.ScriptFailed, match="inv: m has no inverse"):
+        run("m = inv([[1, 1], [1, 1]])")

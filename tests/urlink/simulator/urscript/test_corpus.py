@@ -1,0 +1,36 @@
+"""Programs with the constructs of public ones compile, and run to their end or to where they wait for somebody."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.urlink.simulator.urscript.corpus import programs
+from tests.urlink.simulator.urscript.standin import StandIn
+from urlink.firmware import Firmware
+from urlink.simulator.urscript import Execution, compile_script
+
+PROGRAMS = dict(programs())
+#: Cycles after which a program that still runs waits for the outside world: none here computes for so long.
+CYCLES = 40
+
+
+@pytest.mark.parametrize("version", ["3.15", "5.11", "10.12"])
+def test_every_program_compiles_and_runs(version: str) -> None:
+    firmware = Firmware.parse(version)
+    count = 0
+    for name, text in PROGRAMS.items():
+        if "e-Series" in name and not firmware.is_e_series:
+            continue
+        script = compile_script(text, firmware)
+        count += 1
+        # What runs is the same on each of them; to compile is what differs.
+        if version == "5.11":
+            world = StandIn(version)
+            execution = Execution(script, world)
+            for _ in range(CYCLES):
+                execution.advance()
+                world.cycle += 1
+                world.sockets.step()
+            assert execution.error is None, f"{name}: {execution.error}\n{text}"
+            execution.stop()
+    assert count >= 140
