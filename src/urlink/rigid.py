@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,7 +62,8 @@ Quaternion = tuple[Number, Number, Number, Number]
 IDENTITY: Rigid[float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-class Functions(NamedTuple, Generic[Number]):
+@dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
+class Functions(Generic[Number]):
     """The functions that formulas need, for floats or for arrays."""
 
     sin: Callable[[Number], Number]

@@ -12,8 +12,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.streaming.connection import Connection
@@ -45,7 +46,8 @@ _SLIDER = 0.005
 _SHOWS_PAYLOAD, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 0)
 
 
-class Echo(NamedTuple, Generic[T]):
+@dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
+class Echo(Generic[T]):
     """Where a robot shows a setting.
 
     Attributes:
