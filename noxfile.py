@@ -1,8 +1,10 @@
 """The project's checks. `nox` runs the gate, `nox -l` lists everything."""
 
+import shutil
 from pathlib import Path
 
 import nox
+from packaging.requirements import Requirement
 
 nox.needs_version = ">=2025.2.9"
 nox.options.sessions = ["tests", "lint", "types", "docs"]
@@ -221,3 +223,39 @@ def wheel(session: nox.Session) -> None:
     )
     config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
     session.run("pytest", *config, *(session.posargs or [*PARALLEL, str(ROOT / "tests")]))
+
+
+@nox.session(reuse_venv=False)
+def sdist(session: nox.Session) -> None:
+    """Unpack the source distribution somewhere else, install it from there, and run its tests."""
+    dist = Path(session.create_tmp()).resolve() / "sdist"
+    session.install("build")
+    # A wheel too, which `build` makes from the source distribution.
+    session.run("python", "-m", "build", "--outdir", str(dist))
+    (packed,) = dist.glob("*.tar.gz")
+    shutil.unpack_archive(packed, dist, filter="data")
+    session.chdir(dist / packed.name.removesuffix(".tar.gz"))
+    session.install(f".{EXTRAS}", *group("tests"))
+    session.run("pytest", *(session.posargs or [*PARALLEL, "tests"]))
+
+
+@nox.session(reuse_venv=False)
+def nightly(session: nox.Session) -> None:
+    """Try the newest release of everything that others make, and take no byte that is not known.
+
+    Whatever a group pins is asked for without its pin, so a release of theirs that breaks something is known the night
+    after. `construct` is held by the distribution itself, so it is put in afterwards.
+    """
+    newest = sorted(
+        {Requirement(each).name for each in group("tests", "interop", "kinematics") if "math3d" not in each}
+    )
+    session.install("-e", f".{EXTRAS}")
+    session.install("--upgrade", "--upgrade-strategy=eager", *newest, "math3d==3.0.3")
+    session.install("--upgrade", "numpy", "construct")
+    session.run("python", "-m", "pip", "freeze")
+    strict = {"URLINK_STRICT": "1"}
+    ignored = ("-W", "ignore:notifyAll:DeprecationWarning")
+    # Real packets and other people's clients: nothing in them may be unknown.
+    session.run("pytest", *ignored, "tests/interop", *session.posargs, env=strict, success_codes=[0, 5])
+    session.run("pytest", *PARALLEL, "-m", "captures", "tests", *session.posargs, env=strict, success_codes=[0, 5])
+    session.run("pytest", *PARALLEL, *ignored, "tests", *session.posargs, env=COMPILED)

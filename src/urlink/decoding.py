@@ -8,6 +8,7 @@ from typing import Literal, overload
 
 from linkcore.errors import BadValue, PacketError
 from linkcore.wire.packet import State
+from linkcore.wire.strict import check_explained, is_strict, strictly
 
 from .firmware import Firmware, release_of
 from .interfaces.primary.decoder import PackageDecoder
@@ -31,6 +32,8 @@ def decode(
     data: bytes, interface: Interface, firmware: str | Firmware | None = None
 ) -> list[RealtimeState] | list[State]:
     """Decode one or many whole packets.
+
+    With ``URLINK_STRICT=1`` in the environment, tails and unknown types are errors.
 
     Args:
         data: the bytes, whole packets, one after the other.
@@ -64,6 +67,8 @@ def decode(
         boundary, decode_frame, name = RealtimeBoundary(), _realtime_decoder(version), "RealtimeState"
     else:
         boundary, decode_frame, name = PackageBoundary(), _package_decoder(version).decode, "package"
+    if is_strict():
+        decode_frame = _strict_decoder(interface, version)
     states: list[State] = []
     at = 0
     while at < end:
@@ -94,6 +99,20 @@ def _known(firmware: str | Firmware) -> Firmware:
     version = Firmware.parse(firmware)
     release_of(version)
     return version
+
+
+def _strict_decoder(interface: Interface, version: Firmware | None) -> Callable[[bytes], State]:
+    """Takes only packets of which every byte is known."""
+    if interface != "realtime":
+        return strictly(PackageDecoder(version))
+    decode_state = _realtime_decoder(version)
+
+    def decode_frame(frame: bytes) -> RealtimeState:
+        state = decode_state(frame)
+        check_explained(state, 0, len(state.tail))
+        return state
+
+    return decode_frame
 
 
 @lru_cache

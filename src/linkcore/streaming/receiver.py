@@ -14,6 +14,7 @@ from ..errors import PacketError
 from ..stamp import Stamp
 from ..text import printable
 from ..wire.protocol import PacketProtocol
+from ..wire.strict import is_strict, strictly
 from .statistics import StreamCounters
 
 __all__ = ["Receiver"]
@@ -35,6 +36,7 @@ class Receiver:
         self._protocol = protocol
         self._feed = protocol.framer.feed
         self._counters = counters
+        self._strictly = strictly(protocol) if is_strict() else None
 
     @property
     def rest(self) -> bytes:
@@ -53,7 +55,8 @@ class Receiver:
         if not frames:
             return ()
         counters.received += len(frames)
-        decode = self._protocol.decode  # anew each time: a protocol may have learnt from these frames how to
+        # Anew each time: a protocol may have learnt from these frames how to.
+        decode = self._strictly or self._protocol.decode
         packets = []
         for frame in frames:
             try:
