@@ -81,8 +81,10 @@ def pressing(firmware: str) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("firmware", FIRMWARES)
-@pytest.mark.parametrize("way", ["told", "silent", "preempted"])
+@pytest.mark.parametrize(
+    ("firmware", "way"),
+    [("3.15", "told"), ("3.15", "silent"), ("3.15", "preempted"), ("5.25", "silent"), ("10.12", "told")],
+)
 def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -> None:
     bench = pressing(firmware)
     bench.tell([0, 0, -10.0, 0, 0, 0], 0.8)
@@ -108,7 +110,7 @@ def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -
     assert bench.pose == at
 
 
-@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("firmware", ["3.15", "5.11"])
 def test_freedrive_lasts_as_long_as_words_come(firmware: str) -> None:
     bench = Bench(firmware)
     axes = [True, False, True, False, False, False] if bench.firmware >= (5, 10) else None
@@ -117,14 +119,14 @@ def test_freedrive_lasts_as_long_as_words_come(firmware: str) -> None:
     bench.controller.push([0, 0, 10.0, 0, 0, 0])
     bench.tell([0.0] * 6, 0.5)
     assert bench.pose[2] - bench.start[2] > 0.005
-    bench.silent(0.6)
+    bench.silent(0.4)
     assert not bench.is_running
     at = bench.pose
     bench.silent(0.2)
     assert bench.pose == at
 
 
-@pytest.mark.parametrize("firmware", ["5.25", "10.12"])
+@pytest.mark.parametrize("firmware", ["5.25"])
 def test_torques_move_the_arm_and_fade(firmware: str) -> None:
     bench = Bench(firmware)
     bench.take(yielding.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
@@ -136,7 +138,7 @@ def test_torques_move_the_arm_and_fade(firmware: str) -> None:
     assert not any(bench.controller.arm.setpoint.qd)
 
 
-@pytest.mark.parametrize(("firmware", "force"), [("3.15", 20.0), ("5.3", 20.0), ("5.4", None), ("5.25", None)])
+@pytest.mark.parametrize(("firmware", "force"), [("3.15", 20.0), ("5.4", None)])
 def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None) -> None:
     bench = Bench(firmware)
     bench.table(0.01)
