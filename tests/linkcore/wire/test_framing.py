@@ -142,6 +142,49 @@ def test_a_peer_that_sends_no_packet_is_given_up() -> None:
     assert framer.feed(b"wauwau" * 1000 + ONE) == [ONE]
 
 
+def test_exactly_as_much_as_the_limit_is_forgiven() -> None:
+    framer = Framer(HashBoundary(), limit=1000)
+    framer.feed(b"x" * 1002)
+    assert framer.skipped == 1000
+    with pytest.raises(WrongPeer, match="1002 bytes came"):
+        framer.feed(b"xx")
+
+
+class WholeBoundary(HashBoundary):
+    """Cuts whole packets in one go, as those of the robot's interfaces do."""
+
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
+        found: list[bytes] = []
+        at = 0
+        while (size := self.declared(buffer, at)) and buffer[at + size - 1 : at + size] == b".":
+            found.append(bytes(buffer[at : at + size]))
+            at += size
+        return found
+
+
+def test_packets_that_were_cut_in_one_go_prove_the_peer_as_well() -> None:
+    framer = Framer(WholeBoundary(), limit=1000)
+    assert framer.feed(ONE + TWO + b"x") == [ONE, TWO]
+    assert framer.feed(b"x" * 5000) == []
+    assert framer.feed(TWO) == [TWO]
+
+
+def test_out_of_step_it_does_not_look_again_for_each_byte() -> None:
+    class SlowBoundary(HashBoundary):
+        pace = 50
+        searches = 0
+
+        def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
+            self.searches += 1
+            return super().search(buffer, start)
+
+    boundary = SlowBoundary()
+    framer = Framer(boundary)
+    for _ in range(1000):
+        framer.feed(b"x")
+    assert 1000 / 60 < boundary.searches < 1000 / 40
+
+
 @pytest.mark.property
 @given(
     st.lists(
