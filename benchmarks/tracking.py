@@ -5,6 +5,7 @@ streams it in real time to simulated controllers of both rates, each in a proces
 controller.
 
     python benchmarks/tracking.py                     # four runs at 125 and at 500 Hz
+    python benchmarks/tracking.py --link rtde         # by input registers, to 3.15, 5.4 and 5.11
     python benchmarks/tracking.py --output FILE       # writes the curves that the docs show
 """
 
@@ -21,8 +22,13 @@ from numpy.typing import NDArray
 
 import urlink
 from urlink.motion import TrajectoryFeedback
+from urlink.motion.motions import LinkName
 
-ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
+#: How set-points get to the robot -> the arms that are led so.
+ARMS: dict[LinkName, tuple[tuple[str, str], ...]] = {
+    "reverse": (("UR5", "3.4"), ("UR5e", "5.11")),
+    "rtde": (("UR5", "3.15"), ("UR5e", "5.4"), ("UR5e", "5.11")),
+}
 JOINT = 5
 #: rad; elbow up, tool down, and the tool joint away from where it goes first.
 START = (0.0, -1.6, 1.6, -1.6, -1.6, 0.25)
@@ -36,7 +42,7 @@ DRAWN = 10
 FloatArray = NDArray[np.float64]
 
 
-def run(robot: urlink.Robot, rate: int, pace: float) -> dict[int, tuple[float, float, float]]:
+def run(robot: urlink.Robot, rate: int, pace: float, link: LinkName) -> dict[int, tuple[float, float, float]]:
     """Cycle since the start -> desired position, rad, and speed, rad/s, and actual position of the tool joint."""
     robot.motion.move_joints(START).wait()
     here = robot.realtime.wait(5).q_target
@@ -49,16 +55,16 @@ def run(robot: urlink.Robot, rate: int, pace: float) -> dict[int, tuple[float, f
         desired, speed, actual = told.q_desired[JOINT], told.qd_desired[JOINT], told.q_actual[JOINT]
         seen[round(told.time * rate)] = (float(desired), float(speed), float(actual))
 
-    robot.motion.follow(trajectory, feedback=note).wait()
+    robot.motion.follow(trajectory, feedback=note, link=link).wait()
     return seen
 
 
-def measure(model: str, firmware: str, runs: int, pace: float) -> dict[str, Any]:
+def measure(model: str, firmware: str, runs: int, pace: float, link: LinkName) -> dict[str, Any]:
     """The figures and the curves of one controller."""
     with simulated(model, firmware) as address, urlink.connect(address) as robot:
         assert robot.firmware is not None
         rate = robot.firmware.rate
-        seen = [run(robot, rate, pace) for _ in range(runs)]
+        seen = [run(robot, rate, pace, link) for _ in range(runs)]
     cycles = sorted(set[int].intersection(*map(set, seen)))
     most = max(len(each) for each in seen)
     desired, speed = (np.array([seen[0][cycle][i] for cycle in cycles]) for i in (0, 1))
@@ -100,12 +106,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two runs at twice the speed")
     parser.add_argument("--output", type=Path, help="write the figures and the curves as JSON")
+    parser.add_argument("--link", choices=list(ARMS), default="reverse", help="how set-points get to the robot")
     options = parser.parse_args()
     runs, pace = (2, 2.0) if options.quick else (4, 1.0)
     print(f"tool joint, {runs} runs          largest error   of that a lag of   beside the lag   between runs (goal)")
     found = []
-    for model, firmware in ARMS:
-        figures = measure(model, firmware, runs, pace)
+    for model, firmware in ARMS[options.link]:
+        figures = measure(model, firmware, runs, pace, options.link)
         found.append(figures)
         name = f"{model} {firmware}, {figures['rate']} Hz"
         print(

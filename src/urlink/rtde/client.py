@@ -11,6 +11,8 @@ from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
+from linkcore.streaming.receiver import Receiver
+from linkcore.streaming.statistics import StreamCounters
 
 from ..firmware import Firmware
 from ..interfaces.rtde.framing import LONGEST_NAMES
@@ -301,15 +303,16 @@ class Rtde:
     @staticmethod
     def _replies(transport: RtdeTransport, count: int, until: float) -> list[OutputsReply | InputsReply]:
         """The answers about so many recipes; what else comes is passed over."""
-        listener = RtdeProtocol(Plan())  # the bytes of the dialogue come first
+        receiver = Receiver(transport.name, RtdeProtocol(Plan()), StreamCounters())  # the dialogue's bytes come first
         replies: list[OutputsReply | InputsReply] = []
         while len(replies) < count:
             left = until - time.monotonic()
             if left <= 0:
                 raise LinkTimeout(f"{transport.name}: {len(replies)} of {count} requests were answered in time")
             data, stamp = transport.receive(left)
-            packets, _ = listener.decode_all(listener.framer.feed(data), stamp)
-            replies += [packet for packet in packets if isinstance(packet, (OutputsReply, InputsReply))]
+            replies += [
+                packet for packet in receiver.feed(data, stamp) if isinstance(packet, (OutputsReply, InputsReply))
+            ]
         return replies
 
     def _check_writable(self) -> None:

@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, ConnectFailed, LinkTimeout, PacketError
+from linkcore.streaming.receiver import Receiver
+from linkcore.streaming.statistics import StreamCounters
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests import real_captures
@@ -55,11 +57,11 @@ def opened(desk: Desk, plan: Plan, timeout: float = 2.0) -> tuple[RtdeTransport,
 
 def received(transport: RtdeTransport, plan: Plan, count: int = 1) -> list[Any]:
     """What a stream gets of the next chunks, the bytes of the dialogue included."""
-    protocol = RtdeProtocol(plan)
+    receiver = Receiver("desk", RtdeProtocol(plan), StreamCounters())
     packets: list[Any] = []
     while sum(isinstance(packet, Outputs) for packet in packets) < count:
         data, stamp = transport.receive(2.0)
-        packets += protocol.decode_all(protocol.framer.feed(data), stamp)[0]
+        packets += receiver.feed(data, stamp)
     return packets
 
 

@@ -288,17 +288,6 @@ class RtdeProtocol:
             _log.log(level, "the controller says: %r (%s)", packet.message, packet.source or "no source")
         return packet
 
-    def decode_all(self, frames: Sequence[bytes], stamp: Stamp | None = None) -> tuple[list[Any], list[PacketError]]:
-        """The packets in many frames, in order, and an error for each that holds none."""
-        states: list[Any] = []
-        failures: list[PacketError] = []
-        for frame in frames:
-            try:
-                states.append(self.decode(frame, stamp))
-            except PacketError as error:
-                failures.append(error)
-        return states, failures
-
 
 def claim_of(names: Sequence[str], reply: InputsReply) -> Recipe:
     """The recipe of inputs that were claimed.
