@@ -1,0 +1,94 @@
+"""The example of a robot behind an MQTT broker, with a real one (mosquitto), where there is one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import urlink
+from tests.waiting import until
+from urlink.simulator import Controller
+
+mqtt = pytest.importorskip("paho.mqtt.client")
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "mqtt_robot.py"
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
+
+pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto (apt install mosquitto)")
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[int]:
+    """The port of a mosquitto."""
+    assert MOSQUITTO is not None
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+    config = tmp_path / "mosquitto.conf"
+    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    process = subprocess.Popen([MOSQUITTO, "-c", str(config)], stderr=subprocess.DEVNULL)
+
+    def answers() -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+        except OSError:
+            return False
+        return True
+
+    try:
+        until(answers)
+        yield port
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_robot_behind_a_broker(broker: int) -> None:
+    heard: dict[str, list[Any]] = {"arm/state": [], "arm/motion": []}
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        command = [sys.executable, "-W", "error", str(EXAMPLE), controller.address, "--port", str(broker)]
+        process = subprocess.Popen(command)
+        try:
+            watch = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+            watch.on_message = lambda client, userdata, message: heard[message.topic].append(
+                json.loads(message.payload)
+            )
+            watch.connect("127.0.0.1", broker)
+            for topic in heard:
+                watch.subscribe(topic)
+            watch.loop_start()
+            until(lambda: sum("q" in state for state in heard["arm/state"]) > 5, 20.0)
+
+            panel = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+            panel.will_set("arm/gone/panel", "")
+            panel.connect("127.0.0.1", broker)
+            panel.loop_start()
+            until(panel.is_connected)
+            panel.publish("arm/move_joints", json.dumps({"q": HOME, "client": "panel"}))
+            until(lambda: heard["arm/motion"], 20.0)
+            assert heard["arm/motion"] == [{"phase": "done", "error": None}]
+            panel.publish("arm/move_joints", json.dumps({"q": [0.0]}))
+            until(lambda: len(heard["arm/motion"]) == 2)
+            assert heard["arm/motion"][1]["error"].startswith("BadValue")
+
+            panel.publish("arm/move_joints", json.dumps({"q": [1.0, *HOME[1:]], "speed": 0.1, "client": "panel"}))
+            until(lambda: robot.realtime.wait().q_actual[0] > 0.02)
+            # Lost, rather than gone in order: the broker says its last will.
+            panel.socket().shutdown(socket.SHUT_RDWR)
+            panel.loop_stop()
+            until(lambda: len(heard["arm/motion"]) == 3)
+            assert heard["arm/motion"][2]["phase"] == "cancelled"
+            assert robot.realtime.wait().q_actual[0] < 0.9
+            watch.disconnect()
+            watch.loop_stop()
+        finally:
+            process.terminate()
+            process.wait(10.0)
