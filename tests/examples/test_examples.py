@@ -171,6 +171,19 @@ def test_servo_loop() -> None:
     assert second.startswith("off by less than")
 
 
+def test_umi_schedule() -> None:
+    text = output("umi_schedule.py", "--duration", "0.6")
+    assert re.fullmatch(r"\d+ poses scheduled, \d+ of them too late; \d+ states seen at last\n", text)
+
+
+def test_gello_servo() -> None:
+    text = output("gello_servo.py", "--duration", "0.5")
+    told = re.fullmatch(r"(\d+) targets, \d+ late; never faster than (\d\.\d\d) rad/s\n", text)
+    assert told is not None
+    assert int(told[1]) > 3
+    assert float(told[2]) <= 1.5
+
+
 def test_watch_and_recover() -> None:
     lines = output("watch_and_recover.py", "--demonstrate", "--rounds", "1").splitlines()
     assert lines == [

@@ -190,7 +190,7 @@ SURFACES = {
     "robot.teach()": "freedrive record taught",
     "robot.teach().taught": "add load model play points remove_last save waypoints",
     "robot.freedrive()": f"{HANDLE} progress",
-    "robot.motion.servo()": f"{HANDLE} progress rate send stats",
+    "robot.motion.servo()": f"{HANDLE} measure_delay progress rate schedule send stats",
     "robot.script": "run send_line",
     "robot.script.run('sync()')": f"{HANDLE} texts",
     "robot.io": """analog_in analog_out configurable_digital_in configurable_digital_out digital_in digital_out
@@ -274,7 +274,7 @@ DEFAULTS = {
     ),
     "robot.motion.follow": (
         "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
-        "feedback=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, link='reverse', wait=False"
+        "feedback=None, delay=None, watchdog=0.1, lookahead_time=0.03, gain=300.0, link='reverse', wait=False"
     ),
     "robot.motion.force_mode": "kind=2, damping=None, gain=None, watchdog=0.5, link='reverse'",
     "robot.motion.jog": "frame='joints', acceleration=1.2, timeout=0.3, watchdog=0.2, link='reverse'",
@@ -283,7 +283,7 @@ DEFAULTS = {
     "robot.motion.move_linear": "speed=0.25, acceleration=1.2, time=None, wait=False",
     "robot.motion.path": "speed=0.25, acceleration=1.2, joint_speed=1.05, joint_acceleration=1.4, wait=False",
     "robot.motion.servo": (
-        "rate=None, target_filter=None, speed=1.05, acceleration=3.0, jerk=30.0, watchdog=0.1, "
+        "rate=None, target_filter=None, speed=1.05, acceleration=3.0, jerk=30.0, delay=None, watchdog=0.1, "
         "lookahead_time=0.03, gain=300.0, link='reverse'"
     ),
     "robot.motion.speed_joints": "acceleration=1.4, duration=0.5",

@@ -21,16 +21,13 @@ from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript.programs import InputRegisters, ReverseSocket
-from .following import Following, Tolerances
+from .following import AHEAD, Following, Tolerances
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import SpeedLimit
 from .trajectory import Trajectory
 
 __all__ = ["Follower"]
 
-#: Cycles from a state to that in which the set-point that it brings about takes effect: it is sent back within the next
-#: one, and the program takes it up at the beginning of the one after.
-_AHEAD = 2
 #: rad/s at most with which the arm is led from where it is to the trajectory.
 _FADE_SPEED = 0.25
 #: Seconds that this takes at least.
@@ -91,11 +88,21 @@ class Follower(Following):
     Args:
         servoing: how its set-points are followed.
         model: the arm; None if it is not known.
+        delay: s from a state to the one in which the arm is where the set-point that answered it was; None for the
+            cycles that a set-point takes to arrive.
     """
 
-    def __init__(self, trajectory: Trajectory, tolerances: Tolerances, servoing: Servoing, model: Model | None) -> None:
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        tolerances: Tolerances,
+        servoing: Servoing,
+        model: Model | None,
+        delay: float | None = None,
+    ) -> None:
         self._cycle = 1.0 / servoing.firmware.rate
         super().__init__(trajectory, tolerances, self._cycle)
+        self._delay = AHEAD * self._cycle if delay is None else delay
         self.farewell = STOP_WORD
         self._servoing = servoing
         self._limit = SpeedLimit(model, self._cycle, late=servoing.late)
@@ -136,14 +143,14 @@ class Follower(Following):
                 return WAIT_WORD
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
-            self._t, self._s, self._q = 0.0, (_AHEAD - 1) * self._cycle, here
+            self._t, self._s, self._q = 0.0, (AHEAD - 1) * self._cycle, here
         else:
             self._t += passed
             self._since += passed
             if self._since < 0.5 * self._cycle:
                 return b""
-        word = self._next(self._t + _AHEAD * self._cycle, now)
-        self._compare(state, self._s - _AHEAD * self._cycle)
+        word = self._next(self._t + AHEAD * self._cycle, now)
+        self._compare(state, self._s - self._delay)
         return word
 
     def _next(self, wanted: float, now: float) -> bytes:

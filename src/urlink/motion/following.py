@@ -17,8 +17,11 @@ from ..urscript.programs import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, FloatArray
 from .trajectory import Trajectory
 
-__all__ = ["ControllerClock", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
+__all__ = ["AHEAD", "ControllerClock", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
 
+#: Cycles from a state to that in which the set-point that it brings about takes effect: it is sent back within the next
+#: one, and the program takes it up at the beginning of the one after.
+AHEAD = 2
 #: rad/s below which an arm stands.
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.

@@ -266,6 +266,7 @@ class Motions:
         goal_time: float = 1.0,
         start_tolerance: float = 0.05,
         feedback: Callable[[TrajectoryFeedback], object] | None = None,
+        delay: float | None = None,
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
@@ -284,6 +285,9 @@ class Motions:
             goal_time: seconds after the end within which the arm has to be there.
             start_tolerance: rad that any joint may be away from the first point.
             feedback: called with where the arm is and should be, from a thread of its own; may be slow, may raise.
+            delay: s that the arm takes to be where it is led, as `Servo.measure_delay` has measured: set-points are
+                sent so much earlier than the arm is to be there, and tolerances and feedback are without this lag. None
+                for the two cycles in which a set-point arrives.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time: s, 0.03 to 0.2; how far ``servoj`` looks ahead: more is smoother and lags more. Not on CB2.
             gain: 100 to 2000; how stiffly ``servoj`` follows. Not on CB2.
@@ -305,6 +309,8 @@ class Motions:
         open_link = self._opener(link)
         if low_bandwidth and link == "rtde":
             raise LocalError("a program that asks for its points needs link='reverse', or leave out low_bandwidth")
+        if low_bandwidth and delay is not None:
+            raise LocalError("a program that asks for its points is led by its own clock: without delay")
         tolerances = Tolerances(
             None if path_tolerance is None else checked(path_tolerance, "path_tolerance", 1e-6, 100.0),
             checked(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
@@ -322,7 +328,7 @@ class Motions:
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
-            following = Follower(trajectory, tolerances, servoing, model)
+            following = Follower(trajectory, tolerances, servoing, model, _delay(delay))
         return _waited(self._follow(following, feedback, open_link), seconds)
 
     def servo(
@@ -333,6 +339,7 @@ class Motions:
         speed: ArrayLike = 1.05,
         acceleration: ArrayLike = 3.0,
         jerk: ArrayLike = 30.0,
+        delay: float | None = None,
         watchdog: float = 0.1,
         lookahead_time: float = 0.03,
         gain: float = 300.0,
@@ -353,6 +360,8 @@ class Motions:
             target_filter: "jerk_limited", or None for a loop that sends set-points.
             speed, acceleration, jerk: rad/s, rad/s² and rad/s³ of a target filter at most, of all joints or (6,) of
                 each.
+            delay: s that the arm takes to be where it is led, as `Servo.measure_delay` has measured: what is scheduled
+                is sent so much earlier. None for the two cycles in which a set-point arrives.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain, link: see `follow`.
         """
@@ -364,7 +373,7 @@ class Motions:
         if target_filter is not None:
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
-        return Servo(self._context, pace, servoing, self._opener(link), limits)
+        return Servo(self._context, pace, servoing, self._opener(link), limits, _delay(delay))
 
     def jog(
         self,
@@ -660,6 +669,10 @@ def _reporter(
             feedback(TrajectoryFeedback(t, q, qd, state.q_actual, state.qd_actual, q - state.q_actual))
 
     return report
+
+
+def _delay(delay: float | None) -> float | None:
+    return None if delay is None else checked(delay, "delay", 0.0, 1.0)
 
 
 def _rates(speed: float, acceleration: float) -> tuple[float, float]:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ..curves import Curve
     from ..kinematics import Arm
 
-__all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "plan"]
+__all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "plan", "shown_tcp"]
 
 #: m; no arm is longer, so a blend that is has the wrong unit.
 _WIDEST = 2.0
@@ -73,6 +73,11 @@ class Waypoint:
         self.blend = checked(blend, "blend", 0.0, _WIDEST)
         self._speed = None if speed is None else checked(speed, "speed", _SLOWEST, _HARDEST)
         self._acceleration = None if acceleration is None else checked(acceleration, "acceleration", _SLOWEST, _HARDEST)
+
+    @property
+    def has_motion_of_its_own(self) -> bool:
+        """It says how it is to be reached, not only where it is."""
+        return bool(self.blend or self._speed or self._acceleration)
 
     def rates(self, usual: Rates) -> Rates:
         """Its own speed and acceleration, where it has some."""
@@ -245,6 +250,16 @@ def plan(
     return Plan(body, sections)
 
 
+def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
+    """(6,) the tool centre point in the frame of the flange, m and rad.
+
+    What set_tcp was told shows in every firmware as the difference between flange and tool.
+    """
+    from ..poses import compose, invert
+
+    return compose(invert(arm.forward(state.q_actual)), state.tool_vector_actual)
+
+
 def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
     figures = (rate.speed, rate.acceleration)
     if isinstance(waypoint, Joint):
@@ -259,11 +274,8 @@ class _Planner:
     """Goes along a path from waypoint to waypoint, corner by corner as if there were no blends."""
 
     def __init__(self, arm: Arm, state: RealtimeState) -> None:
-        from ..poses import compose, invert
-
         self._arm = arm
-        # What set_tcp was told shows in every firmware as the difference between flange and tool.
-        self._tcp = compose(invert(arm.forward(state.q_actual)), state.tool_vector_actual)
+        self._tcp = shown_tcp(arm, state)
         self._q: FloatArray = np.array(state.q_target)
 
     def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> Section:

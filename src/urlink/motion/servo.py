@@ -10,23 +10,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue
+from linkcore.errors import BadValue, LocalError
 
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.text import checked, integer
 from ..vectors import JOINTS, six
 from .context import MotionContext
-from .jerk_limited import JointLimit, TargetFilter
+from .filtered_targets import FilteredTargets
+from .following import AHEAD
+from .jerk_limited import JointLimit
 from .linked import Link
 from .linked_block import LinkedBlock
 from .paced import PacedSetpoints
+from .path import Joint, Linear, Waypoint, shown_tcp
+from .servo_delay import measure
 from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
 from .speed_limit import SpeedLimit
+from .waypoint_schedule import Schedule
 
-__all__ = ["FilteredTargets", "Servo", "ServoStatistics"]
+__all__ = ["Servo", "ServoStatistics"]
 
 #: Intervals that the statistics look back on: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
+#: rad; from one pose to the next no joint turns further, unless they lead through a singularity.
+_LEAP = 1.5
 #: rad that the first set-point may be away from where the arm is led.
 _NEAR = 0.05
 
@@ -50,45 +58,6 @@ class ServoStatistics:
     late: int
 
 
-class FilteredTargets:
-    """What `Servo.send` was told last, on its way through a target filter.
-
-    Args:
-        limits: of each joint.
-        cycle: s of the controller's cycle.
-
-    Attributes:
-        newest: (6,) rad; set by whichever thread sends.
-    """
-
-    def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
-        self.newest: list[float] | None = None
-        self._limits, self._cycle = limits, cycle
-        self._filter = TargetFilter([0.0] * 6, limits)
-
-    @property
-    def has_targets(self) -> bool:
-        return self.newest is not None
-
-    def begin(self, time: float, q: Sequence[float]) -> None:
-        self._filter = TargetFilter(q, self._limits)
-
-    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        self._filter.advance(seconds)
-        return list(self._filter.q), list(self._filter.qd)
-
-    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
-        self._filter.restart(q, qd)
-
-    def at(self, time: float) -> tuple[list[float], list[float]]:
-        if self.newest is not None:
-            self._filter.aim(self.newest)
-        return self._filter.after(self._cycle)
-
-    def accept(self, time: float) -> None:
-        self._filter.advance(self._cycle)
-
-
 class _Leading:
     """What is said to the streaming program when a state has come: the next set-point, where they are made here.
 
@@ -105,7 +74,8 @@ class _Leading:
 
     def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
         self._servoing = servoing
-        self._paced = paced
+        #: set once, by whichever thread
+        self.paced = paced
         #: rad; where the arm is led
         self.here: list[float] | None = None
         self.has_begun = False
@@ -114,8 +84,8 @@ class _Leading:
         return self._servoing.body(link)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        if self._paced is not None:
-            return self._paced.answer(state, now)
+        if self.paced is not None:
+            return self.paced.answer(state, now)
         if self.has_begun:
             return b""
         self.here = state.q_target.tolist()
@@ -141,9 +111,13 @@ class Servo(LinkedBlock):
         servoing: Servoing,
         open_link: Callable[[], Link],
         limits: Sequence[JointLimit] | None = None,
+        delay: float | None = None,
     ) -> None:
         model = context.who.identity.arm
         cycle = 1.0 / servoing.firmware.rate
+        self._servoing = servoing
+        self._schedule: Schedule | None = None
+        self._delay = AHEAD * cycle if delay is None else delay
         self._targets = None if limits is None else FilteredTargets(limits, cycle)
         self._dialogue = _Leading(
             servoing, None if self._targets is None else PacedSetpoints(servoing, model, self._targets)
@@ -170,9 +144,11 @@ class Servo(LinkedBlock):
         Raises:
             BadValue: not six finite numbers, too fast, or beyond a limit of the arm; nothing was sent.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
-            LocalError: not within the block.
+            LocalError: not within the block; or waypoints were scheduled in it.
         """
         self._check_open()
+        if self._schedule is not None:
+            raise LocalError("waypoints were scheduled, so set-points are made of them; schedule the next one too")
         now = self._context.clock()
         values = self._in_range(q)
         if self._targets is not None:
@@ -182,6 +158,95 @@ class Servo(LinkedBlock):
             self._say(setpoint(values, self._speeds(values, now)))
             self._limit.take(self._last or values, values, now)
         self._count_one(values, now)
+
+    def schedule(self, target: ArrayLike | Joint | Linear, at: float) -> float | None:
+        """Be somewhere at a time on the robot's clock, which is that of `RealtimeState.time`.
+
+        Between waypoints the joints go on smoothly, in a curve from where the arm is led through all that are ahead, to
+        rest at the last. A waypoint replaces those of the same time or later. Poses become joint positions closest to
+        those of the waypoint before; the tool goes the straighter between them the closer they are.
+
+        Args:
+            target: (6,) joint positions, rad, or a `Joint`; or a `Linear` with a pose in the base frame.
+            at: s.
+
+        Returns:
+            when the arm will be there: `at`, or later where that is too soon for it, by its limits of speed and
+            acceleration; None where it is over, and nothing was changed.
+
+        Raises:
+            BadValue: no finite numbers, out of the range of a joint, or a leap of a joint.
+            Unreachable: a pose out of reach.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            LocalError: not within the block; with a target filter; or after `send`.
+        """
+        self._check_open()
+        if self._targets is not None:
+            raise LocalError("a servo with a target filter takes targets by send; schedule needs one without")
+        if self._schedule is None and self._last is not None:
+            raise LocalError("set-points were sent in this block; it is either send or schedule")
+        time = checked(at, "at")
+        state = self._context.state()
+        if self._schedule is None:
+            cycle = 1.0 / self._servoing.firmware.rate
+            model = self._context.who.identity.arm
+            schedule = Schedule(model, cycle, self._delay, self._context.section)
+            self._dialogue.paced = PacedSetpoints(self._servoing, model, schedule)
+            self._schedule = schedule
+        schedule = self._schedule
+        here = state.q_target.tolist()
+        values = self._in_range(self._joints_of(target, state, schedule.last or here))
+        reached = schedule.add(values, time, state.time, here)
+        if reached is not None:
+            self._count_one(values, self._context.clock())
+        return reached
+
+    def _joints_of(self, target: ArrayLike | Joint | Linear, state: RealtimeState, near: list[float]) -> ArrayLike:
+        if not isinstance(target, Waypoint):
+            return target
+        if target.has_motion_of_its_own or not isinstance(target, (Joint, Linear)):
+            raise BadValue(f"{target!r} is scheduled by its time; expected a Joint or Linear without blend and speed")
+        if isinstance(target, Joint):
+            return target.q
+        arm = self._context.who.identity.kinematics
+        q = arm.inverse(target.pose, near, shown_tcp(arm, state))
+        for joint, (value, before) in enumerate(zip(q.tolist(), near, strict=True)):
+            if abs(value - before) > _LEAP:
+                raise BadValue(
+                    f"q[{joint}] ({JOINTS[joint]}) would have to go from {before:.4f} to {value:.4f} rad: the pose is "
+                    "beyond a singularity, or too far from the last one"
+                )
+        return q
+
+    def measure_delay(self, joint: int = 5, amplitude: float = 0.05, duration: float = 1.0) -> float:
+        """Measure how long the arm takes to be where it is led. THE ARM MOVES: one joint, there and back.
+
+        Use it in a block of its own; what it returns is for ``follow(delay=)`` and ``servo(delay=)``. It depends on
+        `lookahead_time` and `gain`.
+
+        Args:
+            joint: number of the joint, 0 to 5.
+            amplitude: rad that it goes away, in the direction of its sign.
+            duration: s for the way there and back; it takes half a second more.
+
+        Returns:
+            s from a state to the one in which the arm is where the set-point that answered it was.
+
+        Raises:
+            BadValue: the joint has no such range, or cannot be so fast.
+            LinkError: the arm does not follow, or what ended the servo.
+            LocalError: not within the block, with a target filter, or while waypoints are scheduled.
+        """
+        self._check_open()
+        if self._targets is not None or self._schedule is not None:
+            raise LocalError("the delay is measured in a block of its own, without target filter and waypoints")
+        return measure(
+            self._context.realtime,
+            self.send,
+            int(integer(joint, 0, 5, "joint")),
+            checked(amplitude, "amplitude", -0.5, 0.5),
+            checked(duration, "duration", 0.1, 60.0),
+        )
 
     def _count_one(self, values: list[float], now: float) -> None:
         if self._last is None:

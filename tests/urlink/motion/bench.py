@@ -6,14 +6,21 @@ from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any, Literal, cast
 
+import numpy as np
+
 from tests.urlink.motion.rehearsal import HOME
 from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import model
+from urlink.motion.paced import PacedSetpoints, SetpointSource
+from urlink.motion.setpoints import WAIT_WORD, Servoing, read_word
+from urlink.motion.speed_limit import largest_speeds
 from urlink.simulator.registers import Registers
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
+from urlink.urscript.programs import ReverseSocket
 from urlink.urscript.wrapping import Permission, program
 
 
@@ -121,3 +128,40 @@ class Bench:
     def has_finished(self) -> bool:
         """It has come to its own end."""
         return self.execution.is_over and self.texts[-1] == "tried finished"
+
+
+class Led:
+    """Set-points that are made here, and the program that they lead, on an arm whose clock the test has.
+
+    Its states begin at `BEGIN` on the controller's clock; `sent` are the set-points.
+    """
+
+    BEGIN = 50.0
+
+    def __init__(self, firmware: Firmware, source: SetpointSource) -> None:
+        arm = model("UR5e" if firmware.is_e_series else "UR5")
+        servoing = Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
+        self.paced = PacedSetpoints(servoing, arm, source)
+        self.bench = Bench(servoing.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware)
+        self.sent: list[list[float]] = []
+
+    @property
+    def time(self) -> float:
+        """Of the next state."""
+        return self.BEGIN + self.bench.cycle * self.bench.period
+
+    def state(self) -> RealtimeState:
+        """What of it motions look at."""
+        at = self.bench.motion.setpoint
+        q, qd = np.array(at.q), np.array(at.qd)
+        return cast(RealtimeState, SimpleNamespace(time=self.time, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd))
+
+    def run(self, cycles: int, missed: int = 0) -> None:
+        """So many cycles, of which the first few pass without a state."""
+        for i in range(cycles):
+            if i >= missed:
+                word = self.paced.answer(self.state(), 1000.0 + self.time)
+                self.bench.sockets.waiting.extend(word)
+                if word and word != WAIT_WORD:
+                    self.sent.append(read_word(word)[0])
+            self.bench.run()

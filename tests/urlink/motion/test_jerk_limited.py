@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -12,21 +10,16 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.bench import Led
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
-from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import model
+from urlink.motion.filtered_targets import FilteredTargets
 from urlink.motion.jerk_limited import JointLimit, Profile, TargetFilter, joint_limits
-from urlink.motion.paced import PacedSetpoints
-from urlink.motion.servo import FilteredTargets
-from urlink.motion.setpoints import WAIT_WORD, Servoing, read_word
-from urlink.motion.speed_limit import largest_speeds
-from urlink.urscript.programs import ReverseSocket
 
 _limits = st.builds(JointLimit, st.floats(0.05, 4.0), st.floats(0.1, 40.0), st.floats(0.5, 500.0))
 _part = st.one_of(st.just(0.0), st.floats(-1.0, 1.0))
-_FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.11", "5.25")]
+_FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.25")]
 
 
 @pytest.mark.property
@@ -92,28 +85,13 @@ def test_targets_whatever_they_are_and_whenever_they_come(
     assert led.qd == led.qdd == [0.0] * 6
 
 
-class Loop:
-    """A servo with a target filter and the program that it leads, on an arm whose clock the test has."""
+class Loop(Led):
+    """A servo with a target filter."""
 
     def __init__(self, firmware: Firmware, speed: float, acceleration: float, jerk: float) -> None:
-        arm = model("UR5e" if firmware.is_e_series else "UR5")
-        servoing = Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)
-        self.targets = FilteredTargets(joint_limits(arm, speed, acceleration, jerk), 1.0 / firmware.rate)
-        self.paced = PacedSetpoints(servoing, arm, self.targets)
-        self.bench = Bench(servoing.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware)
-        self.sent: list[list[float]] = []
-
-    def run(self, cycles: int, missed: int = 0) -> None:
-        """So many cycles, of which the first few pass without a state."""
-        for i in range(cycles):
-            if i >= missed:
-                now, at = self.bench.cycle * self.bench.period, self.bench.motion.setpoint
-                state = SimpleNamespace(time=50.0 + now, q_target=np.array(at.q), qd_target=np.array(at.qd))
-                word = self.paced.answer(cast(RealtimeState, state), 1000.0 + now)
-                self.bench.sockets.waiting.extend(word)
-                if word and word != WAIT_WORD:
-                    self.sent.append(read_word(word)[0])
-            self.bench.run()
+        limits = joint_limits(model("UR5e"), speed, acceleration, jerk)
+        self.targets = FilteredTargets(limits, 1.0 / firmware.rate)
+        super().__init__(firmware, self.targets)
 
 
 @pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)

@@ -1,0 +1,48 @@
+"""Targets of a servo on their way through a target filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .jerk_limited import JointLimit, TargetFilter
+
+__all__ = ["FilteredTargets"]
+
+
+class FilteredTargets:
+    """Makes the set-points of a servo from what `Servo.send` was told last.
+
+    Args:
+        limits: of each joint.
+        cycle: s of the controller's cycle.
+
+    Attributes:
+        newest: (6,) rad; set by whichever thread sends.
+    """
+
+    def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
+        self.newest: list[float] | None = None
+        self._limits, self._cycle = limits, cycle
+        self._filter = TargetFilter([0.0] * 6, limits)
+
+    @property
+    def has_targets(self) -> bool:
+        return self.newest is not None
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        self._filter = TargetFilter(q, self._limits)
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        self._filter.advance(seconds)
+        return list(self._filter.q), list(self._filter.qd)
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        self._filter.restart(q, qd)
+
+    def at(self, time: float) -> tuple[list[float], list[float]]:
+        if self.newest is not None:
+            self._filter.aim(self.newest)
+        return self._filter.after(self._cycle)
+
+    def accept(self, time: float) -> None:
+        self._filter.advance(self._cycle)

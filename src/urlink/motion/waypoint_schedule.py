@@ -1,0 +1,155 @@
+"""Waypoints with times on the robot's clock, and the set-points between them.
+
+Through the waypoints that are still ahead goes a cubic curve in joint space, from where the arm is led now, with the
+speed that it has, to rest at the last of them; speeds at those between are chosen as for a `Trajectory`. Each new
+waypoint is a new curve from there, so the speed never jumps.
+
+As in the interpolation controller of UMI, a program for learning from demonstrations, a waypoint replaces those of the
+same time or later, one whose time is over changes nothing, and one that cannot be reached in time is reached later.
+That controller goes straight from pose to pose, with a jump in speed at each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+
+import numpy as np
+
+from linkcore.errors import BadValue
+
+from ..models import Model
+from .trajectory import Trajectory
+
+__all__ = ["Schedule"]
+
+#: s; waypoints that are closer to each other are one.
+_CLOSEST = 1e-3
+#: s for what is left where set-points stayed away until all waypoints were over.
+_LATE = 0.1
+#: How often a waypoint is put off, and by which part of the time that there was before it: up to 400 times that.
+_PUT_OFF, _LATER = 16, 0.45
+
+_Waypoint = tuple[float, list[float]]
+
+
+class Schedule:
+    """Makes the set-points of a servo from waypoints.
+
+    Args:
+        model: whose limits hold; None for an arm that is not known.
+        cycle: s of the controller's cycle.
+        delay: s from a state to the one in which the arm is where the set-point that answers it was.
+        section: of the robot: waypoints come from another thread than states.
+    """
+
+    def __init__(
+        self, model: Model | None, cycle: float, delay: float, section: AbstractContextManager[object]
+    ) -> None:
+        self._model = model
+        self._cycle = cycle
+        self._delay = delay
+        self._section = section
+        self._waypoints: list[_Waypoint] = []
+        #: begins at `_origin` on the robot's clock
+        self._curve: Trajectory | None = None
+        self._origin = 0.0
+        #: the time for which the last set-point was; None before the first
+        self._now: float | None = None
+
+    def add(self, q: list[float], at: float, time: float, here: Sequence[float]) -> float | None:
+        """Be at `q` (6, rad) at a time on the robot's clock.
+
+        Args:
+            time: of the newest state.
+            here: (6,) rad; where the arm is led, in case it has not begun.
+
+        Returns:
+            when it will be there: `at`, or later where that is too soon for the arm; None where it is over.
+
+        Raises:
+            BadValue: the way there leads out of the range of a joint, or none was found that the arm can follow.
+        """
+        with self._section:
+            anchor = self._now if self._now is not None else time + self._delay
+            if at < anchor + self._cycle:
+                return None
+            waypoints = [each for each in self._waypoints if anchor + _CLOSEST < each[0] < at - _CLOSEST]
+            q0, qd0 = self._sample(anchor) if self._now is not None else (list(here), [0.0] * 6)
+            # Where the one before is just over, its place is that of the anchor.
+            self._plan(anchor, q0, qd0, [*waypoints, (at, q)])
+            return self._waypoints[-1][0]
+
+    @property
+    def last(self) -> list[float] | None:
+        """Where it ends (6, rad); None without waypoints."""
+        return self._waypoints[-1][1] if self._waypoints else None
+
+    # -- what makes set-points -----------------------------------------------------------------------
+
+    @property
+    def has_targets(self) -> bool:
+        """There is a waypoint."""
+        return bool(self._waypoints)
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        """The arm rests at `q`."""
+        self._set_out(time + self._delay, q, [0.0] * 6)
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        """Go on from `q` at speeds `qd`."""
+        self._set_out(time + self._delay - self._cycle, q, qd)
+
+    def _set_out(self, anchor: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        with self._section:
+            self._now = anchor
+            ahead = [each for each in self._waypoints if each[0] > anchor + self._cycle]
+            self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])])
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        """Where it is by now: time passes, whether set-points are sent or not."""
+        with self._section:
+            return self._sample(time + self._delay - self._cycle)
+
+    def at(self, time: float) -> tuple[list[float], list[float]]:
+        """The set-point that answers the state of this time."""
+        with self._section:
+            return self._sample(time + self._delay)
+
+    def accept(self, time: float) -> None:
+        """It is sent."""
+        self._now = time + self._delay
+
+    # ------------------------------------------------------------------------------------------------
+
+    def _sample(self, t: float) -> tuple[list[float], list[float]]:
+        assert self._curve is not None
+        q, qd, _ = self._curve.sample(t - self._origin)
+        return q, qd
+
+    def _plan(self, anchor: float, q: Sequence[float], qd: Sequence[float], waypoints: list[_Waypoint]) -> None:
+        """The curve from where the arm is led through waypoints; the last of them later, where need be."""
+        times = [time for time, _ in waypoints]
+        places = np.array([list(q), *(place for _, place in waypoints)])
+        before = times[-2] if len(times) > 1 else anchor
+        for attempt in range(_PUT_OFF + 1):
+            curve = _curve(np.array([0.0, *(time - anchor for time in times)]), places, qd)
+            try:
+                curve.check(self._model)
+                break
+            except BadValue:
+                if attempt == _PUT_OFF:
+                    raise
+                times[-1] += _LATER * (times[-1] - before)
+        self._waypoints = [(time, place) for time, (_, place) in zip(times, waypoints, strict=True)]
+        self._curve, self._origin = curve, anchor
+
+
+def _curve(times: np.ndarray, places: np.ndarray, qd: Sequence[float]) -> Trajectory:
+    """Through places at times, with speeds `qd` at first and rest at the end."""
+    chosen = Trajectory.from_arrays(times, places)
+    if not any(qd):
+        return chosen
+    speeds = chosen.qd.copy()
+    speeds[0] = qd
+    return Trajectory.from_arrays(times, places, speeds)

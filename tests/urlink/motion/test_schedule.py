@@ -1,0 +1,190 @@
+"""Waypoints on the robot's clock, and the delay of an arm that is led: on simulated arms whose clock the test has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue, LinkError, LocalError
+from tests.urlink.motion.bench import Led
+from tests.urlink.motion.rehearsal import HOME, Rehearsal, turned
+from tests.urlink.motion.test_servo import opened
+from urlink import Joint, Linear
+from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.kinematics import Arm, Unreachable
+from urlink.models import model
+from urlink.motion.follower import Follower
+from urlink.motion.following import Tolerances
+from urlink.motion.servo_delay import measure
+from urlink.motion.setpoints import setpoint
+from urlink.motion.trajectory import Trajectory
+from urlink.motion.waypoint_schedule import Schedule
+from urlink.poses import compose, invert
+
+_FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.11")]
+
+
+class Scheduled(Led):
+    """A servo that is told waypoints; its arm lags by `delay`."""
+
+    def __init__(self, firmware: Firmware, delay: float) -> None:
+        self.source = Schedule(
+            model("UR5e" if firmware.is_e_series else "UR5"), 1 / firmware.rate, delay, nullcontext()
+        )
+        super().__init__(firmware, self.source)
+
+    def add(self, q: list[float], seconds: float) -> float | None:
+        """So many seconds from the beginning; when it is reached, in the same way."""
+        reached = self.source.add(q, self.BEGIN + seconds, self.time, self.bench.motion.setpoint.q)
+        return None if reached is None else reached - self.BEGIN
+
+    def until(self, seconds: float) -> None:
+        self.run(round((self.BEGIN + seconds - self.time) * self.bench.firmware.rate))
+
+    @property
+    def q5(self) -> float:
+        return self.bench.motion.setpoint.q[5]
+
+
+def delay_of(firmware: Firmware) -> float:
+    """As `Servo.measure_delay` measures it."""
+    led = Scheduled(firmware, 0.0)
+
+    def states() -> Iterator[RealtimeState]:
+        while True:
+            yield led.state()
+            led.bench.run()
+
+    def send(q: list[float]) -> None:
+        led.bench.sockets.waiting.extend(setpoint(q, [0.0] * 6))
+
+    return measure(states(), send, 5, -0.05, 0.5)
+
+
+@pytest.mark.parametrize("firmware", _FIRMWARES[1:], ids=str)
+def test_waypoints_are_reached_at_their_times_once_the_delay_is_known(firmware: Firmware) -> None:
+    delay = delay_of(firmware)
+    cycle = 1.0 / firmware.rate
+    # The simulated arm lags by half the look-ahead and two over the gain, after what a set-point takes to arrive.
+    assert delay == pytest.approx(0.5 * 0.03 + 2 / 300 + 1.5 * cycle, abs=0.6 * cycle)
+    wave = [0.15 * (1.0 - np.cos(2.0 * t)) for t in np.arange(0.0, 2.01, 0.16)]
+    errors = []
+    for known in (0.0, delay):
+        led = Scheduled(firmware, known)
+        led.run(5)
+        off = []
+        for i in range(1, 13):
+            # Six a second, three ahead, as a policy plans them: those that are known replace themselves.
+            for ahead in range(i, min(i + 3, 13)):
+                assert led.add(turned(wave[ahead]), 0.16 * ahead) == pytest.approx(0.16 * ahead)
+            led.until(0.16 * i)
+            off.append(led.q5 - wave[i])
+        errors.append(np.abs(off[1:-1]).max())
+    before, after = errors
+    assert before == pytest.approx(0.3 * delay, rel=0.2)
+    assert after < max(0.1 * before, 3e-4)
+
+
+@pytest.mark.parametrize("firmware", [_FIRMWARES[0], _FIRMWARES[2]], ids=str)
+def test_what_is_scheduled_when(firmware: Firmware) -> None:
+    led = Scheduled(firmware, 2.0 / firmware.rate)
+    assert led.add(turned(0.1), 0.0) is None  # now
+    led.run(3)
+    assert led.sent == []
+    later = led.add(turned(0.5), 0.1)  # at 5 rad/s, which no joint does
+    assert later is not None
+    assert 0.25 < later < 1.0
+    assert led.add(turned(0.4), 1.5) == pytest.approx(1.5)
+    assert led.add(turned(0.2), later) == pytest.approx(later)  # in the place of that, and of all that come later
+    led.until(1.0)
+    assert led.q5 == pytest.approx(0.2, abs=1e-5)
+    assert led.add(turned(0.3), 0.9) is None
+    with pytest.raises(BadValue, match="position of wrist 3"):
+        led.add(turned(7.0), 9.0)
+    # Held up in the middle, and beyond the last: no leap, and it gets there.
+    led.add(turned(-0.3), 1.8)
+    for missed in (1, 6, round(0.08 * firmware.rate)):
+        led.run(max(round(0.1 * firmware.rate), missed + 2), missed=missed)
+    led.run(firmware.rate, missed=round(0.08 * firmware.rate))
+    steps = np.diff(np.array(led.bench.path)[:, 5]) / led.bench.period
+    assert np.abs(steps).max() < np.pi
+    assert led.q5 == pytest.approx(-0.3, abs=1e-4)
+    assert led.bench.said == []
+
+
+def test_a_trajectory_is_followed_without_the_lag() -> None:
+    """The error that tolerances and feedback see, before and after."""
+    firmware = _FIRMWARES[1]
+    path = Trajectory.from_arrays([0, 1, 2], [turned(0), turned(0.5), turned(0)])
+    seen = []
+    for delay in (None, delay_of(firmware)):
+        led = Scheduled(firmware, 0.0)
+        tolerances = Tolerances(path=None, goal=0.001, goal_time=1.0, start=0.05)
+        servoing = led.paced._servoing
+        follower = Follower(path, tolerances, servoing, model("UR5"), delay)
+        errors = []
+        led.bench.run(2)
+        while not follower.is_over:
+            state = led.state()
+            led.bench.sockets.waiting.extend(follower.step(b"", state, led.time))
+            if follower.began is not None:
+                errors.append(state.q_actual[5] - follower.desired(state.time - follower.began)[0][5])
+            led.bench.run()
+            assert led.time < led.BEGIN + 5
+        seen.append(np.abs(errors).max())
+    assert seen[0] > 0.009  # what is beyond two cycles, 14 ms, at 0.75 rad/s
+    assert seen[1] < 0.1 * seen[0]
+
+
+def test_an_arm_that_does_not_follow() -> None:
+    led = Scheduled(_FIRMWARES[2], 0.0)
+
+    def states() -> Iterator[RealtimeState]:
+        while True:
+            yield led.state()
+            led.bench.cycle += 1
+
+    with pytest.raises(LinkError, match="does not follow"):
+        measure(states(), lambda q: None, 5, 0.05, 0.5)
+
+
+class TestServo:
+    def test_joints_and_poses(self, robot: Rehearsal) -> None:
+        up = Arm("UR5e").forward(HOME)
+        up[2] += 0.02
+        with opened(robot) as servo:
+            assert servo.schedule(Joint(turned(0.05)), at=robot.time + 0.2) == pytest.approx(robot.time + 0.2)
+            assert servo.schedule(Linear(up), at=robot.time + 0.4) == pytest.approx(robot.time + 0.4)
+            assert servo.schedule(turned(0.0), at=robot.time) is None
+            end, q = robot.time + 0.45, [0.0] * 6
+            while robot.time < end or robot.q != pytest.approx(q):
+                word = robot.obey()
+                assert word is not None
+                q = word[0]
+            assert compose(invert(robot.pose), up) == pytest.approx([0.0] * 6, abs=1e-4)
+            assert servo.stats.count == 2
+            for refused, error, message in (
+                (Linear(up, speed=0.1), BadValue, "without blend and speed"),
+                (Linear([3, 0, 0, 0, 0, 0]), Unreachable, "cannot bring its tool"),
+                ([0] * 5, BadValue, "shape"),
+            ):
+                with pytest.raises(error, match=message):
+                    servo.schedule(refused, at=robot.time + 1)
+            with pytest.raises(LocalError, match="schedule the next one too"):
+                servo.send(HOME)
+            with pytest.raises(LocalError, match="in a block of its own"):
+                servo.measure_delay()
+
+    def test_one_way_or_the_other(self, rehearsal: Callable[..., Rehearsal]) -> None:
+        for options, message in (({}, "either send or schedule"), ({"target_filter": "jerk_limited"}, "by send")):
+            robot = rehearsal()
+            with opened(robot, **options) as servo:
+                servo.send(HOME)
+                with pytest.raises(LocalError, match=message):
+                    servo.schedule(HOME, at=robot.time + 1)
+        with pytest.raises(LocalError, match="led by its own clock"):
+            robot.motion.follow(Trajectory.from_arrays([0, 1], [HOME, turned(0.1)]), low_bandwidth=True, delay=0.02)
