@@ -77,6 +77,9 @@ _SEGMENT = "urlink: segment "
 #: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
 #: watchdog. Longer, an arm would be led a good way past the end of a movement by a computer that is too busy.
 COASTING = 0.1
+#: rad/s² with which a set-point is approached at most on CB2. Chosen: twice what the arms of that generation report as
+#: the limit of their wrists, so that what is sent in time is left as it is; a third of what the simulated one stops at.
+_HARDEST = 50.0
 #: Seconds for which a program waits for the first word in its registers.
 _LINK_TIMEOUT = 5.0
 
@@ -231,7 +234,8 @@ def streaming(
     positions: where set-points come only every tenth cycle, a difference between positions holds mostly what the
     program itself went on by, and so it would go on in a direction that is not wanted any more. No set-point is
     followed faster than the joints can move: where it is further away, it is approached at their largest speed. So
-    whatever goes wrong on the way, the arm does not leap.
+    whatever goes wrong on the way, the arm does not leap. On CB2, where ``servoj`` does not smooth, the change of speed
+    is bounded too.
 
     Args:
         link: how the set-points come.
@@ -247,6 +251,17 @@ def streaming(
     cycle = number(1.0 / firmware.rate)
     ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
     way = way_of(link, firmware, watchdog)
+    if firmware.is_cb2:
+        easing = _eased(firmware)
+        move = f"moved = [{each('eased(aim[{i}], q[{i}], pace[{i}], moved[{i}], {way})', ways)}]"
+        move += f"\nq = [{each('q[{i}] + moved[{i}]')}]"
+        # The first, too, may be one of several that come at once.
+        begin = f"if not begun:\n  q = get_actual_joint_positions()\nend\npace = step\n{move}"
+        coast = f"pace = [{each('step[{i}] * share')}]\n{move}"
+    else:
+        easing = ""
+        coast = f"q = [{each('bounded(aim[{i}], q[{i}], {way})', ways)}]"
+        begin = f"if begun:\n  {coast}\nelse:\n  q = aim\nend"
     text = f"""
         def bounded(aim, here, way):
           if aim > here + way:
@@ -256,6 +271,7 @@ def streaming(
           end
           return aim
         end
+{indented(easing)}
 {indented(way.shared)}
         starved = False
         {way.kind} servo():
@@ -274,11 +290,7 @@ def streaming(
             elif is_new:
               step = [{each("speed[{i}] * " + cycle)}]
               aim = goal
-              if begun:
-                q = [{each("bounded(aim[{i}], q[{i}], {way})", ways)}]
-              else:
-                q = aim
-              end
+{indented(begin, 14)}
               begun = True
               missed = 0
               {servo}
@@ -287,8 +299,10 @@ def streaming(
               if missed < {most_coasted}:
                 share = 1.0 - missed / {number(most_coasted)}
                 aim = [{each("aim[{i}] + step[{i}] * share")}]
+              else:
+                share = 0.0
               end
-              q = [{each("bounded(aim[{i}], q[{i}], {way})", ways)}]
+{indented(coast, 14)}
               {servo}
             else:
               starved = True
@@ -301,6 +315,35 @@ def streaming(
 {indented(way.follow)}
     """
     return lines(text)
+
+
+def _eased(firmware: Firmware) -> str:
+    """How far a joint goes in a cycle where nobody smooths set-points: before 3.0 ``servoj`` has no look-ahead.
+
+    As far as the set-point, if the speed changes by no more than `_HARDEST` allows. Else as fast towards it as can be
+    braked until there, beside the speed with which the set-point itself goes on. Several set-points that come at once,
+    after this computer and the controller were both held up, are otherwise one leap.
+    """
+    hard = _HARDEST / firmware.rate**2
+    braking = f"sqrt({number(0.25 * hard * hard)} + {number(2.0 * hard)} * left) - {number(0.5 * hard)}"
+    return f"""
+        pace = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        moved = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        def eased(goal, here, pace, last, way):
+          move = goal - here
+          if move > last + {number(hard)} or move < last - {number(hard)}:
+            left = move - pace
+            if left > 0.0:
+              move = pace + {braking}
+            else:
+              left = 0.0 - left
+              move = pace - ({braking})
+            end
+            move = bounded(move, last, {number(hard)})
+          end
+          return bounded(move, 0.0, way)
+        end
+    """
 
 
 class LinkText(NamedTuple):
