@@ -28,6 +28,8 @@ from .retiming import retime
 from .trajectory_csv import read_points, write_points
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ..kinematics import Arm
 
 __all__ = ["Trajectory", "TrajectoryPoint"]
@@ -360,6 +362,19 @@ class Trajectory:
             ):
                 beyond = np.abs(values) > limit * (1.0 + _SLACK)
                 self._refuse(model, times, values, name, unit, np.broadcast_to(limit, values.shape), beyond)
+
+    def plot(self, model: Model | None = None) -> Figure:
+        """Positions, speeds and accelerations over time, as a matplotlib figure: ``plot().savefig("it.png")``.
+
+        Args:
+            model: whose limits of speed and acceleration are drawn as well; None for none.
+
+        Raises:
+            LocalError: matplotlib is not installed (``pip install 'urlink[plot]'``).
+        """
+        from .trajectory_plot import plot
+
+        return plot(self, model)
 
     def _check_ends(self, near: FloatArray, within: float) -> None:
         away = np.abs(self.q[0] - near)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linkcore.errors import BadValue
+from linkcore.errors import BadValue, LocalError
 from urlink.models import model
 from urlink.motion.trajectory import Trajectory, TrajectoryPoint
 from urlink.vectors import FloatArray
@@ -329,3 +330,18 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
         Trajectory.from_csv(tmp_path / "none.csv")
     with pytest.raises(BadValue, match="No such file"):
         tool(0, 1).to_csv(tmp_path / "none" / "path.csv")
+
+
+def test_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of positions, speeds and accelerations, with the limits of the arm."""
+    pytest.importorskip("matplotlib")
+    path = Trajectory.from_arrays([0, 1, 2], [[0.0] * 6, [0.3] * 6, [0.0] * 6])
+    rows = path.plot(model("UR5e")).axes
+    assert [len(row.lines) for row in rows] == [12, 18, 18]
+    for row, values in zip(rows, path.at(path.time), strict=True):
+        times, drawn_values = (np.asarray(each, dtype=float) for each in row.lines[2].get_data())
+        drawn = np.interp(path.time, times, drawn_values)
+        assert drawn == pytest.approx(values[:, 2], abs=1e-3)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(LocalError, match=r"pip install 'urlink\[plot\]'"):
+        path.plot()
