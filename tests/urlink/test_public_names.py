@@ -207,7 +207,7 @@ SURFACES = {
     "robot.rtde": "close inputs is_recorded missing outputs registers who_holds",
     "robot.registers": "read_bit read_float read_integer write_bit write_float write_integer",
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv from_poses
-        has_velocities is_quintic points q qd qdd retimed sample time to_csv""",
+        has_velocities is_quintic plot points q qd qdd retimed sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags
         follow greeting gripper host is_running_program is_serving is_up modbus model modes passing pendant
         ports program_name push realtime_packet received registers remote_control robot_api rtde schedule
