@@ -134,7 +134,7 @@ def public(held: object) -> set[str]:
 
 
 def test_completion_shows_what_users_should_touch(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    feed = {"history", "iterate", "latest", "subscribe", "wait", "wait_until"}
+    feed = {"history", "iterate", "latest", "plot", "subscribe", "wait", "wait_until"}
     assert public(stream.of(Count)) == feed
     whole = {"close", "connection", "description", "failure", "join", "name", "of", "start", "stats"}
     assert public(stream) == feed | whole
