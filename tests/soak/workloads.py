@@ -18,7 +18,7 @@ from rhdlink.plugins.turtle import Turtle
 from urlink.simulator import Controller
 
 #: Seconds after which something that has to come has not come, on a machine that is busy.
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 
@@ -27,7 +27,7 @@ Workload = Callable[[], AbstractContextManager[Round]]
 
 
 def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT
     while not condition():
         if time.monotonic() > end:
             raise TimeoutError("it did not come about")
@@ -57,7 +57,7 @@ def streams() -> Iterator[Round]:
 def reconnects() -> Iterator[Round]:
     """Connections that are cut, that lose their boundary, and that are made and closed."""
     with Controller("UR10", "3.4") as controller, urlink.connect(controller.address) as robot:
-        robot.realtime.wait(PATIENCE)
+        robot.realtime.wait(TIMEOUT)
 
         def lose() -> None:
             before = robot.realtime.stats.reconnects
@@ -67,8 +67,8 @@ def reconnects() -> Iterator[Round]:
             received = robot.realtime.stats.received
             until(lambda: robot.realtime.stats.received > received + 50)
             with urlink.connect(controller.address) as other:
-                other.realtime.wait(PATIENCE)
-                other.primary.wait(PATIENCE)
+                other.realtime.wait(TIMEOUT)
+                other.primary.wait(TIMEOUT)
 
         yield lose
 
@@ -81,19 +81,19 @@ def motions() -> Iterator[Round]:
         Controller("UR5e", "5.11") as controller,
         urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot,
     ):
-        robot.motion.move_joints(HOME).wait(PATIENCE)
+        robot.motion.move_joints(HOME).wait(TIMEOUT)
         turns = itertools.cycle([0.2, -0.2])
 
         def move() -> None:
             goal = [*HOME[:5], next(turns)]
-            robot.motion.move_joints(goal, speed=1.0, acceleration=4.0).wait(PATIENCE)
+            robot.motion.move_joints(goal, speed=1.0, acceleration=4.0).wait(TIMEOUT)
             path = urlink.Trajectory.from_arrays([0.0, 0.5, 1.0], [goal, HOME, goal])
-            robot.motion.follow(path, watchdog=5.0).wait(PATIENCE)
-            robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.2).wait(PATIENCE)
+            robot.motion.follow(path, watchdog=5.0).wait(TIMEOUT)
+            robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.2).wait(TIMEOUT)
             with robot.motion.move_joints(HOME, speed=0.3):
-                robot.realtime.wait(PATIENCE)
-            robot.motion.stop().wait(PATIENCE)
-            robot.script.run("textmsg(1)").wait(PATIENCE)
+                robot.realtime.wait(TIMEOUT)
+            robot.motion.stop().wait(TIMEOUT)
+            robot.script.run("textmsg(1)").wait(TIMEOUT)
 
         yield move
 
@@ -122,8 +122,8 @@ def robots() -> Iterator[Round]:
         address = f"127.0.0.1:{host.port}"
 
         def drive() -> None:
-            idle = socket.create_connection(("127.0.0.1", host.port), PATIENCE)
-            deaf = socket.create_connection(("127.0.0.1", host.port), PATIENCE)
+            idle = socket.create_connection(("127.0.0.1", host.port), TIMEOUT)
+            deaf = socket.create_connection(("127.0.0.1", host.port), TIMEOUT)
             deaf.sendall(b"ar" + b"rree" * 200)
             with rhdlink.connect(address, rhdlink.VelocityOmega, access="w") as writer:
                 for _ in range(5):

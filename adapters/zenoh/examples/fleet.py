@@ -30,7 +30,7 @@ from urlink.simulator import Controller
 
 FIRMWARE = "3.15"
 #: Seconds from the start within which every robot has to be seen.
-PATIENCE = 90.0
+TIMEOUT = 90.0
 
 
 def main() -> None:
@@ -124,7 +124,7 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
     if args.pace is None:
         given = names
     else:
-        seconds = (args.seconds + PATIENCE) * args.pace
+        seconds = (args.seconds + TIMEOUT) * args.pace
         recording = record(directory / "source.urlog", seconds)
         given = [f"{name}=replay://{recording}?rate={args.pace}" for name in names]
     print(f"{args.robots} robots in {args.processes} processes, {os.cpu_count()} processors", flush=True)
@@ -137,7 +137,7 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
             parts += [Part("robots", endpoint, *given[first :: args.processes]) for first in range(args.processes)]
             for part in parts[1:]:
                 part.wait_up()
-            wait_for(lambda: sorted(collector.robots) == names, PATIENCE)
+            wait_for(lambda: sorted(collector.robots) == names, TIMEOUT)
             print(f"all recorded after {time.monotonic() - began:.1f} s", flush=True)
             time.sleep(args.seconds / 2)
 

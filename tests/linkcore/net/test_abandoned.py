@@ -24,7 +24,7 @@ from linkcore.net.transport import TcpTransport
 from tests.waiting import until
 
 #: Seconds that a test waits for what must come at once.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 BLOCK = b"movej" * 1000
 
 
@@ -34,22 +34,22 @@ def listener() -> Iterator[socket.socket]:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # connections inherit it
         listener.bind(("127.0.0.1", 0))
         listener.listen()
-        listener.settimeout(PATIENCE)
+        listener.settimeout(TIMEOUT)
         yield listener
 
 
 @pytest.fixture
 def peer(listener: socket.socket, transport: TcpTransport) -> Iterator[socket.socket]:
     connection, _ = listener.accept()
-    connection.settimeout(PATIENCE)
+    connection.settimeout(TIMEOUT)
     with connection:
         yield connection
 
 
 @pytest.fixture
 def transport(listener: socket.socket) -> Iterator[TcpTransport]:
-    transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=PATIENCE)
-    transport.open(PATIENCE)
+    transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=TIMEOUT)
+    transport.open(TIMEOUT)
     yield transport
     transport.abort()
 
@@ -87,7 +87,7 @@ def test_abort_takes_effect_although_another_thread_waits_to_send(transport: Tcp
 
     def send() -> None:
         try:
-            transport.send(BLOCK * 10_000, PATIENCE)
+            transport.send(BLOCK * 10_000, TIMEOUT)
         except ConnectionLost as error:
             errors.append(error)
 
@@ -96,8 +96,8 @@ def test_abort_takes_effect_although_another_thread_waits_to_send(transport: Tcp
     time.sleep(0.05)  # most likely in poll by then; the outcome is the same if not
     began = time.monotonic()
     transport.abort()
-    waiting.join(PATIENCE)
-    assert time.monotonic() - began < PATIENCE / 2
+    waiting.join(TIMEOUT)
+    assert time.monotonic() - began < TIMEOUT / 2
     assert errors
     assert drained(peer)[0] < taken
 
@@ -115,17 +115,17 @@ def test_abort_takes_effect_although_another_thread_receives(transport: TcpTrans
     waiting.start()
     taken = fill(transport)
     transport.abort()
-    waiting.join(PATIENCE)
+    waiting.join(TIMEOUT)
     assert errors
     assert drained(peer)[0] < taken
 
 
 def test_close_delivers_what_was_sent(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
-    closing = threading.Thread(target=transport.close, args=(PATIENCE,))
+    closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
     closing.start()
     assert drained(peer) == (taken, True)
-    closing.join(PATIENCE)
+    closing.join(TIMEOUT)
     assert not closing.is_alive()
 
 
@@ -133,34 +133,34 @@ def test_close_waits_no_longer_than_it_was_told(transport: TcpTransport, peer: s
     taken = fill(transport)
     began = time.monotonic()
     transport.close(0.1)
-    assert 0.1 <= time.monotonic() - began < PATIENCE / 2
+    assert 0.1 <= time.monotonic() - began < TIMEOUT / 2
     arrived, in_order = drained(peer)
     assert arrived < taken
     assert not in_order
 
 
 def test_close_with_nothing_left_to_deliver_is_quick(transport: TcpTransport, peer: socket.socket) -> None:
-    transport.send(b"set_digital_out(0, True)\n", PATIENCE)
+    transport.send(b"set_digital_out(0, True)\n", TIMEOUT)
     began = time.monotonic()
-    transport.close(PATIENCE)
-    assert time.monotonic() - began < PATIENCE / 2
+    transport.close(TIMEOUT)
+    assert time.monotonic() - began < TIMEOUT / 2
     assert drained(peer) == (25, True)
 
 
 def test_abort_ends_a_close_that_waits(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
-    closing = threading.Thread(target=transport.close, args=(PATIENCE,))
+    closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
     closing.start()
     time.sleep(0.02)  # most likely waiting by then; the outcome is the same if not
     transport.abort()
-    closing.join(PATIENCE / 2)
+    closing.join(TIMEOUT / 2)
     assert not closing.is_alive()
     assert drained(peer)[0] < taken
 
 
 def test_nothing_can_be_sent_after_close_has_begun(transport: TcpTransport, peer: socket.socket) -> None:
     fill(transport)
-    closing = threading.Thread(target=transport.close, args=(PATIENCE,))
+    closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
     closing.start()
 
     def is_refused() -> bool:
@@ -172,7 +172,7 @@ def test_nothing_can_be_sent_after_close_has_begun(transport: TcpTransport, peer
 
     until(is_refused)
     transport.abort()
-    closing.join(PATIENCE)
+    closing.join(TIMEOUT)
 
 
 @pytest.mark.skipif(
@@ -194,11 +194,11 @@ def test_a_killed_process_sends_nothing_any_more(listener: socket.socket) -> Non
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         connection, _ = listener.accept()
         with connection:
-            connection.settimeout(PATIENCE)
+            connection.settimeout(TIMEOUT)
             assert process.stdout is not None
             taken = int(process.stdout.readline())
             process.kill()
-            process.wait(PATIENCE)
+            process.wait(TIMEOUT)
             assert drained(connection)[0] < taken
 
 
@@ -206,13 +206,13 @@ def test_a_killed_process_sends_nothing_any_more(listener: socket.socket) -> Non
 def test_the_kernel_gives_up_by_itself_what_is_not_acknowledged(listener: socket.socket) -> None:
     """As it has to while this process is suspended: nothing here calls `abort` or `close`."""
     transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=0.3)
-    transport.open(PATIENCE)
+    transport.open(TIMEOUT)
     connection, _ = listener.accept()
     with connection:
         taken = fill(transport)
         with pytest.raises(ConnectionLost, match="no longer acknowledges"):
-            transport.receive(PATIENCE)
-        connection.settimeout(PATIENCE)
+            transport.receive(TIMEOUT)
+        connection.settimeout(TIMEOUT)
         assert drained(connection)[0] < taken
     transport.abort()
 
@@ -244,10 +244,10 @@ def test_a_forked_child_cannot_end_the_connection(listener: socket.socket) -> No
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         connection, _ = listener.accept()
         with connection:
-            connection.settimeout(PATIENCE)
+            connection.settimeout(TIMEOUT)
             assert connection.recv(10) == b"0", "the child was told that it is not connected"
             connection.sendall(b"still here")
-            assert process.communicate(timeout=PATIENCE)[0] == "still here\n"
+            assert process.communicate(timeout=TIMEOUT)[0] == "still here\n"
 
 
 # -- a network that goes away ----------------------------------------------------------------------------
@@ -323,7 +323,7 @@ def test_the_kernel_is_told_to_discard_and_when_to_give_up(transport: TcpTranspo
     size = module._LINGER.size
     assert transport._socket.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, size) == module._LINGER.pack(1, 0)
     if hasattr(socket, "TCP_USER_TIMEOUT"):
-        assert transport._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == PATIENCE * 1000
+        assert transport._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == TIMEOUT * 1000
 
 
 def test_a_peer_that_only_sends_no_more_ends_a_send_that_waits(transport: TcpTransport, peer: socket.socket) -> None:
@@ -331,6 +331,6 @@ def test_a_peer_that_only_sends_no_more_ends_a_send_that_waits(transport: TcpTra
     fill(transport)
     peer.shutdown(socket.SHUT_WR)
     assert transport._socket is not None
-    assert select.select([transport._socket], [], [], PATIENCE)[0]
+    assert select.select([transport._socket], [], [], TIMEOUT)[0]
     with pytest.raises(ConnectionLost):
-        transport.send(BLOCK * 10_000, PATIENCE if hasattr(select, "POLLRDHUP") else 0.0)
+        transport.send(BLOCK * 10_000, TIMEOUT if hasattr(select, "POLLRDHUP") else 0.0)

@@ -15,7 +15,7 @@ from linkcore.net.http_client import HttpClient
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 from tests.waiting import until
 
-PATIENCE = 10.0
+TIMEOUT = 10.0
 Say = Callable[[HttpRequest], Iterator[bytes]]
 
 
@@ -38,7 +38,7 @@ class WebServer:
             except OSError:
                 return
             with connection, contextlib.suppress(OSError):
-                connection.settimeout(PATIENCE)
+                connection.settimeout(TIMEOUT)
                 parser, request = HttpParser("request"), None
                 while request is None:
                     request = parser.feed(connection.recv(65536))
@@ -54,7 +54,7 @@ class WebServer:
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
-        self._thread.join(PATIENCE)
+        self._thread.join(TIMEOUT)
         assert not self._thread.is_alive()
 
 
@@ -87,7 +87,7 @@ def test_a_redirect_is_followed_with_method_and_body(serve: Serve) -> None:
 
     here = serve(say)
     client = HttpClient("127.0.0.1", here.port)
-    assert client.ask(HttpRequest("PUT", "/a", {}, b"body"), PATIENCE).body == b"there"
+    assert client.ask(HttpRequest("PUT", "/a", {}, b"body"), TIMEOUT).body == b"there"
     asked = [(each.method, each.target, each.body) for each in [*here.asked, *there.asked]]
     assert asked == [("PUT", "/a", b"body"), ("PUT", "/b?c=d", b"body"), ("PUT", "/end", b"body")]
     assert here.asked[0].headers["host"] == f"127.0.0.1:{here.port}"
@@ -104,7 +104,7 @@ def test_a_redirect_is_followed_with_method_and_body(serve: Serve) -> None:
 def test_where_a_redirect_is_not_followed(serve: Serve, location: str, error: str) -> None:
     server = serve(once(HttpResponse(302, "Found", {"Location": location})))
     with pytest.raises(WrongPeer, match=error):
-        HttpClient("127.0.0.1", server.port).ask(HttpRequest("GET", "/"), PATIENCE)
+        HttpClient("127.0.0.1", server.port).ask(HttpRequest("GET", "/"), TIMEOUT)
 
 
 def test_the_deadline_is_for_all_of_the_answer(serve: Serve) -> None:
@@ -118,18 +118,18 @@ def test_the_deadline_is_for_all_of_the_answer(serve: Serve) -> None:
     began = time.monotonic()
     with pytest.raises(LinkTimeout):
         HttpClient("127.0.0.1", server.port).ask(HttpRequest("GET", "/"), 0.2)
-    assert time.monotonic() - began < PATIENCE / 2
+    assert time.monotonic() - began < TIMEOUT / 2
 
 
 def test_what_answers_otherwise(serve: Serve) -> None:
     other = serve(lambda request: iter([b"Connected: Universal Robots Dashboard Server\r\n"]))
     with pytest.raises(WrongPeer, match="does not talk like a web server"):
-        HttpClient("127.0.0.1", other.port).ask(HttpRequest("GET", "/"), PATIENCE)
+        HttpClient("127.0.0.1", other.port).ask(HttpRequest("GET", "/"), TIMEOUT)
     half = serve(lambda request: iter([b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nhalf"]))
     with pytest.raises(ConnectionLost):
-        HttpClient("127.0.0.1", half.port).ask(HttpRequest("GET", "/"), PATIENCE)
+        HttpClient("127.0.0.1", half.port).ask(HttpRequest("GET", "/"), TIMEOUT)
     open_end = serve(lambda request: iter([b"HTTP/1.1 200 OK\r\n\r\n", b"all of it"]))
-    assert HttpClient("127.0.0.1", open_end.port).ask(HttpRequest("GET", "/"), PATIENCE).body == b"all of it"
+    assert HttpClient("127.0.0.1", open_end.port).ask(HttpRequest("GET", "/"), TIMEOUT).body == b"all of it"
 
 
 def test_who_is_refused_is_told_what_may_be_the_cause() -> None:
@@ -143,7 +143,7 @@ def test_closing_ends_what_waits(serve: Serve) -> None:
     is_over = threading.Event()
 
     def wait(request: HttpRequest) -> Iterator[bytes]:
-        is_over.wait(PATIENCE)
+        is_over.wait(TIMEOUT)
         yield b""
 
     server = serve(wait)
@@ -156,6 +156,6 @@ def test_closing_ends_what_waits(serve: Serve) -> None:
     threading.Thread(target=close).start()
     try:
         with pytest.raises(Closed, match="was closed while GET / waited"):
-            client.ask(HttpRequest("GET", "/"), PATIENCE)
+            client.ask(HttpRequest("GET", "/"), TIMEOUT)
     finally:
         is_over.set()

@@ -14,7 +14,7 @@ import pytest
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, local_address
 
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 
 @pytest.fixture(autouse=True)
@@ -37,21 +37,21 @@ def test_a_free_port_is_found_and_named(listener: TcpListener) -> None:
 
 
 def test_talks_both_ways_with_whoever_connects(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, PATIENCE) as peer:
-        link = listener.accept(PATIENCE)
+    with socket.create_connection(listener.address, TIMEOUT) as peer:
+        link = listener.accept(TIMEOUT)
         assert link.name == "{}:{}".format(*peer.getsockname())
         peer.sendall(b"request 0")
         assert link.receive()[0] == b"request 0"
         assert link.receive_waiting() is None
-        link.send(b"answer", PATIENCE)
+        link.send(b"answer", TIMEOUT)
         assert peer.recv(100) == b"answer"
         link.close()
         assert peer.recv(100) == b""
 
 
 def test_the_connection_does_not_delay_small_packets(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, PATIENCE):
-        link = listener.accept(PATIENCE)
+    with socket.create_connection(listener.address, TIMEOUT):
+        link = listener.accept(TIMEOUT)
         assert link._socket is not None
         assert link._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         link.close()
@@ -65,22 +65,22 @@ def test_nobody_comes(listener: TcpListener) -> None:
 
 
 def test_silence_of_an_accepted_connection(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, PATIENCE):
-        link = listener.accept(PATIENCE, silence=0.01)
+    with socket.create_connection(listener.address, TIMEOUT):
+        link = listener.accept(TIMEOUT, silence=0.01)
         with pytest.raises(LinkTimeout):
             link.receive()
         link.close()
 
 
 def test_who_resets_at_once_is_lost_and_the_next_is_taken(listener: TcpListener) -> None:
-    peer = socket.create_connection(listener.address, PATIENCE)
+    peer = socket.create_connection(listener.address, TIMEOUT)
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     peer.close()
     # Systems differ in whether the loss shows in accept or in the first read.
-    with pytest.raises(ConnectionLost), contextlib.closing(listener.accept(PATIENCE)) as link:
+    with pytest.raises(ConnectionLost), contextlib.closing(listener.accept(TIMEOUT)) as link:
         link.receive()
-    with socket.create_connection(listener.address, PATIENCE):
-        listener.accept(PATIENCE).close()
+    with socket.create_connection(listener.address, TIMEOUT):
+        listener.accept(TIMEOUT).close()
 
 
 def test_a_closed_listener_refuses(listener: TcpListener) -> None:
@@ -89,7 +89,7 @@ def test_a_closed_listener_refuses(listener: TcpListener) -> None:
     with pytest.raises(ConnectFailed, match="not listened on"):
         listener.accept(0)
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(listener.address, PATIENCE)
+        socket.create_connection(listener.address, TIMEOUT)
 
 
 def test_closing_wakes_who_waits(listener: TcpListener) -> None:
@@ -97,30 +97,30 @@ def test_closing_wakes_who_waits(listener: TcpListener) -> None:
 
     def wait() -> None:
         try:
-            listener.accept(PATIENCE)
+            listener.accept(TIMEOUT)
         except Exception as error:
             outcome.append(error)
 
     thread = threading.Thread(target=wait)
     thread.start()
     listener.close()
-    thread.join(PATIENCE)
+    thread.join(TIMEOUT)
     assert not thread.is_alive()
     assert isinstance(outcome[0], ConnectFailed)
 
 
 def test_what_was_accepted_outlives_the_listener(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, PATIENCE) as peer:
-        link = listener.accept(PATIENCE)
+    with socket.create_connection(listener.address, TIMEOUT) as peer:
+        link = listener.accept(TIMEOUT)
         listener.close()
-        link.send(b"still", PATIENCE)
+        link.send(b"still", TIMEOUT)
         assert peer.recv(100) == b"still"
         link.close()
 
 
 def test_the_same_port_again_at_once(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, PATIENCE):
-        link = listener.accept(PATIENCE)
+    with socket.create_connection(listener.address, TIMEOUT):
+        link = listener.accept(TIMEOUT)
         listener.close()
         with TcpListener(*listener.address) as again:
             assert again.address == listener.address
@@ -128,8 +128,8 @@ def test_the_same_port_again_at_once(listener: TcpListener) -> None:
 
 
 def test_all_addresses_of_this_computer() -> None:
-    with TcpListener("") as listener, socket.create_connection(("127.0.0.1", listener.address[1]), PATIENCE):
-        listener.accept(PATIENCE).close()
+    with TcpListener("") as listener, socket.create_connection(("127.0.0.1", listener.address[1]), TIMEOUT):
+        listener.accept(TIMEOUT).close()
 
 
 @pytest.mark.parametrize(

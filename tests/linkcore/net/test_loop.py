@@ -20,7 +20,7 @@ from linkcore.errors import BadAddress, BadValue, LinkTimeout
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from tests.waiting import until
 
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 
 class Clock:
@@ -75,7 +75,7 @@ class Bench:
         return handler
 
     def connect(self) -> socket.socket:
-        link = socket.create_connection(("127.0.0.1", self.port.number), timeout=PATIENCE)
+        link = socket.create_connection(("127.0.0.1", self.port.number), timeout=TIMEOUT)
         return self._clients.enter_context(link)
 
     def client(self) -> tuple[socket.socket, Recorder]:
@@ -316,7 +316,7 @@ def test_a_client_that_does_not_end_is_not_waited_for(bench: Bench) -> None:
     with socket.socket() as link:
         # Most of what is written stays on this side: in the kernel, which has taken all of it.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        link.settimeout(PATIENCE)
+        link.settimeout(TIMEOUT)
         link.connect(("127.0.0.1", bench.port.number))
         bench.serve(lambda: bench.handlers)
         (handler,) = bench.handlers
@@ -420,7 +420,7 @@ def test_the_end_of_the_loop_ends_everything() -> None:
     bench.loop.close()
     assert all(handler.losses == [("the server ends", False)] for _, handler in links)
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", bench.port.number), timeout=PATIENCE)
+        socket.create_connection(("127.0.0.1", bench.port.number), timeout=TIMEOUT)
     assert descriptors() == before
 
 
@@ -434,7 +434,7 @@ def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
 
     port = loop.listen("127.0.0.1", 0, accept, output_limit=1 << 30)
     received = bytearray()
-    with socket.create_connection(("127.0.0.1", port.number), timeout=PATIENCE) as link:
+    with socket.create_connection(("127.0.0.1", port.number), timeout=TIMEOUT) as link:
         until(lambda: (loop.serve_once(loop.time()), handlers)[1])
         handlers[0].connection.write(b"z" * 20_000_000)
         assert handlers[0].connection.pending
@@ -446,8 +446,8 @@ def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
 
         thread = threading.Thread(target=read)
         thread.start()
-        loop.close(within=PATIENCE)
-        thread.join(PATIENCE)
+        loop.close(within=TIMEOUT)
+        thread.join(TIMEOUT)
     assert len(received) == 20_000_000
     assert handlers[0].losses == [("closed by the peer", True)]
 
@@ -455,13 +455,13 @@ def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
 def test_a_loop_that_ends_in_order_has_a_deadline() -> None:
     loop = SelectorLoop()
     port = loop.listen("127.0.0.1", 0, Recorder, output_limit=1 << 30)
-    with socket.create_connection(("127.0.0.1", port.number), timeout=PATIENCE):
+    with socket.create_connection(("127.0.0.1", port.number), timeout=TIMEOUT):
         until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
         (connection,) = port.connections
         connection.write(b"z" * 20_000_000)
         begun = time.monotonic()
         loop.close(within=0.1)
-        assert 0.05 < time.monotonic() - begun < PATIENCE
+        assert 0.05 < time.monotonic() - begun < TIMEOUT
     assert not connection.is_open
 
 
@@ -625,7 +625,7 @@ def test_hosts(host: str, reached: str) -> None:
     loop = SelectorLoop()
     with contextlib.closing(loop):
         port = loop.listen(host, 0, Recorder)
-        with socket.create_connection((reached, port.number), timeout=PATIENCE) as link:
+        with socket.create_connection((reached, port.number), timeout=TIMEOUT) as link:
             until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
             (connection,) = port.connections
             assert connection.peer == link.getsockname()[:2]
@@ -639,7 +639,7 @@ def test_both_families_at_once() -> None:
     with contextlib.closing(loop):
         port = loop.listen("::", 0, Recorder)
         for host in ("127.0.0.1", "::1"):
-            with socket.create_connection((host, port.number), timeout=PATIENCE):
+            with socket.create_connection((host, port.number), timeout=TIMEOUT):
                 until(lambda: (loop.serve_once(loop.time()), port.connections)[1])
                 (connection,) = port.connections
                 assert connection.peer[0] == host
@@ -757,7 +757,7 @@ class Served:
     def close(self) -> None:
         self._is_over = True
         self.loop.wake()
-        self.thread.join(PATIENCE)
+        self.thread.join(TIMEOUT)
         assert not self.thread.is_alive()
 
 
@@ -773,9 +773,9 @@ def test_calls_are_made_in_the_thread_of_the_loop(served: Served) -> None:
 
     def note() -> None:
         seen.append(threading.current_thread())
-        served.loop.call(lambda: seen.append(threading.current_thread()), PATIENCE)
+        served.loop.call(lambda: seen.append(threading.current_thread()), TIMEOUT)
 
-    served.loop.call(note, PATIENCE)
+    served.loop.call(note, TIMEOUT)
     assert seen == [served.thread, served.thread]
 
 
@@ -785,8 +785,8 @@ def test_what_a_call_raises_comes_back(served: Served, kind: type[BaseException]
         raise kind("no")
 
     with pytest.raises(kind, match="no"):
-        served.loop.call(fail, PATIENCE)
-    served.loop.call(lambda: None, PATIENCE)
+        served.loop.call(fail, TIMEOUT)
+    served.loop.call(lambda: None, TIMEOUT)
 
 
 def test_a_call_that_is_not_answered() -> None:
@@ -803,18 +803,18 @@ def test_a_call_that_is_not_answered() -> None:
 def test_calls_to_a_loop_that_is_over(served: Served) -> None:
     served.close()
     done: list[int] = []
-    served.loop.call(lambda: done.append(1), PATIENCE)
+    served.loop.call(lambda: done.append(1), TIMEOUT)
     assert done == [1]
 
 
 def test_a_call_that_waits_when_the_loop_ends_is_made() -> None:
     loop = SelectorLoop()
     done: list[int] = []
-    caller = threading.Thread(target=lambda: loop.call(lambda: done.append(1), PATIENCE))
+    caller = threading.Thread(target=lambda: loop.call(lambda: done.append(1), TIMEOUT))
     caller.start()
     until(lambda: loop._calls)
     loop.close()
-    caller.join(PATIENCE)
+    caller.join(TIMEOUT)
     assert done == [1]
 
 
@@ -824,7 +824,7 @@ def test_no_call_is_lost_when_the_loop_ends(served: Served) -> None:
 
     def call(first: int) -> None:
         for number in range(first, first + 50):
-            served.loop.call(lambda number=number: done.append(number), PATIENCE)  # type: ignore[misc]
+            served.loop.call(lambda number=number: done.append(number), TIMEOUT)  # type: ignore[misc]
 
     callers = [threading.Thread(target=call, args=(first,)) for first in range(0, 400, 50)]
     for caller in callers:
@@ -832,13 +832,13 @@ def test_no_call_is_lost_when_the_loop_ends(served: Served) -> None:
     until(lambda: len(done) > 20)
     served.close()
     for caller in callers:
-        caller.join(PATIENCE)
+        caller.join(TIMEOUT)
     assert sorted(done) == list(range(400))
 
 
 def test_waking(served: Served) -> None:
     served.loop.wake()
-    served.loop.call(lambda: None, PATIENCE)
+    served.loop.call(lambda: None, TIMEOUT)
     served.close()
     served.loop.wake()
 

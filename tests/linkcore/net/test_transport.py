@@ -20,7 +20,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteEr
 from linkcore.net.transport import TcpTransport
 
 #: Seconds that a test waits for what must come at once.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 
 class Peer:
@@ -28,13 +28,13 @@ class Peer:
 
     def __init__(self) -> None:
         self.listener = socket.create_server(("127.0.0.1", 0))
-        self.listener.settimeout(PATIENCE)
+        self.listener.settimeout(TIMEOUT)
         self.port: int = self.listener.getsockname()[1]
         self.connections: list[socket.socket] = []
 
     def accept(self) -> socket.socket:
         connection, _ = self.listener.accept()
-        connection.settimeout(PATIENCE)
+        connection.settimeout(TIMEOUT)
         self.connections.append(connection)
         return connection
 
@@ -58,8 +58,8 @@ def peer() -> Iterator[Peer]:
 @pytest.fixture
 def transport(peer: Peer) -> Iterator[TcpTransport]:
     """Connected to the peer."""
-    transport = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
-    transport.open(PATIENCE)
+    transport = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
+    transport.open(TIMEOUT)
     peer.accept()
     yield transport
     transport.close()
@@ -83,7 +83,7 @@ def is_ended(connection: socket.socket) -> bool:
 def has_come(transport: TcpTransport) -> bool:
     """Wait until there is something to receive."""
     assert transport._socket is not None
-    return bool(select.select([transport._socket], [], [], PATIENCE)[0])
+    return bool(select.select([transport._socket], [], [], TIMEOUT)[0])
 
 
 def unused_port() -> int:
@@ -112,7 +112,7 @@ class Background:
         self.seconds = time.monotonic() - began
 
     def join(self) -> None:
-        self._thread.join(PATIENCE)
+        self._thread.join(TIMEOUT)
         assert not self._thread.is_alive()
 
 
@@ -131,15 +131,15 @@ def test_receives_what_was_sent_with_the_moment_it_came(transport: TcpTransport,
 def test_refused() -> None:
     transport = TcpTransport("127.0.0.1", unused_port(), silence=1)
     with pytest.raises(ConnectFailed, match=r"127\.0\.0\.1:\d+: connection refused; is the controller on"):
-        transport.open(PATIENCE)
+        transport.open(TIMEOUT)
     with pytest.raises(ConnectionError):
-        transport.open(PATIENCE)
+        transport.open(TIMEOUT)
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b", "nul\0", "\udc80", "ü" * 70])
 def test_no_such_host(host: str) -> None:
     with pytest.raises(ConnectFailed, match="no such host"):
-        TcpTransport(host, 30003, silence=1).open(PATIENCE)
+        TcpTransport(host, 30003, silence=1).open(TIMEOUT)
 
 
 @pytest.fixture
@@ -188,7 +188,7 @@ def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypa
     answer = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in (unused_port(), peer.port)]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
     transport = TcpTransport("robot", 30003, silence=1)
-    transport.open(PATIENCE)
+    transport.open(TIMEOUT)
     peer.accept().sendall(b"hello")
     assert transport.receive()[0] == b"hello"
     transport.close()
@@ -197,7 +197,7 @@ def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypa
 def test_a_host_without_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: [])
     with pytest.raises(ConnectFailed, match="robot has no address"):
-        TcpTransport("robot", 30003, silence=1).open(PATIENCE)
+        TcpTransport("robot", 30003, silence=1).open(TIMEOUT)
 
 
 def test_a_socket_that_cannot_be_set_up_is_told_and_closed(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +206,7 @@ def test_a_socket_that_cannot_be_set_up_is_told_and_closed(peer: Peer, monkeypat
 
     monkeypatch.setattr(linkcore.net.transport, "_set_receive_timeout", fail)
     with pytest.raises(ConnectFailed, match="Invalid argument"):
-        TcpTransport("127.0.0.1", peer.port, silence=1).open(PATIENCE)
+        TcpTransport("127.0.0.1", peer.port, silence=1).open(TIMEOUT)
     assert is_ended(peer.accept())
 
 
@@ -218,7 +218,7 @@ def test_sockets_are_quick_and_kept_alive(transport: TcpTransport) -> None:
 
 
 def test_opening_again_closes_the_first_connection(transport: TcpTransport, peer: Peer) -> None:
-    transport.open(PATIENCE)
+    transport.open(TIMEOUT)
     peer.accept().sendall(b"new")
     assert is_ended(peer.connections[0])
     assert transport.receive()[0] == b"new"
@@ -230,7 +230,7 @@ def test_opening_again_closes_the_first_connection(transport: TcpTransport, peer
 @pytest.mark.parametrize("silence", [0.05, 0.000001])
 def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
     transport = TcpTransport("127.0.0.1", peer.port, silence=silence)
-    transport.open(PATIENCE)
+    transport.open(TIMEOUT)
     began = time.monotonic()
     with pytest.raises(LinkTimeout, match="nothing within") as caught:
         transport.receive()
@@ -252,9 +252,9 @@ def test_a_receive_can_have_a_timeout_of_its_own(transport: TcpTransport, peer: 
             transport.receive(timeout)
         assert max(timeout, 0) * 0.9 <= time.monotonic() - began < 2
     peer.connections[-1].sendall(b"late")
-    assert transport.receive(PATIENCE)[0] == b"late"
+    assert transport.receive(TIMEOUT)[0] == b"late"
     peer.connections[-1].sendall(b"later")
-    assert transport.receive()[0] == b"later"  # with the patience that it was made with
+    assert transport.receive()[0] == b"later"  # with the timeout that it was made with
 
 
 def test_what_has_come_already_is_received_without_waiting(transport: TcpTransport, peer: Peer) -> None:
@@ -265,7 +265,7 @@ def test_what_has_come_already_is_received_without_waiting(transport: TcpTranspo
     assert arrived is not None
     data, stamp = arrived
     assert data == b"there"
-    assert stamp.age < PATIENCE
+    assert stamp.age < TIMEOUT
     assert transport.receive_waiting() is None
     peer.connections.pop().close()
     assert has_come(transport)
@@ -298,19 +298,19 @@ def test_close_from_another_thread_wakes_who_receives(transport: TcpTransport) -
         return transport.receive()
 
     waiting = Background(receive)
-    assert entered.wait(PATIENCE)
+    assert entered.wait(TIMEOUT)
     transport.close()
     waiting.join()
     assert isinstance(waiting.error, ConnectionLost)
     assert "here" in str(waiting.error) or "not connected" in str(waiting.error)
-    assert waiting.seconds < PATIENCE / 2
+    assert waiting.seconds < TIMEOUT / 2
 
 
 def test_close_races_with_receive_often(peer: Peer) -> None:
     """Wherever the other thread is, it ends at once, and in an error of the tree."""
-    transport = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+    transport = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
     for _ in range(100):
-        transport.open(PATIENCE)
+        transport.open(TIMEOUT)
         waiting = Background(transport.receive)
         transport.close()
         waiting.join()
@@ -333,7 +333,7 @@ def test_used_before_and_after_it_is_open(transport: TcpTransport) -> None:
 
 def test_sends_all_however_long(transport: TcpTransport, peer: Peer) -> None:
     text = bytes(range(256)) * 40_000  # more than any buffer on the way holds
-    sending = Background(lambda: transport.send(text, PATIENCE))
+    sending = Background(lambda: transport.send(text, TIMEOUT))
     got = b""
     while len(got) < len(text):
         got += peer.connections[0].recv(1 << 20)
@@ -352,11 +352,11 @@ def test_sending_to_who_does_not_read_is_a_timeout(transport: TcpTransport) -> N
 def test_sending_to_who_is_gone(transport: TcpTransport, peer: Peer) -> None:
     peer.reset()
     with pytest.raises(ConnectionLost, match="sending to"):
-        transport.send(b"x" * 50_000_000, PATIENCE)
+        transport.send(b"x" * 50_000_000, TIMEOUT)
 
 
 def test_half_sent_and_then_gone(transport: TcpTransport, peer: Peer) -> None:
-    sending = Background(lambda: transport.send(b"x" * 50_000_000, PATIENCE))
+    sending = Background(lambda: transport.send(b"x" * 50_000_000, TIMEOUT))
     assert peer.connections[0].recv(1000)
     peer.reset()
     sending.join()
@@ -364,16 +364,16 @@ def test_half_sent_and_then_gone(transport: TcpTransport, peer: Peer) -> None:
 
 
 def test_close_ends_a_send_that_waits(transport: TcpTransport, peer: Peer) -> None:
-    sending = Background(lambda: transport.send(b"x" * 50_000_000, PATIENCE))
+    sending = Background(lambda: transport.send(b"x" * 50_000_000, TIMEOUT))
     assert peer.connections[0].recv(1000)
     transport.close()
     sending.join()
     assert isinstance(sending.error, ConnectionLost)
-    assert sending.seconds < PATIENCE / 2
+    assert sending.seconds < TIMEOUT / 2
 
 
 def test_two_threads_send_and_both_are_sent(transport: TcpTransport, peer: Peer) -> None:
-    sending = [Background(lambda: transport.send(b"x" * 3_000_000, PATIENCE)) for _ in range(2)]
+    sending = [Background(lambda: transport.send(b"x" * 3_000_000, TIMEOUT)) for _ in range(2)]
     got = 0
     while got < 6_000_000:
         got += len(peer.connections[0].recv(1 << 20))
@@ -393,12 +393,12 @@ def test_descriptors_beyond_those_of_select(transport: TcpTransport, peer: Peer)
         for _ in range(550):
             for each in socket.socketpair():
                 stack.callback(each.close)
-        high = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+        high = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
         stack.callback(high.close)
-        high.open(PATIENCE)
+        high.open(TIMEOUT)
         assert high._socket is not None
         assert high._socket.fileno() >= 1024
-        high.send(b"hello", PATIENCE)
+        high.send(b"hello", TIMEOUT)
         assert peer.accept().recv(10) == b"hello"
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
@@ -407,9 +407,9 @@ def test_descriptors_beyond_those_of_select(transport: TcpTransport, peer: Peer)
 @given(st.lists(st.binary(min_size=1, max_size=100_000), min_size=1, max_size=5))
 def test_bytes_arrive_as_they_were_sent(chunks: list[bytes]) -> None:
     peer = Peer()
-    transport = TcpTransport("127.0.0.1", peer.port, silence=PATIENCE)
+    transport = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
     try:
-        transport.open(PATIENCE)
+        transport.open(TIMEOUT)
         there = peer.accept()
 
         def send() -> None:

@@ -27,7 +27,7 @@ from urlink.interfaces.interpreter.protocol import (
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.statements import MOST
 
-PATIENCE = 20.0
+TIMEOUT = 20.0
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 AWAY = [1.5, *HOME[1:]]
 
@@ -67,7 +67,7 @@ def test_statements_are_executed_one_by_one_and_share_their_names(robot: urlink.
         with pytest.raises(urlink.StatementDiscarded, match="does not compile: 'nobody") as discarded:
             interpreter.execute("nobody(1)")
         assert discarded.value.statement == "nobody(1)"
-        interpreter.wait_executed(PATIENCE)
+        interpreter.wait_executed(TIMEOUT)
         state = interpreter.state
         assert (state.unexecuted, state.last_cleared) == (0, 0)
         assert state.last_executed == state.last_interpreted > first
@@ -93,7 +93,7 @@ def leave_half_way(robot: urlink.Robot) -> urlink.Interpreter:
             interpreter.wait_executed(0.1)
         interpreter.skip()
         interpreter.abort()
-        interpreter.wait_executed(PATIENCE)
+        interpreter.wait_executed(TIMEOUT)
         assert interpreter.state.last_executed > last
         assert turned(robot) < 1.0
         interpreter.execute(movej(AWAY, 0.2))
@@ -106,8 +106,8 @@ def test_abort_skip_and_cancel(controller: Controller, robot: urlink.Robot) -> N
     until(lambda: not controller.is_running_program)
     assert controller.arm.q_actual[0] < 1.0
     preempted = robot.interpreter()
-    robot.motion.stop().wait(PATIENCE)
-    for use in (lambda: preempted.execute("sync()"), lambda: preempted.wait(PATIENCE), preempted.end):
+    robot.motion.stop().wait(TIMEOUT)
+    for use in (lambda: preempted.execute("sync()"), lambda: preempted.wait(TIMEOUT), preempted.end):
         with pytest.raises(Cancelled, match="preempted"):
             use()
 
@@ -124,7 +124,7 @@ def execute_what_fails(robot: urlink.Robot) -> None:
     with robot.interpreter() as failing:
         failing.execute("x = 1")
         failing.execute("x = x[0]")
-        failing.wait_executed(PATIENCE)
+        failing.wait_executed(TIMEOUT)
 
 
 def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot) -> None:
@@ -146,7 +146,7 @@ def test_many_statements_are_cleared_before_there_are_too_many(controller: Contr
         interpreter.execute("n = 0")
         for _ in range(CLEAR_AFTER + 20):
             interpreter.execute("n = n + 1")
-        interpreter.wait_executed(PATIENCE)
+        interpreter.wait_executed(TIMEOUT)
         assert interpreter.state.last_cleared > CLEAR_AFTER
         interpreter.execute("write_output_integer_register(0, n)", wait=True)
     assert controller.registers.outputs.integers[0] == CLEAR_AFTER + 20
@@ -177,7 +177,7 @@ def test_where_there_is_no_interpreter_mode() -> None:
 def test_the_port_answers_each_line() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         where = (controller.host, controller.ports["interpreter"])
-        with socket.create_connection(where, PATIENCE) as link:
+        with socket.create_connection(where, TIMEOUT) as link:
             lines = link.makefile("rw", newline="\n")
 
             def say(line: str) -> str:
@@ -213,20 +213,20 @@ def test_the_port_answers_each_line() -> None:
 def test_a_program_goes_on_when_the_mode_is_over() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller, urlink.connect(controller.address) as robot:
         program = robot.script.run('def main():\n  x = 1\n  interpreter_mode()\n  textmsg("x is ", x)\nend')
-        with socket.create_connection((controller.host, controller.ports["interpreter"]), PATIENCE) as link:
+        with socket.create_connection((controller.host, controller.ports["interpreter"]), TIMEOUT) as link:
             lines = link.makefile("rw", newline="\n")
             for line in ("x = x + 41", "end_interpreter()"):
                 reply = ""
-                end = time.monotonic() + PATIENCE
+                end = time.monotonic() + TIMEOUT
                 while not reply.startswith("ack") and time.monotonic() < end:
                     lines.write(line + "\n")
                     lines.flush()
                     reply = lines.readline()
-        program.wait(PATIENCE)
+        program.wait(TIMEOUT)
         assert program.texts == ("x is 42",)
         thread = "thread t():\n  interpreter_mode()\nend\nh = run t()\nsleep(1)"
         with pytest.raises(urlink.ScriptFailed, match="main thread only"):
-            robot.script.run(thread, wait=PATIENCE)
+            robot.script.run(thread, wait=TIMEOUT)
 
 
 # -- the protocol ----------------------------------------------------------------------------------------

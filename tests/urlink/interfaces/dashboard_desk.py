@@ -15,7 +15,7 @@ from urlink.simulator.programs.pendant import Pendant
 from urlink.simulator.robot.modes import Modes
 
 #: Seconds that a test waits for what must come at once.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 #: One of each firmware at which the table changes, or was asked to be looked at.
 FIRMWARES = ["1.6", "1.8", "3.0", "3.1", "3.2", "3.4", "3.7", "3.12", "3.14", "5.0", "5.1", "5.4", "5.6", "5.8", "5.11"]
@@ -95,7 +95,7 @@ class Desk:
             self.connections += 1
             self._open = connection
             with connection, contextlib.suppress(OSError):
-                connection.settimeout(PATIENCE)
+                connection.settimeout(TIMEOUT)
                 self._say(connection, self._greeting)
                 self._talk(connection)
 
@@ -133,5 +133,5 @@ class Desk:
                 with contextlib.suppress(OSError):
                     each.shutdown(socket.SHUT_RDWR)
         self._listener.close()
-        self._thread.join(PATIENCE)
+        self._thread.join(TIMEOUT)
         assert not self._thread.is_alive()

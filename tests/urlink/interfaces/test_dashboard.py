@@ -26,7 +26,7 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
-from tests.urlink.interfaces.dashboard_desk import FIRMWARES, PATIENCE, Desk, StandIn
+from tests.urlink.interfaces.dashboard_desk import FIRMWARES, TIMEOUT, Desk, StandIn
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
@@ -46,7 +46,7 @@ def opened() -> Iterator[Opened]:
     made: list[Any] = []
 
     def opened(
-        answer: Callable[[str], bytes | None], firmware: str = "5.11", timeout: float = PATIENCE, **options: Any
+        answer: Callable[[str], bytes | None], firmware: str = "5.11", timeout: float = TIMEOUT, **options: Any
     ) -> tuple[Desk, Dashboard]:
         desk = Desk(answer, **options)
         made.append(desk)
@@ -81,7 +81,7 @@ def nowhere(firmware: str) -> Dashboard:
 def has_come(dashboard: Dashboard) -> bool:
     """Wait until there is something to receive, or the connection has ended."""
     assert dashboard._transport._socket is not None
-    return bool(select.select([dashboard._transport._socket], [], [], PATIENCE)[0])
+    return bool(select.select([dashboard._transport._socket], [], [], TIMEOUT)[0])
 
 
 # -- every command ---------------------------------------------------------------------------------------
@@ -322,7 +322,7 @@ def test_send_returns_whatever_is_said(opened: Opened) -> None:
 def test_no_text_becomes_a_second_command(text: str) -> None:
     desk = Desk(saying(b"showing popup\n"))
     try:
-        with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=PATIENCE) as dashboard:
+        with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=TIMEOUT) as dashboard:
             try:
                 dashboard.popup(text)
             except BadValue:
@@ -481,7 +481,7 @@ def test_a_late_reply_is_not_that_of_the_next_command(opened: Opened) -> None:
 
     def answer(line: str) -> bytes:
         if line == "running":
-            assert may_answer.wait(PATIENCE)
+            assert may_answer.wait(TIMEOUT)
             return b"Program running: true\n"
         return b"true pick.urp\n"
 
@@ -489,7 +489,7 @@ def test_a_late_reply_is_not_that_of_the_next_command(opened: Opened) -> None:
     with pytest.raises(LinkTimeout, match=r"no reply to 'running' within 0\.3 s"):
         dashboard.running()
     may_answer.set()
-    assert dashboard.send("isProgramSaved", timeout=PATIENCE) == "true pick.urp"
+    assert dashboard.send("isProgramSaved", timeout=TIMEOUT) == "true pick.urp"
     assert desk.connections == 2
 
 
@@ -591,9 +591,9 @@ def test_closing_wakes_who_waits(opened: Opened) -> None:
 
     thread = threading.Thread(target=play)
     thread.start()
-    assert asked.wait(PATIENCE)
+    assert asked.wait(TIMEOUT)
     dashboard.close()
-    thread.join(PATIENCE)
+    thread.join(TIMEOUT)
     assert [type(error) for error in errors] == [Closed]
 
 
@@ -614,7 +614,7 @@ def test_threads_take_turns(opened: Opened) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(PATIENCE)
+        thread.join(TIMEOUT)
     assert not wrong
     assert (desk.connections, len(desk.lines)) == (1, 120)
 
@@ -624,17 +624,17 @@ def test_waiting_for_another_thread_has_a_deadline(opened: Opened) -> None:
 
     def answer(line: str) -> bytes:
         asked.set()
-        assert may_answer.wait(PATIENCE)
+        assert may_answer.wait(TIMEOUT)
         return b"Log saved to disk\n"
 
     desk, dashboard = opened(answer, timeout=SHORT)
     thread = threading.Thread(target=dashboard.save_log)
     thread.start()
-    assert asked.wait(PATIENCE)
+    assert asked.wait(TIMEOUT)
     with pytest.raises(LinkTimeout, match="'running' was not sent"):
         dashboard.running()
     may_answer.set()
-    thread.join(PATIENCE)
+    thread.join(TIMEOUT)
     assert desk.lines == ["saveLog"]
 
 
@@ -649,7 +649,7 @@ def test_any_bytes_are_a_value_or_a_documented_error(data: bytes) -> None:
     # A byte that ends the line, so that no example waits for a deadline.
     desk = Desk(saying(data + b"\n"))
     try:
-        with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=PATIENCE) as dashboard:
+        with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=TIMEOUT) as dashboard:
             for call in _QUESTIONS[:: 1 + len(data) % 7]:
                 with contextlib.suppress(RemoteError):
                     call(dashboard)

@@ -27,7 +27,7 @@ from urlink.urscript.wrapping import finish_marker, start_marker
 from urlink.vectors import FloatArray
 
 _ARM = Arm("UR5e")
-PATIENCE = 10.0
+TIMEOUT = 10.0
 STOP, FOLLOW, WAIT = 0, 1, 2
 #: rad; far from the limits and from singular postures.
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
@@ -183,7 +183,7 @@ class Rehearsal(StandIn):
             return
         if self.link is not None:
             self.link.close()
-        self.link = socket.create_connection(("127.0.0.1", self.port), PATIENCE)
+        self.link = socket.create_connection(("127.0.0.1", self.port), TIMEOUT)
         self.link.sendall(self.token)
         self._rest = b""
 
@@ -247,7 +247,7 @@ class Rehearsal(StandIn):
             except TimeoutError:
                 return False
             finally:
-                self.link.settimeout(PATIENCE)
+                self.link.settimeout(TIMEOUT)
             return True
 
         self.until(is_answered)

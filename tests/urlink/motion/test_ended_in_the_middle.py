@@ -20,7 +20,7 @@ from urlink.robot import Robot
 Begin = Callable[[Robot], Motion]
 End = Callable[[Robot, Motion], type[LinkError]]
 
-PATIENCE = 30.0
+TIMEOUT = 30.0
 #: Seconds that words may stay away: the machine that runs this may be busy with other things.
 WATCHDOG = 3.0
 #: rad; elbow up, tool down.
@@ -111,17 +111,17 @@ def test_each_way_to_end_each_motion(
         return max(map(abs, robot.controller.arm.setpoint.qd))
 
     for begin, end in ways:
-        until(lambda: robot.safety.is_enabled, PATIENCE)
-        robot.motion.move_joints(READY, speed=3.0, acceleration=30.0).wait(PATIENCE)
+        until(lambda: robot.safety.is_enabled, TIMEOUT)
+        robot.motion.move_joints(READY, speed=3.0, acceleration=30.0).wait(TIMEOUT)
         motion = begin(robot)
-        moving = time.monotonic() + PATIENCE
+        moving = time.monotonic() + TIMEOUT
         while not motion.done and speed() < 0.05:
             assert time.monotonic() < moving
             time.sleep(0.002)
         assert not motion.done, (begin, end, motion.error)
         expected = end(robot, motion)
         with pytest.raises(expected):
-            motion.wait(PATIENCE)
+            motion.wait(TIMEOUT)
         assert motion.phase is (Phase.CANCELLED if expected is Cancelled else Phase.FAILED)
-        until(lambda: speed() == 0.0, PATIENCE)
+        until(lambda: speed() == 0.0, TIMEOUT)
         robot.controller.faults.clear()

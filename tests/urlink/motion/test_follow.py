@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Motion, Phase
-from tests.urlink.motion.rehearsal import FOLLOW, PATIENCE, STOP, WAIT, Rehearsal, turned
+from tests.urlink.motion.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.interfaces.enums import SafetyMode
@@ -54,7 +54,7 @@ def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehea
             break
         words.append((robot.time, *word))
     robot.finish()
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
     assert motion.phase is Phase.DONE
     assert motion.progress == 1.0
     t0 = words[0][0]
@@ -101,7 +101,7 @@ def test_what_is_between_the_arm_and_the_first_point_is_faded_out(led: Rehearsal
     steps = np.abs(np.diff(path)) / led.cycle
     assert steps.max() < 0.25 + np.abs(PATH.at(np.linspace(0, 0.4, 100))[1]).max() + 0.01
     led.finish()
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
 
 
 def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
@@ -110,7 +110,7 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
 
     def feedback(each: TrajectoryFeedback) -> None:
         told.append(each)
-        release.wait(PATIENCE)
+        release.wait(TIMEOUT)
         raise ValueError("of the user's own")
 
     motion = begun(led, feedback=feedback)
@@ -118,7 +118,7 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
     while not motion.done and (word := led.obey()) is not None and word[1] == FOLLOW:
         pass
     led.finish()
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
     release.set()
     assert len(told) == 1
     assert told[0].q_desired - told[0].q_actual == pytest.approx(told[0].error)
@@ -184,7 +184,7 @@ def test_cancelled_half_way(led: Rehearsal) -> None:
     for _ in range(5):
         led.tick()
     with pytest.raises(Cancelled):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     assert motion.phase is Phase.CANCELLED
     assert 0.4 < motion.progress < 0.6
     assert len(led.sent) == 1
@@ -206,7 +206,7 @@ def test_a_stop_half_way(robot: Rehearsal, low_bandwidth: bool) -> None:
         robot.obey()
     robot.state(safety=SafetyMode.ROBOT_EMERGENCY_STOP)
     with pytest.raises(SafetyStop, match="emergency stop"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     while (word := robot.word()) is not None:
         assert word[1] != STOP
     assert len(robot.sent) == 1
@@ -219,7 +219,7 @@ def test_goes_on_after_a_stop(led: Rehearsal) -> None:
     motion = begun(led)
     led.state(safety=SafetyMode.PROTECTIVE_STOP)
     with pytest.raises(SafetyStop):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     led.q = turned(0)
     led.until(lambda: led.safety.is_enabled)
     led.show()
@@ -241,7 +241,7 @@ def test_the_program_says_that_the_link_is_gone(led: Rehearsal, word: str) -> No
     motion = begun(led)
     led.text(word)
     with pytest.raises(ConnectionLost, match="brakes by itself"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_the_program_is_stopped_at_the_pendant(led: Rehearsal) -> None:
@@ -249,14 +249,14 @@ def test_the_program_is_stopped_at_the_pendant(led: Rehearsal) -> None:
     led.vanish()
     led.until(lambda: motion.done)
     with pytest.raises(ProgramStopped):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_no_states_come(led: Rehearsal) -> None:
     motion = begun(led)
     led.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match=r"pulled; its program on the robot brakes by itself"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     assert led.word() is None
 
 
@@ -264,7 +264,7 @@ def test_off_its_path(led: Rehearsal) -> None:
     motion = begun(led, path_tolerance=0.05)
     led.tick(away=0.07)
     with pytest.raises(ToleranceExceeded, match=r"wrist 3 \(joint 5\) is 0\.0[67]\d+ rad .* tolerance is 0\.05 rad"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     while (word := led.word()) is not None:
         last = word
     assert last[1] == STOP
@@ -279,7 +279,7 @@ def test_does_not_arrive(led: Rehearsal) -> None:
         if word[1] == FOLLOW:
             led.q = word[0]
     with pytest.raises(ToleranceExceeded, match=r"0\.1 s after the end of its path; the tolerance is 0\.01"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 # -- the program does not connect ------------------------------------------------------------------------
@@ -290,7 +290,7 @@ def test_refused(robot: Rehearsal) -> None:
     robot.begin()
     robot.text("urlink: cannot connect")
     with pytest.raises(ConnectFailed, match=rf"127\.0\.0\.1:{robot.port}.*reverse_host.*firewall.*reverse_port"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_missing(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -324,7 +324,7 @@ def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[...,
     assert fixed.port == port
     for each in (waiting, connected):
         with pytest.raises(Cancelled, match="preempted by follow"):
-            each.wait(PATIENCE)
+            each.wait(TIMEOUT)
     after.cancel()
 
 
@@ -350,21 +350,21 @@ def test_a_program_that_begins_after_its_handle_failed_finds_nobody(robot: Rehea
     port = robot.port
     robot.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match="it moves nothing if it begins later"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     robot.begin()
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port), PATIENCE)
+        socket.create_connection(("127.0.0.1", port), TIMEOUT)
 
 
 def test_a_stranger_on_the_robot_does_not_get_the_set_points(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
-    with socket.create_connection(("127.0.0.1", robot.port), PATIENCE) as stranger:
+    with socket.create_connection(("127.0.0.1", robot.port), TIMEOUT) as stranger:
         stranger.sendall(b"0\n\n\n")
         robot.connect()
         while not (word := robot.obey()) or word[1] != FOLLOW:
             assert word is not None
         until(lambda: motion.phase is Phase.RUNNING)
-        stranger.settimeout(PATIENCE)
+        stranger.settimeout(TIMEOUT)
         with contextlib.suppress(ConnectionError):
             assert stranger.recv(100) == b""
     motion.cancel()
@@ -439,7 +439,7 @@ def test_too_far_from_the_first_waypoint(robot: Rehearsal) -> None:
     robot.begin()
     robot.text("urlink: the first point is too far away")
     with pytest.raises(ToleranceExceeded):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 @pytest.mark.property

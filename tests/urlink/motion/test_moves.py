@@ -9,7 +9,7 @@ import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
 from linkcore.handle import Motion, Phase
-from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal, turned
+from tests.urlink.motion.rehearsal import HOME, TIMEOUT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
@@ -61,7 +61,7 @@ def test_sends_one_program_and_ends_with_it(
     robot.begin()
     until(lambda: phase_of(motion) is Phase.RUNNING)
     robot.finish()
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
     assert (phase_of(motion), motion.error, motion.progress) == (Phase.DONE, None, 1.0)
     until(lambda: told == [motion])
     motion.add_done_callback(told.append)
@@ -116,7 +116,7 @@ def test_one_that_was_cancelled_before_it_began_is_not_let_go_on(robot: Rehearsa
     after = robot.motion.stop()
     robot.begin()
     robot.finish()
-    after.wait(PATIENCE)
+    after.wait(TIMEOUT)
     assert not any("set_flag(31, True)" in text for text in robot.sent)
 
 
@@ -126,7 +126,7 @@ def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
     robot.text(expiry_marker(robot.program))
     robot.key("PROGRAM_XXX_STOPPED", robot.program)
     with pytest.raises(LinkTimeout, match=r"not let go on within 5 s, and has ended without moving the arm"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_a_stop_between_its_beginning_and_the_permission(robot: Rehearsal) -> None:
@@ -135,7 +135,7 @@ def test_a_stop_between_its_beginning_and_the_permission(robot: Rehearsal) -> No
     robot.key("PROGRAM_XXX_STARTED", robot.program)
     robot.text(start_marker(robot.program))
     with pytest.raises(SafetyStop):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     robot.text("heard")
     assert len(robot.sent) == 1
 
@@ -244,7 +244,7 @@ def test_preempted(robot: Rehearsal) -> None:
     robot.key("PROGRAM_XXX_STOPPED", name)
     robot.begin()
     robot.finish()
-    second.wait(PATIENCE)
+    second.wait(TIMEOUT)
 
 
 @pytest.mark.parametrize("is_told", [True, False])
@@ -258,7 +258,7 @@ def test_preempted_when_the_controller_says_so(robot: Rehearsal, is_told: bool) 
     else:
         robot.begin()
     with pytest.raises(Cancelled, match="move_joints was preempted by move_linear"):
-        first.wait(PATIENCE)
+        first.wait(TIMEOUT)
     assert not second.done
     second.cancel()
 
@@ -275,11 +275,11 @@ def test_what_does_not_begin_preempts_nothing(robot: Rehearsal) -> None:
     second = robot.motion.move_joints(HOME)
     robot.exception(3, 1, "compile_error")
     with pytest.raises(CompileError):
-        second.wait(PATIENCE)
+        second.wait(TIMEOUT)
     assert not first.done
     assert robot.motion.current is first
     robot.finish(name)
-    first.wait(PATIENCE)
+    first.wait(TIMEOUT)
 
 
 def test_cancelled(robot: Rehearsal) -> None:
@@ -296,7 +296,7 @@ def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
     robot.begin()
     robot.state(safety=SafetyMode.SAFEGUARD_STOP)
     with pytest.raises(SafetyStop):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     sent = len(robot.sent)
     motion.cancel()
     assert len(robot.sent) == sent
@@ -317,14 +317,14 @@ def test_a_robot_that_is_lost_says_what_may_still_move(
     until(lambda: motion.phase is Phase.RUNNING)
     robot.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match=f"realtime interface is lost.*pulled; {left}"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_a_robot_that_is_lost_before_it_began(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match="pulled; it moves nothing if it begins later"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
@@ -333,7 +333,7 @@ def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
     robot.vanish()
     robot.until(lambda: motion.done)
     with pytest.raises(ProgramStopped, match="before its end, from elsewhere"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     assert motion.phase is Phase.FAILED
 
 
@@ -343,7 +343,7 @@ def test_failed_on_the_controller(robot: Rehearsal) -> None:
     robot.exception(3, 1, "no inverse kinematics")
     robot.vanish()
     with pytest.raises(ScriptFailed, match="no inverse kinematics"):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
 
 
 def test_awaited(robot: Rehearsal) -> None:
@@ -380,7 +380,7 @@ def test_speeds_one_after_the_other(robot: Rehearsal) -> None:
     # The first asks before it moves the arm. The others go on with what moves, and to ask would make it stutter.
     assert ["get_flag" in text for text in robot.sent if text.startswith("def ")] == [True] + [False] * 49
     robot.finish()
-    motions[-1].wait(PATIENCE)
+    motions[-1].wait(TIMEOUT)
 
 
 def test_time_is_the_progress_of_a_speed(robot: Rehearsal) -> None:

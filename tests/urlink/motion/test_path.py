@@ -15,7 +15,7 @@ import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout
 from linkcore.handle import Phase
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import HOME, PATIENCE, Rehearsal
+from tests.urlink.motion.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.curves import Arc
@@ -192,7 +192,7 @@ def test_progress_by_segment(robot: Rehearsal) -> None:
     until(lambda: motion.segment == 2)
     assert motion.progress == pytest.approx(5.0 / 6.0)
     robot.finish()
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
     assert motion.progress == 1.0
 
 
@@ -207,8 +207,8 @@ def test_nothing_is_sent_of_a_path_that_is_refused(robot: Rehearsal) -> None:
 @pytest.mark.parametrize(("arm", "firmware"), [("ur5", "1.8"), ("ur5", "3.15"), ("ur5e", "5.11"), ("ur5e", "10.12")])
 def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
     with urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0) as robot:
-        robot.motion.move_joints(READY, speed=3.0, acceleration=20.0, wait=PATIENCE)
-        here = robot.realtime.wait(PATIENCE).tool_vector_actual
+        robot.motion.move_joints(READY, speed=3.0, acceleration=20.0, wait=TIMEOUT)
+        here = robot.realtime.wait(TIMEOUT).tool_vector_actual
         up, aside = shifted(here, 0, 0, 0.05), shifted(here, 0, 0.05, 0.05)
         motion = robot.motion.path(
             [Linear(up, blend=0.01), Circular(shifted(here, 0, 0.03, 0.06), aside), Joint(READY)],
@@ -218,16 +218,16 @@ def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
         seen: list[tuple[int, float]] = []
         while not motion.done:
             seen.append((motion.segment, motion.progress))
-            robot.realtime.wait(PATIENCE)
+            robot.realtime.wait(TIMEOUT)
         motion.wait(0.0)
         assert motion.phase is Phase.DONE
         assert {segment for segment, _ in seen} == {0, 1, 2}
         # A blend ends a movement a little before its end.
         assert all(later >= before - 1e-3 for (_, before), (_, later) in pairwise(seen))
-        robot.motion.move_linear(up, speed=0.3, wait=PATIENCE)
+        robot.motion.move_linear(up, speed=0.3, wait=TIMEOUT)
         motion_round = robot.motion.move_circular(shifted(here, 0, 0.03, 0.06), aside, speed=0.5)
-        until(lambda: motion_round.done, PATIENCE)
-        assert robot.realtime.wait(PATIENCE).tool_vector_actual[:3] == pytest.approx(aside[:3], abs=1e-3)
+        until(lambda: motion_round.done, TIMEOUT)
+        assert robot.realtime.wait(TIMEOUT).tool_vector_actual[:3] == pytest.approx(aside[:3], abs=1e-3)
 
 
 def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
@@ -241,7 +241,7 @@ def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
         robot.show()
         assert motion.progress == pytest.approx(part, abs=1e-6)
     robot.finish()
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
 
 
 def test_points_in_a_row_are_no_circle(robot: Rehearsal) -> None:
@@ -270,8 +270,8 @@ def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, 
 
     thread = threading.Thread(target=play)
     thread.start()
-    motion = move(robot, PATIENCE)
-    thread.join(PATIENCE)
+    motion = move(robot, TIMEOUT)
+    thread.join(TIMEOUT)
     assert isinstance(motion, urlink.Motion)
     assert motion.phase is Phase.DONE
     with pytest.raises(LinkTimeout, match="it goes on"):
@@ -291,8 +291,8 @@ def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal) -> None:
     thread = threading.Thread(target=interrupt)
     thread.start()
     with pytest.raises(KeyboardInterrupt):
-        robot.motion.move_joints(HOME, wait=PATIENCE)
-    thread.join(PATIENCE)
+        robot.motion.move_joints(HOME, wait=TIMEOUT)
+    thread.join(TIMEOUT)
     until(lambda: "stopj" in robot.uploaded)
     assert robot.motion.current is None
 
@@ -307,5 +307,5 @@ def test_what_ends_a_motion_is_raised_while_it_is_waited_for(robot: Rehearsal) -
     thread = threading.Thread(target=preempt)
     thread.start()
     with pytest.raises(Cancelled, match="preempted by stop"):
-        robot.motion.move_joints(HOME, wait=PATIENCE)
-    thread.join(PATIENCE)
+        robot.motion.move_joints(HOME, wait=TIMEOUT)
+    thread.join(TIMEOUT)

@@ -11,7 +11,7 @@ from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost
 from tests.waiting import until
 from urlink.motion.reverse import ReverseLink, ReversePort
 
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def token(link: ReverseLink) -> bytes:
 
 
 def test_takes_one_program(link: ReverseLink) -> None:
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         assert not link.poll()
         program.sendall(token(link)[:1])
         assert not link.poll()
@@ -48,13 +48,13 @@ def test_takes_one_program(link: ReverseLink) -> None:
         link.send(b"answer")
         assert program.recv(100) == b"answer"
         with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(link.endpoint[:2], PATIENCE)
+            socket.create_connection(link.endpoint[:2], TIMEOUT)
 
 
 def test_a_program_that_is_gone(link: ReverseLink) -> None:
     with pytest.raises(ConnectionLost):
         link.send(b"before it came")
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(link.poll)
 
@@ -72,7 +72,7 @@ def read_all(program: socket.socket) -> None:
 
 
 def test_a_program_that_does_not_read(link: ReverseLink) -> None:
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(link.poll)
 
@@ -92,7 +92,7 @@ def test_a_program_that_does_not_read(link: ReverseLink) -> None:
 
 @pytest.mark.parametrize("is_meant_to_arrive", [True, False])
 def test_what_is_given_up_is_discarded(link: ReverseLink, is_meant_to_arrive: bool) -> None:
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(link.poll)
         link.send(b"farewell")
@@ -101,7 +101,7 @@ def test_what_is_given_up_is_discarded(link: ReverseLink, is_meant_to_arrive: bo
             assert program.recv(100) == b"farewell"
             assert program.recv(100) == b""
         else:
-            program.settimeout(PATIENCE)
+            program.settimeout(TIMEOUT)
             assert is_reset(program)
 
 
@@ -124,7 +124,7 @@ def is_refused(stranger: socket.socket) -> bool:
 def serves(link: ReverseLink) -> None:
     """The program itself still finds the port."""
     assert not link.is_up
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(link.poll)
         link.send(b"set-point")
@@ -132,7 +132,7 @@ def serves(link: ReverseLink) -> None:
 
 
 def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
-    with socket.create_connection(link.endpoint[:2], PATIENCE, source_address=("127.0.0.77", 0)) as stranger:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as stranger:
         stranger.sendall(token(link))
         until(lambda: link.poll() or caplog.records)
         assert "127.0.0.77" in caplog.text
@@ -143,7 +143,7 @@ def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.L
 
 @pytest.mark.parametrize("said", [b"\xff\xff\xff\xff", b"0\n", b"GET / HTTP/1.0\r\n\r\n"])
 def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, caplog: pytest.LogCaptureFixture) -> None:
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as stranger:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as stranger:
         stranger.sendall(said)
         until(lambda: link.poll() or caplog.records)
         assert "not the program that is waited for" in caplog.text
@@ -154,7 +154,7 @@ def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, capl
 def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
     strangers = []
     for _ in range(12):
-        strangers.append(socket.create_connection(link.endpoint[:2], PATIENCE))
+        strangers.append(socket.create_connection(link.endpoint[:2], TIMEOUT))
         until(lambda: not link.poll())
     assert is_refused(strangers[0])
     serves(link)
@@ -165,13 +165,13 @@ def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
 
 def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink) -> None:
     for _ in range(3):
-        socket.create_connection(link.endpoint[:2], PATIENCE).close()
+        socket.create_connection(link.endpoint[:2], TIMEOUT).close()
         link.poll()
     serves(link)
 
 
 def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
-    with socket.create_connection(link.endpoint[:2], PATIENCE) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         link.poll()
         link.close()
         assert is_refused(program)
@@ -180,7 +180,7 @@ def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
 
 def test_another_address_that_programs_come_from() -> None:
     link = ReversePort("127.0.0.1", peer="127.0.0.77").open()
-    with socket.create_connection(link.endpoint[:2], PATIENCE, source_address=("127.0.0.77", 0)) as program:
+    with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as program:
         program.sendall(token(link))
         until(link.poll)
     link.close()
@@ -190,7 +190,7 @@ def test_an_address_that_something_translates() -> None:
     # It belongs to no network card here, so all of them are listened on.
     link = ReversePort("127.0.0.1", "192.0.2.7").open()
     assert link.endpoint[:2][0] == "192.0.2.7"
-    with socket.create_connection(("127.0.0.1", link.endpoint.port), PATIENCE) as program:
+    with socket.create_connection(("127.0.0.1", link.endpoint.port), TIMEOUT) as program:
         program.sendall(token(link))
         until(link.poll)
     link.close()
@@ -205,7 +205,7 @@ def test_a_fixed_port_waits_for_the_newest_program() -> None:
     second = where.open()
     assert first.endpoint[:2] == second.endpoint[:2] == ("127.0.0.1", port)
     # The program of the first, which the controller begins late, is not taken for that of the second.
-    with socket.create_connection(second.endpoint[:2], PATIENCE) as late:
+    with socket.create_connection(second.endpoint[:2], TIMEOUT) as late:
         late.sendall(token(first))
         assert not first.poll()
         until(lambda: not second.poll() and is_refused(late))

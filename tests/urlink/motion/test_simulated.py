@@ -20,7 +20,7 @@ from urlink.motion.reverse import ReverseLink
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
 #: (arm, firmware, options): each generation, and all ways to follow.
 WAYS: list[tuple[str, str, dict[str, Any]]] = [
@@ -48,7 +48,7 @@ def connect() -> Iterator[Callable[[str, str], Robot]]:
         # A machine that is busy with other things holds up the simulator too.
         robot = urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0)
         made.append(robot)
-        robot.motion.move_joints(READY, speed=2.0, acceleration=10.0).wait(PATIENCE)
+        robot.motion.move_joints(READY, speed=2.0, acceleration=10.0).wait(TIMEOUT)
         return robot
 
     yield connect
@@ -77,15 +77,15 @@ def stands(robot: Robot) -> bool:
 
 
 def half_way(motion: Motion) -> None:
-    until(lambda: motion.done or motion.progress > 0.4, PATIENCE)
+    until(lambda: motion.done or motion.progress > 0.4, TIMEOUT)
     assert not motion.done, motion.error
 
 
 def goes_on(robot: Robot, way: dict[str, Any]) -> None:
     """A person can go on: the arm follows another trajectory to its end."""
-    until(lambda: stands(robot), PATIENCE)
+    until(lambda: stands(robot), TIMEOUT)
     path = tool_path(robot, 0.6)
-    robot.motion.follow(path, **way, watchdog=WATCHDOG, goal_time=20.0).wait(PATIENCE)
+    robot.motion.follow(path, **way, watchdog=WATCHDOG, goal_time=20.0).wait(TIMEOUT)
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
 
 
@@ -96,7 +96,7 @@ def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: st
     path = tool_path(robot)
     told: list[TrajectoryFeedback] = []
     motion = robot.motion.follow(path, **way, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0)
-    motion.wait(PATIENCE)
+    motion.wait(TIMEOUT)
     assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
     assert len(told) > 10
@@ -114,7 +114,7 @@ def test_cancelled_in_the_middle(
     half_way(motion)
     motion.cancel()
     with pytest.raises(Cancelled):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     goes_on(robot, way)
 
 
@@ -129,14 +129,14 @@ def test_emergency_stop_in_the_middle(
     said = len(robot.controller.received)
     robot.controller.faults.emergency_stop()
     with pytest.raises(SafetyStop, match="emergency stop"):
-        motion.wait(PATIENCE)
-    until(lambda: stands(robot), PATIENCE)
+        motion.wait(TIMEOUT)
+    until(lambda: stands(robot), TIMEOUT)
     with pytest.raises(SafetyStop):
         robot.motion.move_joints(READY)
     assert len(robot.controller.received) == said
     robot.controller.faults.clear()
     robot.controller.faults.power_on()
-    until(lambda: robot.safety.is_enabled, PATIENCE)
+    until(lambda: robot.safety.is_enabled, TIMEOUT)
     goes_on(robot, way)
 
 
@@ -154,8 +154,8 @@ def test_link_cut_in_the_middle(
     else:
         link_of(motion).close()
     with pytest.raises(ConnectionLost, match="brakes by itself"):
-        motion.wait(PATIENCE)
-    until(lambda: stands(robot), PATIENCE)
+        motion.wait(TIMEOUT)
+    until(lambda: stands(robot), TIMEOUT)
     assert len(robot.controller.received) == said
     goes_on(robot, way)
 
@@ -165,11 +165,11 @@ def test_the_computer_falls_silent(connect: Callable[[str, str], Robot]) -> None
     """The watchdog on the robot: the link stands, but no set-point comes."""
     robot = connect("ur5e", "5.11")
     motion = robot.motion.follow(tool_path(robot, 4.0), watchdog=1.0)
-    until(lambda: motion.done or motion.progress > 0.1, PATIENCE)
+    until(lambda: motion.done or motion.progress > 0.1, TIMEOUT)
     link_of(motion).send = lambda data: None  # type: ignore[method-assign]
     with pytest.raises(ConnectionLost, match="brakes by itself"):
-        motion.wait(PATIENCE)
-    until(lambda: stands(robot), PATIENCE)
+        motion.wait(TIMEOUT)
+    until(lambda: stands(robot), TIMEOUT)
     goes_on(robot, {})
 
 
@@ -201,22 +201,22 @@ def test_speeds_take_over_from_each_other(connect: Callable[[str, str], Robot], 
         reached = next(i for i, speed in enumerate(speeds) if speed > 0.25)
         # Once it has its speed, it keeps it.
         assert min(speeds[reached:]) > 0.2
-        motion.wait(PATIENCE)
-        until(lambda: stands(robot), PATIENCE)
+        motion.wait(TIMEOUT)
+        until(lambda: stands(robot), TIMEOUT)
 
 
 @pytest.mark.slow
 def test_protective_stop_during_a_move(connect: Callable[[str, str], Robot]) -> None:
     robot = connect("ur5e", "5.11")
     motion = robot.motion.move_joints(READY + 0.5, speed=0.5)
-    until(lambda: motion.progress > 0.2, PATIENCE)
+    until(lambda: motion.progress > 0.2, TIMEOUT)
     robot.controller.faults.protective_stop()
     with pytest.raises(SafetyStop, match="protective stop"):
-        motion.wait(PATIENCE)
-    until(lambda: stands(robot), PATIENCE)
+        motion.wait(TIMEOUT)
+    until(lambda: stands(robot), TIMEOUT)
     robot.controller.faults.clear()
-    until(lambda: robot.safety.is_enabled, PATIENCE)
-    robot.motion.move_joints(READY).wait(PATIENCE)
+    until(lambda: robot.safety.is_enabled, TIMEOUT)
+    robot.motion.move_joints(READY).wait(TIMEOUT)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from urlink.motion import Taught, TaughtPoint
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 
-PATIENCE = 30.0
+TIMEOUT = 30.0
 SIX = st.tuples(*[st.floats(-10, 10)] * 6)
 
 
@@ -48,9 +48,9 @@ def pushed(controller: Controller) -> None:
     """A hand that lifts the tool by two millimetres, and lets go."""
     at = controller.arm.setpoint.q
     controller.push([0, 0, 20.0, 0, 0, 0])
-    until(lambda: np.abs(np.subtract(controller.arm.setpoint.q, at)).max() > 2e-3, PATIENCE)
+    until(lambda: np.abs(np.subtract(controller.arm.setpoint.q, at)).max() > 2e-3, TIMEOUT)
     controller.push([0.0] * 6)
-    until(lambda: not any(controller.arm.setpoint.qd), PATIENCE)
+    until(lambda: not any(controller.arm.setpoint.qd), TIMEOUT)
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_waypoints_by_calls_and_by_an_input_are_saved_and_played(arm: tuple[Cont
         controller.signals.set_digital_input(2, False)
         until(lambda: not robot.realtime.wait(5).digital_input_bits & 4)
         controller.signals.set_digital_input(2, True)
-        until(lambda: len(teaching.taught) == 2, PATIENCE)
+        until(lambda: len(teaching.taught) == 2, TIMEOUT)
     assert told == list(teaching.taught)
     assert teaching.taught.model == "UR5e"
     with pytest.raises(LocalError, match="within the block"):
@@ -74,7 +74,7 @@ def test_waypoints_by_calls_and_by_an_input_are_saved_and_played(arm: tuple[Cont
     file = tmp_path / "taught.json"
     teaching.taught.save(file)
     taught = Taught.load(file)
-    taught.play(robot, speed=1.0, acceleration=3.0, wait=PATIENCE)
+    taught.play(robot, speed=1.0, acceleration=3.0, wait=TIMEOUT)
     assert robot.realtime.wait(5).q_actual == pytest.approx(told[1].q, abs=1e-3)
     controller.faults.protective_stop()
     until(lambda: robot.safety.refusal is not None)
@@ -91,7 +91,7 @@ def test_the_button_keeps_one_when_it_is_let_go_and_no_program_runs(arm: tuple[C
             for is_held in (True, False):
                 controller.teach_button = is_held
                 until(partial(has_come_to, controller, controller.cycle + 60))
-            until(partial(has, teaching.taught, count), PATIENCE)
+            until(partial(has, teaching.taught, count), TIMEOUT)
         assert controller.program_name is None
 
 

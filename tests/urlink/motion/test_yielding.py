@@ -20,7 +20,7 @@ from urlink.motion.torque import Torque
 from urlink.robot import Robot
 from urlink.simulator import Controller, Plane, Still
 
-PATIENCE = 30.0
+TIMEOUT = 30.0
 #: Seconds that words may stay away: the machine that runs this may be busy with other things.
 WATCHDOG = 2.0
 
@@ -54,7 +54,7 @@ def press(robot: Robot, link: LinkName = "reverse", newtons: float = 10.0) -> Fo
 
 def is_rigid(controller: Controller) -> bool:
     """Pushed, it does not yield: its mode is over."""
-    until(lambda: controller.program_name is None and not controller.arm.is_moving, PATIENCE)
+    until(lambda: controller.program_name is None and not controller.arm.is_moving, TIMEOUT)
     at = controller.arm.setpoint.q
     controller.push([0, 0, 30.0, 0, 0, 0])
     cycle = controller.cycle
@@ -70,12 +70,12 @@ def test_force_mode_presses_and_is_over_with_its_block(
 ) -> None:
     controller, robot = made(firmware)
     with press(robot, link) as pressing:
-        until(lambda: abs(force(controller) - 10.0) < 0.5, PATIENCE)
+        until(lambda: abs(force(controller) - 10.0) < 0.5, TIMEOUT)
         assert robot.motion.current is pressing
         pressing.set_wrench([0, 0, -15.0, 0, 0, 0])
         assert pressing.wrench.tolist() == [0, 0, -15.0, 0, 0, 0]
-        until(lambda: abs(force(controller) - 15.0) < 0.5, PATIENCE)
-        until(lambda: abs(robot.realtime.wait(5).tcp_force[2] - 15.0) < 0.8, PATIENCE)
+        until(lambda: abs(force(controller) - 15.0) < 0.5, TIMEOUT)
+        until(lambda: abs(robot.realtime.wait(5).tcp_force[2] - 15.0) < 0.8, TIMEOUT)
     assert is_rigid(controller)
     with pytest.raises(LinkError):
         pressing.set_wrench([0.0] * 6)
@@ -91,31 +91,31 @@ def test_whatever_ends_it_ends_the_mode(made: Callable[[str], Made], end: str) -
         pressing: LinkedBlock = stack.enter_context(robot.freedrive(watchdog=WATCHDOG))
         controller.push([0, 0, 10.0, 0, 0, 0])
         q = controller.arm.setpoint.q
-        until(lambda: np.abs(np.subtract(controller.arm.setpoint.q, q)).max() > 1e-3, PATIENCE)
+        until(lambda: np.abs(np.subtract(controller.arm.setpoint.q, q)).max() > 1e-3, TIMEOUT)
         controller.push([0.0] * 6)
         if end == "exception":
             raise ZeroDivisionError
         if end == "cancel":
             pressing.cancel()
             with pytest.raises(Cancelled):
-                pressing.wait(PATIENCE)
+                pressing.wait(TIMEOUT)
         elif end == "close":
             robot.close()
         elif end == "emergency stop":
             controller.faults.emergency_stop()
             with pytest.raises(SafetyStop):
-                pressing.wait(PATIENCE)
+                pressing.wait(TIMEOUT)
         else:
             program = pressing._program._link
             assert program is not None
             program.close(farewell=False)
             with pytest.raises(ConnectionLost):
-                pressing.wait(PATIENCE)
+                pressing.wait(TIMEOUT)
     if end == "emergency stop":
         until(lambda: controller.program_name is None)
         controller.faults.clear()
         controller.faults.power_on()
-        until(lambda: controller.modes.may_move, PATIENCE)
+        until(lambda: controller.modes.may_move, TIMEOUT)
     assert is_rigid(controller)
 
 
@@ -141,11 +141,11 @@ def test_a_mode_ends_in_the_middle_on_each_generation(
             assert link is not None
             link.close(farewell=False)
             with pytest.raises((ConnectionLost, ProgramStopped)):
-                block.wait(PATIENCE)
+                block.wait(TIMEOUT)
         else:
             controller.faults.protective_stop()
             with pytest.raises(SafetyStop):
-                block.wait(PATIENCE)
+                block.wait(TIMEOUT)
             controller.faults.clear()
             controller.call(controller.pendant.stop)
     assert is_rigid(controller)
@@ -156,7 +156,7 @@ def test_a_mode_ends_in_the_middle_on_each_generation(
 def test_a_movement_to_a_contact_ends_in_the_middle(made: Callable[[str], Made], end: str) -> None:
     controller, robot = made("5.11")
     motion = robot.motion.until_contact([0, 0, 1], 0.02)
-    until(lambda: controller.arm.is_moving, PATIENCE)
+    until(lambda: controller.arm.is_moving, TIMEOUT)
     if end == "cancel":
         motion.cancel()
         error: type[Exception] = Cancelled
@@ -164,9 +164,9 @@ def test_a_movement_to_a_contact_ends_in_the_middle(made: Callable[[str], Made],
         controller.faults.protective_stop()
         error = SafetyStop
     with pytest.raises(error):
-        motion.wait(PATIENCE)
+        motion.wait(TIMEOUT)
     assert motion.contact is None
-    until(lambda: not controller.arm.is_moving, PATIENCE)
+    until(lambda: not controller.arm.is_moving, TIMEOUT)
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_an_awaited_robot_yields_too(made: Callable[[str], Made]) -> None:
                 await robot.call(teaching.record)
             assert len(teaching.taught) == 1
 
-    asyncio.run(asyncio.wait_for(press_softly(), PATIENCE))
+    asyncio.run(asyncio.wait_for(press_softly(), TIMEOUT))
     assert is_rigid(controller)
 
 
@@ -208,7 +208,7 @@ def test_torques_by_a_loop(made: Callable[[str], Made]) -> None:
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
 def test_a_movement_ends_at_a_contact(made: Callable[[str], Made], firmware: str) -> None:
     controller, robot = made(firmware)
-    motion = robot.motion.until_contact([0, 0, -1], 0.02, wait=PATIENCE)
+    motion = robot.motion.until_contact([0, 0, -1], 0.02, wait=TIMEOUT)
     contact = motion.contact
     assert contact is not None
     assert contact.pose is not None
@@ -216,7 +216,7 @@ def test_a_movement_ends_at_a_contact(made: Callable[[str], Made], firmware: str
     assert contact.pose[:3] == pytest.approx(start[:3], abs=2e-3)
     robot.zero_force_sensor()
     with pytest.raises(NoContact, match=r"nothing was touched within 0\.004 m"):
-        robot.motion.until_contact([0, 0, 1], 0.05, distance=0.004, wait=PATIENCE)
+        robot.motion.until_contact([0, 0, 1], 0.05, distance=0.004, wait=TIMEOUT)
 
 
 def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[str], Made]) -> None:

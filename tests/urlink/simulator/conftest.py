@@ -11,14 +11,14 @@ import pytest
 
 from urlink.simulator import Controller
 
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
 
 class Link:
     """One connection to one port of a controller."""
 
     def __init__(self, controller: Controller, port: str) -> None:
-        self.socket = socket.create_connection((controller.host, controller.ports[port]), timeout=PATIENCE)
+        self.socket = socket.create_connection((controller.host, controller.ports[port]), timeout=TIMEOUT)
 
     def exactly(self, count: int) -> bytes:
         data = b""
@@ -39,7 +39,7 @@ class Link:
 
     def until(self, wanted: Callable[[bytes], bool]) -> bytes:
         """The first packet that is wanted."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while time.monotonic() < deadline:
             packet = self.packet()
             if wanted(packet):
@@ -51,7 +51,7 @@ class Link:
 
     def is_ended(self) -> bool:
         """Read on until the connection ends. False if it does not."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         try:
             while time.monotonic() < deadline:
                 if not self.socket.recv(65536):
@@ -84,7 +84,7 @@ def eventually() -> Callable[[Callable[[], object]], None]:
     """Waits until something is true, or fails."""
 
     def eventually(condition: Callable[[], object]) -> None:
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while not condition():
             assert time.monotonic() < deadline, "it did not come true"
             time.sleep(0.002)

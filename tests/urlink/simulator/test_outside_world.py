@@ -12,7 +12,7 @@ import urlink
 from linkcore.errors import BadValue
 from urlink.simulator import Controller, Still
 
-PATIENCE = 20.0
+TIMEOUT = 20.0
 Run = Callable[[str], tuple[str, ...]]
 
 
@@ -28,7 +28,7 @@ def run(controller: Controller) -> Iterator[Run]:
     with urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot:
 
         def run(text: str) -> tuple[str, ...]:
-            return robot.script.run(text, wait=PATIENCE).texts
+            return robot.script.run(text, wait=TIMEOUT).texts
 
         yield run
 

@@ -2,7 +2,7 @@
 
 A call is an HTTP request over one of the program's connections, so it reaches what its sockets reach: this computer,
 and those that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz, as the manual has it.
-Guesses: that connecting happens at each call, that a call gives up after `PATIENCE`, that a method of the server which
+Guesses: that connecting happens at each call, that a call gives up after `TIMEOUT`, that a method of the server which
 fails, or none being there, ends the program, and that structs of other members are structs of URScript too.
 """
 
@@ -25,7 +25,7 @@ __all__ = ["FAMILY", "call_method"]
 FAMILY = Family()
 
 #: Seconds that a call may take.
-PATIENCE = 30.0
+TIMEOUT = 30.0
 _POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -65,7 +65,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
     what, sockets = f"{name}: {handle.url}", thread.world.sockets
     thread.machine.remote_calls += 1
     # A name that no program writes: its strings hold one kind of quote or the other.
-    socket, left = f"rpc '{thread.machine.remote_calls}\"", PATIENCE / thread.world.period
+    socket, left = f"rpc '{thread.machine.remote_calls}\"", TIMEOUT / thread.world.period
     sockets.open(socket, handle.host, handle.port)
     try:
         while sockets.state(socket) == "connecting" and left > 0:
@@ -95,7 +95,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
                     raise Fault(f"{what} answers {response.status} {response.reason}")
                 return response.body
             if left <= 0:
-                raise Fault(f"{what} has not answered within {PATIENCE:g} s")
+                raise Fault(f"{what} has not answered within {TIMEOUT:g} s")
             left -= 1
             yield
     finally:
