@@ -1,5 +1,6 @@
 """The project's checks. `nox` runs the gate, `nox -l` lists everything."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -14,9 +15,10 @@ ROOT = Path(__file__).parent
 PROJECT = nox.project.load_toml(ROOT / "pyproject.toml")
 EXTRAS = "[cli,plot]"
 
-# Processes that run tests side by side: one for each processor, but no more than four, because the simulators and the
-# streams of a process start threads of their own, and tests of periods want some of a processor left.
-PARALLEL = ("-n", "auto", "--maxprocesses=4", "--dist=worksteal")
+# Processes that run tests side by side: one more than there are processors, since many tests wait for a third of their
+# time, but no more than four, because the simulators and the streams of a process start threads of their own, and tests
+# of periods want some of a processor left.
+PARALLEL = (f"-n{min((os.cpu_count() or 1) + 1, 4)}", "--dist=worksteal")
 
 # Hundreds of tests start an interpreter, which would compile every module anew where the environment forbids to keep
 # what is compiled: a fifth of the time of all tests.
