@@ -7,6 +7,7 @@ life is not over. What ends the life ends the program on the robot, and with it 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections import deque
@@ -40,6 +41,8 @@ CLEAR_AFTER = 500
 _POLL = 0.02
 #: Seconds for each reply, and for each that nobody waits for any more.
 _REPLY, _LAST_WORDS = 5.0, 0.5
+#: Seconds that the reason has to arrive for which no program takes statements any more.
+_REASON = 1.5
 
 _log = logging.getLogger(__name__)
 
@@ -199,6 +202,10 @@ class Interpreter(Program):
 
         reply = self._reply(line, gate)
         if reply.word != "ack":
+            if not reply.number:
+                # No program takes statements any more. What ended it comes over the primary interface, a little later.
+                with contextlib.suppress(LinkTimeout, LocalError):
+                    self.wait(_REASON)
             if self._life.error is not None:
                 raise self._life.error
             raise StatementDiscarded(line, reply.number)

@@ -127,6 +127,20 @@ def execute_what_fails(robot: urlink.Robot) -> None:
         failing.wait_executed(TIMEOUT)
 
 
+def execute_on_and_on(robot: urlink.Robot) -> None:
+    with robot.interpreter() as failing:
+        failing.execute("x = 1")
+        failing.execute("x = x[0]")
+        for _ in range(1000):
+            failing.execute("sync()")
+
+
+def test_a_statement_after_the_end_is_refused_with_the_reason(robot: urlink.Robot) -> None:
+    """It may be discarded before the message of the error has come."""
+    with pytest.raises(urlink.ScriptFailed, match="int has no elements"):
+        execute_on_and_on(robot)
+
+
 def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot) -> None:
     with pytest.raises(urlink.SafetyStop):
         execute_in_a_stop(controller, robot)
