@@ -6,19 +6,8 @@ It gets the same words as `urlink.urscript.programs.streaming`, with speeds in t
 from __future__ import annotations
 
 from ..firmware import Firmware
-from .programs import (
-    STARVED,
-    STOP,
-    WAIT,
-    InputRegisters,
-    ReverseSocket,
-    indented,
-    lines,
-    missable,
-    takes_duration,
-    way_of,
-)
-from .text import number, quoted
+from .programs import InputRegisters, ReverseSocket, missable, takes_duration, word_loop
+from .text import number
 
 __all__ = ["jogging"]
 
@@ -42,7 +31,6 @@ def jogging(
         acceleration: m/s² or rad/s².
         watchdog: seconds without a word after which it brakes.
     """
-    way = way_of(link, firmware, watchdog)
     function, brake = ("speedl", "stopl") if is_tool else ("speedj", "stopj")
     hardness = number(acceleration, "acceleration")
     most_missed = missable(watchdog, firmware.rate)
@@ -52,34 +40,7 @@ def jogging(
         # The call takes a cycle or none, so that two cycles are the longest that a round can take at a steady speed.
         go_on = f"{function}(speeds, {hardness})\nsync()"
         most_missed = max(most_missed // 2, 2)
-    text = f"""
-{indented(way.shared)}
-        starved = False
-        {way.kind} servo():
-          speeds = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-          missed = 0
-          going = True
-          while going:
-{indented(way.take, 12)}
-            if wanted == {STOP}:
-              going = False
-            elif wanted == {WAIT}:
-              sync()
-            elif is_new:
-              speeds = goal
-              missed = 0
-{indented(go_on, 14)}
-            elif missed < {most_missed}:
-              missed = missed + 1
-{indented(go_on, 14)}
-            else:
-              starved = True
-              textmsg({quoted(STARVED)})
-              going = False
-            end
-          end
-          {brake}({hardness})
-        end
-{indented(way.follow)}
-    """
-    return lines(text)
+    start = "speeds = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nmissed = 0"
+    told = f"speeds = goal\nmissed = 0\n{go_on}"
+    end = f"{brake}({hardness})"
+    return word_loop(firmware, link, start, told, go_on, end, watchdog=watchdog, most_missed=most_missed)

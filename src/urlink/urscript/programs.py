@@ -39,7 +39,6 @@ __all__ = [
     "TOO_FAR",
     "WAIT",
     "InputRegisters",
-    "LinkText",
     "ReverseSocket",
     "each",
     "indented",
@@ -58,7 +57,7 @@ __all__ = [
     "stop",
     "streaming",
     "takes_duration",
-    "way_of",
+    "word_loop",
 ]
 
 #: How many tokens there are: what a signed 32-bit integer holds.
@@ -250,7 +249,6 @@ def streaming(
     most_coasted = missable(min(watchdog, coasting), firmware.rate)
     cycle = number(1.0 / firmware.rate)
     ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
-    way = way_of(link, firmware, watchdog)
     if firmware.is_cb2:
         easing = _eased(firmware)
         move = f"moved = [{each('eased(aim[{i}], q[{i}], pace[{i}], moved[{i}], {way})', ways)}]"
@@ -262,7 +260,7 @@ def streaming(
         easing = ""
         coast = f"q = [{each('bounded(aim[{i}], q[{i}], {way})', ways)}]"
         begin = f"if begun:\n  {coast}\nelse:\n  q = aim\nend"
-    text = f"""
+    bounds = f"""
         def bounded(aim, here, way):
           if aim > here + way:
             return here + way
@@ -272,49 +270,35 @@ def streaming(
           return aim
         end
 {indented(easing)}
-{indented(way.shared)}
-        starved = False
-        {way.kind} servo():
-          q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-          aim = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-          step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-          missed = 0
-          begun = False
-          going = True
-          while going:
-{indented(way.take, 12)}
-            if wanted == {STOP}:
-              going = False
-            elif wanted == {WAIT}:
-              sync()
-            elif is_new:
-              step = [{each("speed[{i}] * " + cycle)}]
-              aim = goal
-{indented(begin, 14)}
-              begun = True
-              missed = 0
-              {servo}
-            elif missed < {most_missed}:
-              missed = missed + 1
-              if missed < {most_coasted}:
-                share = 1.0 - missed / {number(most_coasted)}
-                aim = [{each("aim[{i}] + step[{i}] * share")}]
-              else:
-                share = 0.0
-              end
-{indented(coast, 14)}
-              {servo}
-            else:
-              starved = True
-              textmsg({quoted(STARVED)})
-              going = False
-            end
-          end
-          stopj({number(deceleration)})
-        end
-{indented(way.follow)}
     """
-    return lines(text)
+    start = """
+        q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        aim = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        missed = 0
+        begun = False
+    """
+    told = f"""
+        step = [{each("speed[{i}] * " + cycle)}]
+        aim = goal
+{indented(begin)}
+        begun = True
+        missed = 0
+        {servo}
+    """
+    late = f"""
+        if missed < {most_coasted}:
+          share = 1.0 - missed / {number(most_coasted)}
+          aim = [{each("aim[{i}] + step[{i}] * share")}]
+        else:
+          share = 0.0
+        end
+{indented(coast)}
+        {servo}
+    """
+    end = f"stopj({number(deceleration)})"
+    loop = word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed)
+    return [*lines(bounds), *loop]
 
 
 def _eased(firmware: Firmware) -> str:
@@ -346,28 +330,61 @@ def _eased(firmware: Firmware) -> str:
     """
 
 
-class LinkText(NamedTuple):
-    """How a program gets its words. It defines `servo`, which moves the arm and says in `starved` that none came.
+def word_loop(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    start: str,
+    told: str,
+    late: str,
+    end: str,
+    *,
+    watchdog: float,
+    most_missed: int,
+) -> list[str]:
+    """A program that does something in each cycle, by the words that come over a link.
 
-    Attributes:
-        kind: what `servo` is: a thread where reading waits, else a function.
-        shared: what stands before it.
-        take: within it, the newest word: `wanted`, `is_new`, `goal` and `speed`.
-        follow: what stands behind it: begin, and go on until the link ends.
+    Args:
+        link: how they come.
+        start: what it does first; it sets ``missed`` to 0.
+        told: for a new word, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to 0, and takes a cycle.
+        late: for the cycle ``missed`` without a word; it takes a cycle.
+        end: what it does last, also when no word has come for longer.
+        watchdog: seconds without a word after which the program ends.
+        most_missed: rounds without one in these seconds, after which it says `STARVED` and ends.
     """
-
-    kind: str
-    shared: str
-    take: str
-    follow: str
-
-
-def way_of(link: ReverseSocket | InputRegisters, firmware: Firmware, watchdog: float) -> LinkText:
-    """How a program gets its words by a link, of which none comes for `watchdog` seconds at most."""
     if isinstance(link, ReverseSocket):
         # Reading waits, so a thread of its own moves the arm.
-        return LinkText("thread", _SHARED, _TAKE_SHARED, _over_socket(link))
-    return LinkText("def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog))
+        kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link)
+    else:
+        kind, shared, take, follow = "def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog)
+    text = f"""
+{indented(shared)}
+        starved = False
+        {kind} servo():
+{indented(start, 10)}
+          going = True
+          while going:
+{indented(take, 12)}
+            if wanted == {STOP}:
+              going = False
+            elif wanted == {WAIT}:
+              sync()
+            elif is_new:
+{indented(told, 14)}
+            elif missed < {most_missed}:
+              missed = missed + 1
+{indented(late, 14)}
+            else:
+              starved = True
+              textmsg({quoted(STARVED)})
+              going = False
+            end
+          end
+{indented(end, 10)}
+        end
+{indented(follow)}
+    """
+    return lines(text)
 
 
 #: What the thread that reads the socket hands over to the one that moves the arm.

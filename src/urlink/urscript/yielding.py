@@ -1,6 +1,6 @@
 """The programs of an arm that yields: force mode, freedrive, direct torque, and a movement that ends at a contact.
 
-The first three are loops by words (`programs.way_of`): they go on as long as words come, and end their mode and
+The first three are loops by words (`programs.word_loop`): they go on as long as words come, and end their mode and
 brake where none has come for the watchdog's time, where the link ends, or where they are told to. Should the program be
 stopped by something else, the controller ends the mode with it.
 
@@ -15,7 +15,7 @@ import re
 from collections.abc import Sequence
 
 from ..firmware import Firmware
-from .programs import STARVED, STOP, WAIT, InputRegisters, ReverseSocket, each, indented, lines, missable, way_of
+from .programs import InputRegisters, ReverseSocket, each, lines, missable, word_loop
 from .text import number, pose, quoted, vector
 
 __all__ = ["CONTACT", "NO_CONTACT", "contact_of", "force_mode", "freedrive", "torque", "until_contact"]
@@ -68,7 +68,7 @@ def force_mode(
         sync()
     """
     end = f"end_force_mode()\n{_DECELERATION}"
-    return _word_loop(firmware, link, "\n".join(start), told, "sync()", end, watchdog=watchdog)
+    return _mode_loop(firmware, link, "\n".join(start), told, "sync()", end, watchdog=watchdog)
 
 
 def freedrive(
@@ -100,7 +100,7 @@ def freedrive(
         sync()
     """
     end = f"end_freedrive_mode()\n{_DECELERATION}"
-    return _word_loop(firmware, link, "", told, "sync()", end, watchdog=watchdog)
+    return _mode_loop(firmware, link, "", told, "sync()", end, watchdog=watchdog)
 
 
 def torque(
@@ -122,62 +122,30 @@ def torque(
     """
     missed = call.format(f"[{each('torque[{i}] * share')}]")
     start = "torque = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
-    return _word_loop(firmware, link, start, told, missed, _DECELERATION, watchdog=watchdog)
+    return _mode_loop(firmware, link, start, told, missed, _DECELERATION, watchdog=watchdog)
 
 
-def _word_loop(
+def _mode_loop(
     firmware: Firmware,
     link: ReverseSocket | InputRegisters,
     start: str,
     told: str,
-    missed: str,
+    late: str,
     end: str,
     *,
     watchdog: float,
 ) -> list[str]:
-    """A program that does something in each cycle, by words of six values (``goal``).
+    """A `word_loop` whose mode begins with the first word.
 
     Args:
-        link: how the words come.
-        start: what it does first.
-        told: for a new word; it sets ``begun`` to True and ``missed`` to 0, and takes a cycle.
-        missed: for a cycle without one, of which a part ``share`` of the watchdog's time is left; it takes a cycle.
-        end: what it does last, also when no word has come for longer than that.
-        watchdog: s without a word, after which it ends.
+        link, start, end, watchdog: as there.
+        told: as there; it sets ``begun`` to True.
+        late: as there; a part ``share`` of the watchdog's time is left.
     """
-    way = way_of(link, firmware, watchdog)
+    start += "\nmissed = 0\nbegun = False"
     most_missed = missable(watchdog, firmware.rate)
-    text = f"""
-{indented(way.shared)}
-        starved = False
-        {way.kind} servo():
-{indented(start, 10)}
-          missed = 0
-          begun = False
-          going = True
-          while going:
-{indented(way.take, 12)}
-            if wanted == {STOP}:
-              going = False
-            elif wanted == {WAIT}:
-              sync()
-            elif is_new:
-{indented(told, 14)}
-            elif missed < {most_missed}:
-              missed = missed + 1
-              share = 1.0 - missed / {number(most_missed)}
-{indented(missed, 14)}
-            else:
-              starved = True
-              textmsg({quoted(STARVED)})
-              going = False
-            end
-          end
-{indented(end, 10)}
-        end
-{indented(way.follow)}
-    """
-    return lines(text)
+    late = f"share = 1.0 - missed / {number(most_missed)}\n{late}"
+    return word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed)
 
 
 def until_contact(
