@@ -20,8 +20,9 @@ from rhdlink.plugins.turtle import Turtle
 from tests.waiting import until
 from urlink import poses
 from urlink.simulator import Controller
+from urlink.urdf import JOINTS as JOINT_NAMES
 from urlink_rr import open_node, register, register_rhd, serve
-from urlink_rr.description import HOME, JOINT_NAMES
+from urlink_rr.description import HOME
 
 START = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 ROBOT = "com.robotraconteur.robotics.robot"

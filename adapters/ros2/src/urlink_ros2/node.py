@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
 from urlink import BadValue, LinkError, LocalError, RealtimeState, Robot, drop_oldest
+from urlink.urdf import JOINTS as JOINT_NAMES
 
 from .services import create_services
 from .states import STREAMED, StatePublishers
@@ -22,16 +23,6 @@ from .states import STREAMED, StatePublishers
 __all__ = ["JOINT_NAMES", "RobotNode", "serve"]
 
 _log = logging.getLogger("urlink.ros2")
-
-#: As the robot descriptions of the vendor have them, base to wrist 3.
-JOINT_NAMES = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
 
 #: Seconds between two looks at what changes seldom, and without a state after which a robot counts as lost.
 _LOOK, _SILENT = 0.1, 0.5

@@ -9,6 +9,7 @@ import numpy as np
 
 from urlink import Robot, poses
 from urlink.kinematics import Arm
+from urlink.urdf import JOINTS as JOINT_NAMES
 
 __all__ = ["CAPABILITIES", "HOME", "pose_array", "robot_info"]
 
@@ -31,15 +32,6 @@ CAPABILITIES = (
 _ROBOT = "com.robotraconteur.robotics.robot"
 _JOINTS = "com.robotraconteur.robotics.joints"
 _GEOMETRY = "com.robotraconteur.geometry"
-#: Names of the joints as the vendor's robot descriptions have them.
-JOINT_NAMES = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
 
 
 def pose_array(node: Any, pose: Any) -> Any:

@@ -11,8 +11,8 @@ import numpy as np
 import RobotRaconteur as RR
 
 from urlink import BadValue, LinkError, Motion, Trajectory
+from urlink.urdf import JOINTS as JOINT_NAMES
 
-from .description import JOINT_NAMES
 from .errors import raised
 
 __all__ = ["MotionGenerator", "read_trajectory"]
