@@ -11,12 +11,9 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 import urlink
 
-from .joints import POSITIONS, named
+from .joints import POSITIONS, named, newest
 
 __all__ = ["URLeader", "URLeaderConfig"]
-
-#: Seconds within which a state has to come.
-_TIMEOUT = 1.0
 
 
 @TeleoperatorConfig.register_subclass("ur_leader")
@@ -94,10 +91,7 @@ class URLeader(Teleoperator):
         """
         if self._robot is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
-        state = self._robot.realtime.latest
-        if state is None or state.received is None or state.received.age > _TIMEOUT:
-            state = self._robot.realtime.wait(_TIMEOUT)
-        return named(POSITIONS, state.q_actual.tolist())
+        return named(POSITIONS, newest(self._robot).q_actual.tolist())
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """It takes none."""

@@ -15,12 +15,9 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 import urlink
 from urlink import BadValue
 
-from .joints import POSITIONS, TOOL, VELOCITIES, named
+from .joints import POSITIONS, STATE_TIMEOUT, TOOL, VELOCITIES, named, newest
 
 __all__ = ["UR", "URConfig"]
-
-#: Seconds within which a state has to come.
-_TIMEOUT = 1.0
 
 
 @RobotConfig.register_subclass("ur")
@@ -138,10 +135,7 @@ class UR(Robot):
             DeviceNotConnectedError: it is not connected.
             LinkTimeout: nothing has come of the arm for a second.
         """
-        robot = self._connected()
-        state = robot.realtime.latest
-        if state is None or state.received is None or state.received.age > _TIMEOUT:
-            state = robot.realtime.wait(_TIMEOUT)
+        state = newest(self._connected())
         found: dict[str, Any] = named(POSITIONS, state.q_actual.tolist()) | named(VELOCITIES, state.qd_actual.tolist())
         if self.config.observe_tool:
             found |= named(TOOL, [*state.tool_vector_actual.tolist(), *state.tcp_force.tolist()])
@@ -173,7 +167,7 @@ class UR(Robot):
         if servo is None:
             servo = robot.motion.servo(self.config.fps, watchdog=self.config.watchdog)
             servo.__enter__()
-            self._servo, self._led = servo, robot.realtime.wait(_TIMEOUT).q_target
+            self._servo, self._led = servo, robot.realtime.wait(STATE_TIMEOUT).q_target
         limits = robot.kinematics.position_limits
         step = self.config.max_step
         q = np.clip(np.clip(wanted, limits[:, 0], limits[:, 1]), self._led - step, self._led + step)
