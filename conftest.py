@@ -1,3 +1,3 @@
 """Plugins for all tests, those in docstrings and documents included."""
 
-pytest_plugins = ["tests.watchdog"]
+pytest_plugins = ["tests.watchdog", "tests.mosquitto"]

@@ -3,52 +3,25 @@
 from __future__ import annotations
 
 import json
-import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import urlink
+from tests.mosquitto import needs_broker
 from tests.waiting import until
 from urlink.simulator import Controller
 
 mqtt = pytest.importorskip("paho.mqtt.client")
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "mqtt_robot.py"
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 
-pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto (apt install mosquitto)")
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[int]:
-    """The port of a mosquitto."""
-    assert MOSQUITTO is not None
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-    config = tmp_path / "mosquitto.conf"
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    process = subprocess.Popen([MOSQUITTO, "-c", str(config)], stderr=subprocess.DEVNULL)
-
-    def answers() -> bool:
-        try:
-            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
-        except OSError:
-            return False
-        return True
-
-    try:
-        until(answers)
-        yield port
-    finally:
-        process.kill()
-        process.wait()
+pytestmark = needs_broker
 
 
 def test_a_robot_behind_a_broker(broker: int) -> None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import socket
-import subprocess
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -28,11 +25,8 @@ from rhdlink.plugins.mqtt import (
     read_topics,
 )
 from rhdlink.world import World
+from tests.mosquitto import needs_broker
 from tests.waiting import until
-
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto (apt install mosquitto)")
-
 
 # -- the table -------------------------------------------------------------------------------------------------
 
@@ -94,32 +88,6 @@ def test_what_is_written_is_read_again(linear: float, angular: float) -> None:
 
 
 # -- with a broker ---------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[int]:
-    """The port of a mosquitto."""
-    assert MOSQUITTO is not None
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
-    config = tmp_path / "mosquitto.conf"
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    process = subprocess.Popen([MOSQUITTO, "-c", str(config)], stderr=subprocess.DEVNULL, env=os.environ.copy())
-
-    def answers() -> bool:
-        assert process.poll() is None, "mosquitto has ended"
-        try:
-            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
-        except OSError:
-            return False
-        return True
-
-    try:
-        until(answers)
-        yield port
-    finally:
-        process.kill()
-        process.wait()
 
 
 def until_synced(robot: Variables, condition: Callable[[], object]) -> None:
