@@ -21,6 +21,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="mutants", description=__doc__)
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; all by default")
     parser.add_argument("--only", metavar="MODULE", help="this module alone, by its name without .py")
+    parser.add_argument("--tests", nargs="+", metavar="PATH", help="instead of all tests that the group names")
     parser.add_argument("--sample", type=int, metavar="N", help="of each module N mutations at random; all by default")
     parser.add_argument("--seed", type=int, default=1, help="of that choice (%(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes side by side (%(default)s)")
@@ -32,7 +33,9 @@ def main() -> int:
         parser.error(f"no group {', '.join(unknown)}; there are {', '.join(GROUPS)}")
     if options.into is not None:
         (name,) = options.groups
-        results = run_group(name, options.only, options.sample, options.jobs, options.budget, options.seed)
+        results = run_group(
+            name, options.only, options.tests, options.sample, options.jobs, options.budget, options.seed
+        )
         with options.into.open("a") as file:
             file.writelines(json.dumps(each.as_json()) + "\n" for each in results)
         return 0

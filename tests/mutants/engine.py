@@ -4,8 +4,9 @@ Tests are collected once. For a mutation a child is forked, in which the functio
 so that it costs milliseconds and not a new interpreter. What is evaluated on import (constants of a module, default
 values, class bodies) cannot be replaced so: for such a mutation a new interpreter imports the mutated module.
 
-Only tests that execute the mutated lines are run, the fastest first, until one fails. Which those are is measured
-beforehand on the program as it is.
+Only tests that execute the mutated lines are run until one fails: first those that noticed another mutation of the same
+function, then of the same file, then the fastest. Which tests execute a line is measured beforehand on the program as
+it is.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -32,11 +34,15 @@ from typing import Any, NamedTuple
 import coverage
 import pytest
 
+from tests.mutants.equivalent import Equivalent, equivalents
 from tests.mutants.operators import Function, Mutation, mutated, mutations
 from tests.mutants.targets import GROUPS, ROOT
 
 #: Seconds that a test may take with a mutation, besides ten times what it took without. Many mutants loop for ever.
 LENIENCE = 5.0
+
+#: Written into the folder of a child: the test that it runs.
+RUNNING = "running"
 
 #: Children without a mutation in each group. That their tests fail says how many kills are the machine's doing.
 CONTROLS = 10
@@ -58,6 +64,8 @@ class Result(NamedTuple):
     outcome: str
     #: how many tests were chosen
     tests: int
+    #: the test that failed or did not end
+    killer: str | None = None
 
     def as_json(self) -> dict[str, Any]:
         return {**self._asdict(), "mutation": self.mutation._asdict()}
@@ -71,18 +79,34 @@ class Measured(NamedTuple):
     #: file -> line -> tests
     lines: dict[str, dict[int, list[str]]]
 
-    def choose(self, job: Job, budget: float) -> list[str]:
-        """The tests that execute the mutated lines, fastest first, for `budget` seconds at most."""
+    def choose(self, job: Job, budget: float, killers: Killers) -> list[str]:
+        """The tests that execute the mutated lines, for `budget` seconds at most: `killers` first, then the fastest."""
         lines = self.lines.get(str(job.path), {})
         numbers = range(job.mutation.line, job.mutation.end + 1) if job.mutation.function else lines
         names = {name for number in numbers for name in lines.get(number, ())} & self.seconds.keys()
         chosen: list[str] = []
-        for name in sorted(names, key=lambda name: self.seconds[name]):
+        for name in sorted(names, key=lambda name: (*killers.rank(job, name), self.seconds[name])):
             budget -= self.seconds[name]
             if budget < 0 and chosen:
                 break
             chosen.append(name)
         return chosen
+
+
+class Killers:
+    """Which tests noticed mutations so far, of each function and of each file."""
+
+    def __init__(self) -> None:
+        self._of: dict[object, Counter[str]] = {}
+
+    def note(self, job: Job, test: str) -> None:
+        for place in (job.path, (job.path, job.mutation.function)):
+            self._of.setdefault(place, Counter())[test] += 1
+
+    def rank(self, job: Job, test: str) -> tuple[int, int]:
+        """The lower, the more mutations of the same function, then of the same file, the test has noticed."""
+        function, file = (self._of.get(place) for place in ((job.path, job.mutation.function), job.path))
+        return -function[test] if function else 0, -file[test] if file else 0
 
 
 class Child:
@@ -91,6 +115,8 @@ class Child:
     def __init__(self, pid: int, folder: Path) -> None:
         self._pid = pid
         self._folder = folder
+        #: the test that it ran last, once it has ended
+        self.last: str | None = None
 
     def outcome(self) -> str | None:
         """None while it runs."""
@@ -99,6 +125,8 @@ class Child:
             return None
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._pid, signal.SIGKILL)
+        with contextlib.suppress(FileNotFoundError):
+            self.last = (self._folder / RUNNING).read_text()
         shutil.rmtree(self._folder, ignore_errors=True)
         return "survived" if os.waitstatus_to_exitcode(status) == 0 else "killed"
 
@@ -116,8 +144,17 @@ def alone(folder: Path) -> None:
 class Engine:
     """The plugin that replaces pytest's loop over the tests."""
 
-    def __init__(self, files: Sequence[Path], sample: int | None, jobs: int, budget: float, seed: int) -> None:
+    def __init__(
+        self,
+        files: Sequence[Path],
+        equivalent: Sequence[Equivalent],
+        sample: int | None,
+        jobs: int,
+        budget: float,
+        seed: int,
+    ) -> None:
         self._files = files
+        self._equivalent = equivalent
         self._sample = sample
         self._parallel = jobs
         self._budget = budget
@@ -137,10 +174,11 @@ class Engine:
         print(f"{len(measured.seconds)} of {len(self._items)} tests pass, in {seconds:.0f} s", file=sys.stderr)
         print(f"{len(jobs)} runs, of mutants and of {CONTROLS} controls", file=sys.stderr, flush=True)
         running: list[tuple[Child, Job, int]] = []
+        killers = Killers()
         while jobs or running:
             while jobs and len(running) < self._parallel:
                 job = jobs.pop()
-                names = measured.choose(job, self._budget)
+                names = measured.choose(job, self._budget, killers)
                 if names:
                     running.append(
                         (self._start(job, {name: measured.seconds[name] for name in names}), job, len(names))
@@ -152,11 +190,15 @@ class Engine:
                 child, job, count = each
                 if (outcome := child.outcome()) is not None:
                     running.remove(each)
-                    self._note(job, outcome, count)
+                    killer = child.last if outcome == "killed" else None
+                    if killer and not job.is_control:
+                        killers.note(job, killer)
+                    self._note(job, outcome, count, killer)
         return True
 
-    def _note(self, job: Job, outcome: str, tests: int) -> None:
-        self.results.append(Result(str(job.path.relative_to(ROOT)), job.mutation, job.is_control, outcome, tests))
+    def _note(self, job: Job, outcome: str, tests: int, killer: str | None = None) -> None:
+        path = str(job.path.relative_to(ROOT))
+        self.results.append(Result(path, job.mutation, job.is_control, outcome, tests, killer))
         if outcome in ("survived", "uncovered") and not job.is_control:
             mutation = job.mutation
             where = f"{job.path.relative_to(ROOT)}:{mutation.line}"
@@ -166,7 +208,8 @@ class Engine:
         """In the reverse of the order in which they are done."""
         jobs: list[Job] = []
         for path, source in self._sources.items():
-            found = mutations(source)
+            name = path.relative_to(ROOT / "src").as_posix()
+            found = [one for one in mutations(source) if not any(row.matches(name, one) for row in self._equivalent)]
             if self._sample is not None and len(found) > self._sample:
                 found = sorted(self._random.sample(found, self._sample))
             jobs += [Job(path, mutation) for mutation in found]
@@ -189,7 +232,7 @@ class Engine:
                     function, other = code
                     for each in self._functions[str(job.path), function]:
                         each.__code__ = other
-                self._run([self._items[name] for name in seconds], First(seconds))
+                self._run([self._items[name] for name in seconds], First(seconds, folder))
                 os._exit(0)
             finally:
                 os._exit(2)
@@ -247,14 +290,17 @@ class First:
 
     Args:
         seconds: what each test took without a mutation.
+        folder: takes the name of the test that runs.
     """
 
-    def __init__(self, seconds: dict[str, float]) -> None:
+    def __init__(self, seconds: dict[str, float], folder: Path) -> None:
         self._seconds = seconds
+        self._running = folder / RUNNING
         self._null = os.open(os.devnull, os.O_WRONLY)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        self._running.write_text(item.nodeid)
         # A C thread: it ends a loop that keeps the interpreter lock as well.
         faulthandler.dump_traceback_later(LENIENCE + 10 * self._seconds[item.nodeid], exit=True, file=self._null)
         return (yield)
@@ -310,7 +356,7 @@ def codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _interpreter(job: Job, seconds: dict[str, float], folder: Path) -> int:
-    order = {"path": str(job.path), "number": job.mutation.number, "seconds": seconds}
+    order = {"path": str(job.path), "number": job.mutation.number, "seconds": seconds, "folder": str(folder)}
     command = [sys.executable, "-m", "tests.mutants.engine"]
     process = subprocess.Popen(
         command,
@@ -364,14 +410,22 @@ def run_order() -> int:
     order = json.load(sys.stdin)
     sys.meta_path.insert(0, Finder(order["path"], order["number"]))
     # A test that cannot be collected has noticed as well.
-    return int(pytest.main([*options(), *order["seconds"]], plugins=[First(order["seconds"])]))
+    return int(pytest.main([*options(), *order["seconds"]], plugins=[First(order["seconds"], Path(order["folder"]))]))
 
 
-def run_group(name: str, only: str | None, sample: int | None, jobs: int, budget: float, seed: int) -> list[Result]:
+def run_group(
+    name: str,
+    only: str | None,
+    tests: Sequence[str] | None,
+    sample: int | None,
+    jobs: int,
+    budget: float,
+    seed: int,
+) -> list[Result]:
     group = GROUPS[name]
     files = [path for path in group.files() if only is None or path.stem == only]
-    engine = Engine(files, sample, jobs, budget, seed)
-    status = pytest.main([*options(), *(str(ROOT / test) for test in group.tests)], plugins=[engine])
+    engine = Engine(files, equivalents(name), sample, jobs, budget, seed)
+    status = pytest.main([*options(), *(str(ROOT / test) for test in tests or group.tests)], plugins=[engine])
     if status != pytest.ExitCode.OK:
         raise SystemExit(f"the tests of {name} could not be collected")
     return engine.results

@@ -7,8 +7,9 @@ import ast
 import pytest
 
 from tests.mutants.engine import codes
+from tests.mutants.equivalent import equivalents
 from tests.mutants.operators import Function, mutated, mutations
-from tests.mutants.targets import GROUPS
+from tests.mutants.targets import GROUPS, ROOT
 
 
 def changes(source: str) -> list[tuple[str, str]]:
@@ -88,3 +89,14 @@ def test_each_is_the_only_change() -> None:
 def test_what_is_mutated_is_there(name: str) -> None:
     """A pattern that finds nothing after a module was renamed would leave it out without a word."""
     assert GROUPS[name].missing() == []
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_what_is_not_tried_is_still_there(name: str) -> None:
+    found = {
+        path.relative_to(ROOT / "src").as_posix(): mutations(path.read_text(encoding="utf-8"))
+        for path in GROUPS[name].files()
+    }
+    for row in equivalents(name):
+        assert any(row.matches(row.path, each) for each in found[row.path]), row
+        assert len(row.why) > 10, row
