@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ..errors import BadValue
 from ..wire.packet import State
@@ -96,6 +96,19 @@ class History:
         for name, column in columns.items():
             found[name] = column
         return found
+
+    def __getitem__(self, field: str) -> NDArray[Any]:
+        """One column of `array`, (n,) or (n, size of the field).
+
+        Raises:
+            BadValue: as of `array`.
+        """
+        column: NDArray[Any] = self.array(*(() if field in _WHEN else (field,)))[field]
+        return column
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """All columns, for ``numpy.asarray(history)``."""
+        return np.asarray(self.array(), dtype)
 
     def __len__(self) -> int:
         return len(self._states)

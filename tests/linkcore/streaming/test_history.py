@@ -67,7 +67,9 @@ def test_columns_have_the_shape_of_their_fields() -> None:
     assert array["joint_modes"].dtype == np.int64
     assert array["joint_modes"].shape == (2, 6)
     assert array["received"].tolist() == [1.0, 1.1]
-    everything = history.array()
+    assert history["q_actual"].tolist() == array["q_actual"].tolist()
+    assert history["received"].tolist() == [1.0, 1.1]
+    everything = np.asarray(history)
     assert "payload_mass" in (everything.dtype.names or ())
     assert everything["time"].tolist() == [2.5, 2.6]
 
