@@ -176,13 +176,13 @@ def kinematics(session: nox.Session) -> None:
 
 @nox.session
 def fuzz(session: nox.Session) -> None:
-    """Run the property tests with many more examples."""
+    """Run the property tests with many more examples, and the tables of cases whole."""
     session.install("-e", f".{EXTRAS}", *group("tests"))
     session.run(
         "pytest",
         *PARALLEL,
         "-m",
-        "property",
+        "property or matrix",
         "--timeout=1800",
         *(session.posargs or ["tests"]),
         env={**COMPILED, "HYPOTHESIS_PROFILE": "fuzz"},

@@ -189,8 +189,12 @@ class Interpreter(Program):
 
     # -- what is said ----------------------------------------------------------------------------------
 
-    def _hand_over(self, line: str) -> int:
-        """A statement, through the interlock; its number."""
+    def _hand_over(self, line: str, reason_within: float = _REASON) -> int:
+        """A statement, through the interlock; its number.
+
+        Args:
+            reason_within: seconds to wait for the reason where no program takes statements.
+        """
 
         def gate(send: Callable[[], object]) -> None:
             def send_if_wanted() -> None:
@@ -205,7 +209,7 @@ class Interpreter(Program):
             if not reply.number:
                 # No program takes statements any more. What ended it comes over the primary interface, a little later.
                 with contextlib.suppress(LinkTimeout, LocalError):
-                    self.wait(_REASON)
+                    self.wait(reason_within)
             if self._life.error is not None:
                 raise self._life.error
             raise StatementDiscarded(line, reply.number)
@@ -303,7 +307,8 @@ class Interpreters:
                 interpreter.wait(0)
                 raise RemoteError(f"{interpreter.name} was over before it began")
             try:
-                interpreter._hand_over("sync()")
+                # It may not be in the mode yet: that is no news to wait for a reason of.
+                interpreter._hand_over("sync()", reason_within=0.0)
                 return
             except StatementDiscarded:
                 left = until - time.monotonic()

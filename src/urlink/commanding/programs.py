@@ -284,7 +284,8 @@ class Programs:
         for run in self._pending():
             if run.sent < event.received.monotonic:
                 what = f"the connection was lost while {run.life.name} ran; {self._what_if(run)}{why}"
-                run.life.fail(ConnectionLost(what))
+                # A motion ends as by the interlock, which hears of it too, a moment before or after this.
+                run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
             self._subscriptions = ()
 

@@ -260,7 +260,8 @@ def test_a_reply_is_read_however_it_is_cut(word: str, number: int, text: str, at
     found = protocol.feed(data[at:]) if found is None else found
     assert found is not None
     reply = parse_reply(found)
-    assert (reply.word, reply.number, reply.text) == (word, number, text.strip())
+    # Blanks of other scripts stay before a text, where those of a line are taken away.
+    assert (reply.word, reply.number, reply.text.strip()) == (word, number, text.strip())
     assert protocol.is_in_step
 
 

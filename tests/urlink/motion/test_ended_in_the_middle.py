@@ -1,127 +1,342 @@
-"""Motions on the simulated controller that are cancelled, stopped or cut off in the middle, beside `follow`."""
+"""Every motion and mode on the simulated controller, ended in its middle in every way, on each generation.
+
+The table is modes x firmware x ends. By default each mode meets each end once, and each firmware has its share of
+both; `nox -s fuzz` goes through all of it.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-import time
+import os
+import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 
-import urlink
 from linkcore.errors import Cancelled, ConnectionLost, LinkError
 from linkcore.handle import Motion, Phase
+from linkcore.wire.version import Since
+from tests.urlink.motion.lockstep import READY, TIMEOUT, Lockstep
 from tests.waiting import until
 from urlink import Joint, Linear
 from urlink.errors import NotRunning, SafetyStop
+from urlink.firmware import Firmware
+from urlink.motion import Taught, TaughtPoint
+from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 
-Begin = Callable[[Robot], Motion]
-End = Callable[[Robot, Motion], type[LinkError]]
+#: firmware -> arm: each generation, and of the e-Series the ends of what is known.
+GENERATIONS = {"1.8": "ur5", "3.15": "ur5", "5.11": "ur5e", "5.25": "ur5e", "10.12": "ur5e"}
+#: s of the robot's time that words may stay away, and in which an arm that is told to stop has come to rest. Left
+#: alone, each motion would take longer than that.
+WATCHDOG, SOON = 1.5, 1.0
+#: rad/s above which an arm is under way.
+MOVES = 0.02
+UP = np.array([0, 0, 0.1, 0, 0, 0])
 
-TIMEOUT = 30.0
-#: Seconds that words may stay away: the machine that runs this may be busy with other things.
-WATCHDOG = 3.0
-#: rad; elbow up, tool down.
-READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
-
-
-def path(robot: Robot) -> Motion:
-    up = robot.realtime.wait(5).tool_vector_actual.copy()
-    up[2] += 0.1
-    return robot.motion.path([Linear(up, blend=0.02), Joint(READY)], speed=0.2)
+#: Both ends of a controller with this firmware, while its time passes.
+Desks = Callable[[str], contextlib.AbstractContextManager[Lockstep]]
 
 
-def circle(robot: Robot) -> Motion:
-    pose = robot.realtime.wait(5).tool_vector_actual
-    aside, back = np.array([0.05, 0.05, 0, 0, 0, 0]), np.array([0, 0.1, 0, 0, 0, 0])
-    return robot.motion.move_circular(pose + aside, pose + back, speed=0.2)
+# -- modes: each begins and returns its handle; what is to be closed after it goes onto the stack ------------------
 
 
-def jog(robot: Robot) -> Motion:
-    jog = robot.motion.jog("base", timeout=60.0, watchdog=WATCHDOG).__enter__()
-    jog.move([0, 0, 0.1, 0, 0, 0])
-    return jog
+def pose(robot: Robot) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return robot.realtime.wait(5).tool_vector_actual.copy()
 
 
-def servo(robot: Robot) -> Motion:
-    servo = robot.motion.servo(target_filter="jerk_limited", watchdog=WATCHDOG).__enter__()
+def move_joints(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.move_joints(READY + 0.2, speed=0.1)
+
+
+def move_linear(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.move_linear(pose(robot) + UP, speed=0.05)
+
+
+def move_circular(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    aside = np.array([0.05, 0.05, 0, 0, 0, 0])
+    return robot.motion.move_circular(pose(robot) + aside, pose(robot) + aside * (0, 2, 0, 0, 0, 0), speed=0.1)
+
+
+def path(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.path([Linear(pose(robot) + UP, blend=0.02), Joint(READY)], speed=0.05)
+
+
+def follow(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    q = np.array([READY, READY + 0.1, READY + 0.2])
+    q[0] = robot.realtime.wait(5).q_target
+    return robot.motion.follow(Trajectory.from_arrays([0, 0.8, 1.6], q), watchdog=WATCHDOG, **way)
+
+
+def servo(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    """A loop that answers each state by a set-point a little further on."""
+    servo = block.enter_context(robot.motion.servo(watchdog=WATCHDOG, **way))
+    begun, goal = robot.realtime.wait(5), READY + 0.5
+
+    def lead(state: Any) -> None:
+        way = np.clip(0.2 * (state.time - begun.time) - 0.05, 0, None)
+        with contextlib.suppress(LinkError):
+            servo.send(begun.q_target + np.clip(goal - begun.q_target, -way, way))
+
+    block.enter_context(robot.realtime.subscribe(lead))
+    return servo
+
+
+def servo_jerk_limited(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    servo = block.enter_context(
+        robot.motion.servo(target_filter="jerk_limited", speed=0.2, jerk=100.0, watchdog=WATCHDOG)
+    )
     servo.send(READY + 0.4)
     return servo
 
 
-def cancelled(robot: Robot, motion: Motion) -> type[LinkError]:
+def schedule(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    servo = block.enter_context(robot.motion.servo(watchdog=WATCHDOG))
+    assert servo.schedule(READY + 0.3, at=robot.realtime.wait(5).time + 2.0) is not None
+    return servo
+
+
+def jog(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    jog = block.enter_context(robot.motion.jog("base", timeout=60.0, watchdog=WATCHDOG, **way))
+    jog.move([0, 0, 0.1, 0, 0, 0])
+    return jog
+
+
+def speed_joints(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.speed_joints([0.2] * 6, duration=1.5)
+
+
+def speed_linear(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.speed_linear([0, 0, 0.05, 0, 0, 0], duration=1.5)
+
+
+def force_mode(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    """Towards a table that is not there."""
+    down = [0, 0, 1, 0, 0, 0], [0, 0, -20, 0, 0, 0], [0.05] * 6
+    return block.enter_context(robot.motion.force_mode("base", *down, watchdog=WATCHDOG, **way))
+
+
+def freedrive(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    return block.enter_context(robot.freedrive(watchdog=WATCHDOG, **way))
+
+
+def teach(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    teaching = block.enter_context(robot.teach(watchdog=WATCHDOG))
+    teaching.record()
+    assert teaching.freedrive is not None
+    return teaching.freedrive
+
+
+def play(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    points = [TaughtPoint(q, np.zeros(6)) for q in (READY + 0.1, READY + 0.2)]
+    return Taught(points, robot.model).play(robot, speed=0.1, blend=0.01)
+
+
+def until_contact(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.until_contact([0, 0, 1], 0.05, distance=0.1)
+
+
+def torque(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    torque = block.enter_context(robot.motion.torque(watchdog=1.0))
+    block.enter_context(robot.realtime.subscribe(partial(push_softly, torque)))
+    return torque
+
+
+def push_softly(torque: Any, state: Any) -> None:
+    with contextlib.suppress(LinkError):
+        torque.send([0, 0, 0, 0, 0, 0.5])
+
+
+def interpreter(robot: Robot, block: contextlib.ExitStack) -> Any:
+    interpreter = robot.interpreter()
+    block.callback(interpreter._close)
+    interpreter.execute(f"movej({(READY + 0.2).tolist()}, v=0.1)")
+    return interpreter
+
+
+_ALWAYS = Since("1.6")
+_CB3, _REGISTERS = Since("3.0"), Since("3.9/5.3")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A row of the table.
+
+    Attributes:
+        begin: makes the arm move, and returns the handle.
+        since: the firmware that has it.
+        link: what is cut: "own", the connection that its program holds; else that to a port of the controller.
+        is_pushed: the arm moves only as long as a hand pushes it.
+    """
+
+    begin: Callable[[Robot, contextlib.ExitStack], Any]
+    since: Since = _ALWAYS
+    link: str = "primary"
+    is_pushed: bool = False
+
+
+MODES = {
+    "move_joints": Mode(move_joints),
+    "move_linear": Mode(move_linear),
+    "move_circular": Mode(move_circular),
+    "path": Mode(path),
+    "follow": Mode(follow, link="own"),
+    "follow_rtde": Mode(partial(follow, link="rtde"), _REGISTERS, link="rtde"),
+    "follow_low_bandwidth": Mode(partial(follow, low_bandwidth=True), _CB3, link="own"),
+    "servo": Mode(servo, link="own"),
+    "servo_rtde": Mode(partial(servo, link="rtde"), _REGISTERS, link="rtde"),
+    "servo_jerk_limited": Mode(servo_jerk_limited, link="own"),
+    "schedule": Mode(schedule, link="own"),
+    "jog": Mode(jog, link="own"),
+    "jog_rtde": Mode(partial(jog, link="rtde"), _REGISTERS, link="rtde"),
+    "speed_joints": Mode(speed_joints),
+    "speed_linear": Mode(speed_linear),
+    "force_mode": Mode(force_mode, _CB3, link="own"),
+    "force_mode_rtde": Mode(partial(force_mode, link="rtde"), _REGISTERS, link="rtde"),
+    "freedrive": Mode(freedrive, _CB3, link="own", is_pushed=True),
+    "freedrive_rtde": Mode(partial(freedrive, link="rtde"), _REGISTERS, link="rtde", is_pushed=True),
+    "teach": Mode(teach, _CB3, link="own", is_pushed=True),
+    "play": Mode(play),
+    "until_contact": Mode(until_contact, Since("3.3")),
+    "torque": Mode(torque, Since("5.23/10.11"), link="own"),
+    "interpreter": Mode(interpreter, Since("5.10")),
+}
+
+
+# -- ends: each returns what the handle has to say ------------------------------------------------------------------
+
+
+def cancel(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     motion.cancel()
     return Cancelled
 
 
-def stopped(robot: Robot, motion: Motion) -> type[LinkError]:
-    robot.controller.faults.protective_stop()
+def leave(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+    """Its block, or one around the handle."""
+    if mode.link in ("own", "rtde") and not motion.name.startswith("follow"):
+        block.close()
+        return None
+    with contextlib.suppress(ZeroDivisionError), motion:
+        raise ZeroDivisionError
+    return Cancelled
+
+
+def protective_stop(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+    desk.controller.faults.protective_stop()
     return SafetyStop
 
 
-def cut_off(robot: Robot, motion: Motion) -> type[LinkError]:
-    """Its own link, where it has one: the robot brakes by itself. Else that by which programs are sent: it goes on."""
-    if motion.name in ("jog", "servo"):
-        motion._life.brake.__self__._link.close()  # type: ignore[attr-defined]
+def emergency_stop(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+    desk.controller.faults.emergency_stop()
+    return SafetyStop
+
+
+def cut(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
+    if mode.link == "own":
+        motion._life.brake.__self__._link.close()
         return ConnectionLost
-    robot.controller.faults.cut("primary")
-    return NotRunning
+    desk.controller.faults.cut(mode.link)
+    return ConnectionLost if mode.link == "rtde" else NotRunning
 
 
-@pytest.fixture
-def connect() -> Iterator[Callable[[str, str], Robot]]:
-    """Connects to a simulated arm."""
-    made: list[Robot] = []
-
-    def connect(arm: str, firmware: str) -> Robot:
-        # A machine that is busy with other things holds up the simulator too.
-        made.append(urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0))
-        return made[-1]
-
-    yield connect
-    for robot in made:
-        robot.close()
+#: what `wait` raises -> the phase, where it is not FAILED
+ENDED: dict[type[LinkError] | None, Phase] = {None: Phase.DONE, Cancelled: Phase.CANCELLED}
+ENDS = {each.__name__: each for each in (cancel, leave, protective_stop, emergency_stop, cut)}
 
 
-_EACH = list(itertools.product((path, circle, jog, servo), (cancelled, stopped, cut_off)))
+# -- the table ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arm", "firmware", "ways"),
-    # The three at 500 Hz cost more and are led by the same text: together they do each motion and each end.
-    [
-        ("ur5", "3.15", _EACH),
-        ("ur5e", "5.11", _EACH[0::4]),
-        ("ur5e", "5.25", _EACH[1::4]),
-        ("ur5e", "10.12", _EACH[2::4]),
-    ],
-    ids=["3.15", "5.11", "5.25", "10.12"],
-)
-def test_each_way_to_end_each_motion(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, ways: list[tuple[Begin, End]]
-) -> None:
-    """The handle says what ended it, the arm comes to rest, and it can go on."""
-    robot = connect(arm, firmware)
+def table() -> Iterator[tuple[str, str, str]]:
+    """(firmware, mode, end)"""
+    is_whole = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
+    for (row, (name, mode)), (column, end) in itertools.product(enumerate(MODES.items()), enumerate(ENDS)):
+        having = [firmware for firmware in GENERATIONS if Firmware.parse(firmware) in mode.since]
+        for firmware in having if is_whole else [having[(row + column) % len(having)]]:
+            yield firmware, name, end
 
-    def speed() -> float:
-        """Of the arm itself, not as streams tell of it."""
-        return max(map(abs, robot.controller.arm.setpoint.qd))
 
-    for begin, end in ways:
-        until(lambda: robot.safety.is_enabled, TIMEOUT)
+@pytest.fixture(scope="module")
+def desks() -> Iterator[Desks]:
+    """A controller for each firmware; a new one after a test that failed."""
+    before = set(threading.enumerate())
+    made: dict[str, Lockstep] = {}
+
+    @contextlib.contextmanager
+    def desk(firmware: str) -> Iterator[Lockstep]:
+        if firmware not in made:
+            made[firmware] = Lockstep(GENERATIONS[firmware], firmware)
+        try:
+            with made[firmware].passing():
+                yield made[firmware]
+        except BaseException:
+            made.pop(firmware).close()
+            raise
+
+    yield desk
+    for each in made.values():
+        each.close()
+    until(lambda: set(threading.enumerate()) <= before)
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing() -> None:
+    """Of threads: what a robot has once begun is there for the next test. `desks` looks at the end."""
+
+
+@pytest.mark.matrix
+@pytest.mark.parametrize(("firmware", "name", "end"), list(table()))
+def test_each_mode_is_ended_each_way(desks: Desks, firmware: str, name: str, end: str) -> None:
+    """The handle says what ended it, the arm comes to rest, nothing of the mode is left, and the arm can go on."""
+    mode = MODES[name]
+    with desks(firmware) as desk, contextlib.ExitStack() as block:
+        robot, controller = desk.robot, desk.controller
         robot.motion.move_joints(READY, speed=3.0, acceleration=30.0).wait(TIMEOUT)
-        motion = begin(robot)
-        moving = time.monotonic() + TIMEOUT
-        while not motion.done and speed() < 0.05:
-            assert time.monotonic() < moving
-            time.sleep(0.002)
-        assert not motion.done, (begin, end, motion.error)
-        expected = end(robot, motion)
-        with pytest.raises(expected):
+        motion = mode.begin(robot, block)
+        if mode.is_pushed:
+            controller.push([0, 0, 20.0, 0, 0, 0])
+        until(lambda: motion.done or desk.speed > MOVES, TIMEOUT)
+        assert not motion.done, motion.error
+        if mode.is_pushed:
+            controller.push([0.0] * 6)
+
+        began = controller.time
+        expected = ENDS[end](desk, mode, motion, block)
+        if expected is None:
             motion.wait(TIMEOUT)
-        assert motion.phase is (Phase.CANCELLED if expected is Cancelled else Phase.FAILED)
-        until(lambda: speed() == 0.0, TIMEOUT)
-        robot.controller.faults.clear()
+        else:
+            with pytest.raises(expected):
+                motion.wait(TIMEOUT)
+        assert motion.phase is ENDED.get(expected, Phase.FAILED)
+        assert robot.motion.current is None
+        block.close()
+
+        if expected is NotRunning:  # it may go on: so the first thing is to stop it
+            robot.safety.wait_enabled(TIMEOUT)
+            robot.motion.stop(wait=True)
+        until(lambda: desk.is_over, TIMEOUT)
+        if (end, mode.link) != ("cut", "rtde"):  # the program on the robot waits for words
+            assert controller.time < began + SOON
+        assert desk.is_rigid()
+        if expected is ConnectionLost:
+            assert "brakes by itself" in str(motion.error)
+        if expected is SafetyStop:
+            said = len(controller.received)
+            with pytest.raises(SafetyStop):
+                robot.motion.move_joints(READY)
+            assert len(controller.received) == said
+        controller.faults.clear()
+        if end == "emergency_stop":
+            controller.faults.power_on()
+        robot.safety.wait_enabled(TIMEOUT)
+        assert desk.stands_still()
+        # What a protective stop has paused is replaced by the next motion, which goes to its end.
+        robot.motion.move_joints(READY + 0.02, speed=3.0, acceleration=30.0).wait(TIMEOUT)
+        assert desk.q == pytest.approx(READY + 0.02)
+        until(lambda: not controller.is_running_program, TIMEOUT)
+        assert desk.is_rigid()

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore.errors import BadValue, Cancelled, ConnectionLost
+from linkcore.errors import BadValue, ConnectionLost
 from linkcore.handle import Motion, Phase
 from tests.waiting import until
-from urlink.errors import SafetyStop
 from urlink.motion import TrajectoryFeedback
 from urlink.motion.register_link import RegisterLink
 from urlink.motion.reverse import ReverseLink
@@ -105,62 +104,6 @@ def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: st
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
-def test_cancelled_in_the_middle(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
-) -> None:
-    robot = connect(arm, firmware)
-    motion = robot.motion.follow(tool_path(robot), **way, watchdog=WATCHDOG, goal_time=20.0)
-    half_way(motion)
-    motion.cancel()
-    with pytest.raises(Cancelled):
-        motion.wait(TIMEOUT)
-    goes_on(robot, way)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
-def test_emergency_stop_in_the_middle(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
-) -> None:
-    robot = connect(arm, firmware)
-    motion = robot.motion.follow(tool_path(robot), **way, watchdog=WATCHDOG, goal_time=20.0)
-    half_way(motion)
-    said = len(robot.controller.received)
-    robot.controller.faults.emergency_stop()
-    with pytest.raises(SafetyStop, match="emergency stop"):
-        motion.wait(TIMEOUT)
-    until(lambda: stands(robot), TIMEOUT)
-    with pytest.raises(SafetyStop):
-        robot.motion.move_joints(READY)
-    assert len(robot.controller.received) == said
-    robot.controller.faults.clear()
-    robot.controller.faults.power_on()
-    until(lambda: robot.safety.is_enabled, TIMEOUT)
-    goes_on(robot, way)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
-def test_link_cut_in_the_middle(
-    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
-) -> None:
-    robot = connect(arm, firmware)
-    motion = robot.motion.follow(tool_path(robot, 2.0), **way, watchdog=WATCHDOG, goal_time=20.0)
-    half_way(motion)
-    said = len(robot.controller.received)
-    if way.get("link") == "rtde":
-        robot.controller.faults.cut("rtde")
-    else:
-        link_of(motion).close()
-    with pytest.raises(ConnectionLost, match="brakes by itself"):
-        motion.wait(TIMEOUT)
-    until(lambda: stands(robot), TIMEOUT)
-    assert len(robot.controller.received) == said
-    goes_on(robot, way)
-
-
-@pytest.mark.slow
 def test_the_computer_falls_silent(connect: Callable[[str, str], Robot]) -> None:
     """The watchdog on the robot: the link stands, but no set-point comes."""
     robot = connect("ur5e", "5.11")
@@ -203,20 +146,6 @@ def test_speeds_take_over_from_each_other(connect: Callable[[str, str], Robot], 
         assert min(speeds[reached:]) > 0.2
         motion.wait(TIMEOUT)
         until(lambda: stands(robot), TIMEOUT)
-
-
-@pytest.mark.slow
-def test_protective_stop_during_a_move(connect: Callable[[str, str], Robot]) -> None:
-    robot = connect("ur5e", "5.11")
-    motion = robot.motion.move_joints(READY + 0.5, speed=0.5)
-    until(lambda: motion.progress > 0.2, TIMEOUT)
-    robot.controller.faults.protective_stop()
-    with pytest.raises(SafetyStop, match="protective stop"):
-        motion.wait(TIMEOUT)
-    until(lambda: stands(robot), TIMEOUT)
-    robot.controller.faults.clear()
-    until(lambda: robot.safety.is_enabled, TIMEOUT)
-    robot.motion.move_joints(READY).wait(TIMEOUT)
 
 
 @pytest.mark.slow
