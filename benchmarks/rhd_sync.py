@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 import rhdlink
-from rhdlink import Bool, Float64, Host, Int32, Plugin, Read, Scaled, Variables
+from rhdlink import Bool, Float64, Host, Int32, Int64, Plugin, Read, Scaled, Variables
 
 #: Microseconds of the C client and the C server in lockstep, section 14 of the protocol notes, on another machine.
 _C = {"10 of 10": 20.8, "100 of 100": 72.0, "1000 of 1000": 505.0, "1 of 1000": 77.0}
@@ -209,7 +209,16 @@ class Plain:
 
 
 #: What is read, and the most microseconds that it may take; None for what has no goal.
-READS = (("encl", 1.0), ("distance", 1.0), ("ratio", 1.0), ("on", 1.0), ("big", 1.0), ("line", None), ("by name", None))
+READS = (
+    ("encl", 1.0),
+    ("ticks", 1.0),
+    ("distance", 1.0),
+    ("ratio", 1.0),
+    ("on", 1.0),
+    ("big", 1.0),
+    ("line", None),
+    ("by name", None),
+)
 
 
 def reads(seconds: float) -> Iterator[dict[str, object]]:
@@ -217,6 +226,7 @@ def reads(seconds: float) -> Iterator[dict[str, object]]:
 
     class Robot(Plugin):
         encl = Read(Int32)
+        ticks = Read(Int64)
         distance = Read(Float64)
         ratio = Read(Scaled(1e-5))
         on = Read(Bool)
@@ -225,6 +235,7 @@ def reads(seconds: float) -> Iterator[dict[str, object]]:
 
     class Side(Variables):
         encl = Read(Int32)
+        ticks = Read(Int64)
         distance = Read(Float64)
         ratio = Read(Scaled(1e-5))
         on = Read(Bool)

@@ -96,7 +96,7 @@ def test_a_value_is_read_from_the_memory_of_a_table_as_from_its_words(
         words = np.array(data.draw(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=size, max_size=size)), np.int32)
         memory = bytearray(words.tobytes())
         words = words[before:]
-        value = value_type.reader(count, order)(memory, 4 * before)
+        (value,) = value_type.reader(count, order)(memory, 4 * before)
         expected = value_type.unpack(words, order) if count == 1 else value_type.unpack_many(words, count, order)
         assert type(value) is type(expected)
         # Compared as text, so that one NaN is like another.

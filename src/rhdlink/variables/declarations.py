@@ -337,7 +337,7 @@ def _reader(
         # Without the lock, half of a value of two words could be that of the batch which is just coming in. The table's
         # memory is looked up each time, since it is another one after a plugin has added a variable.
         with lock:
-            return read(table.memory, offset)
+            return read(table.memory, offset)[0]
 
     return read_now
 

@@ -42,8 +42,9 @@ __all__ = [
 #: Which byte of a number stands first in the memory of the robot's machine.
 Order = Literal["little", "big"]
 
-#: Reads a value from the memory of a table, whose words are in the order of this machine, at an offset in bytes.
-Reader = Callable[[bytearray, int], Any]
+#: Reads the value of a variable from the memory of a table, whose words are in the order of this machine, at an offset
+#: in bytes. The value is the only item of what it returns, so that `struct.Struct.unpack_from` is one as it is.
+Reader = Callable[[bytearray, int], tuple[Any, ...]]
 #: Makes the words of a value; one word may be an int.
 Packer = Callable[[Any], "Words | int"]
 
@@ -56,6 +57,7 @@ _WORD_SIZE = 4
 #: One word, in the order of this machine.
 _read_word = struct.Struct("=i").unpack_from
 _read_two_words = struct.Struct("=ii").unpack_from
+_ZERO = (0,)
 #: What one word can hold.
 _LEAST, _MOST = -(2**31), 2**31 - 1
 
@@ -93,9 +95,9 @@ class ValueType(Generic[V, A, S]):
         """A function that reads so many values as `unpack` or `unpack_many` does; quicker where a type knows how."""
         length = self.length(count)
 
-        def read(memory: bytearray, offset: int) -> Any:
+        def read(memory: bytearray, offset: int) -> tuple[Any]:
             words = np.frombuffer(memory, np.int32, length, offset)
-            return self.unpack(words, order) if count == 1 else self.unpack_many(words, count, order)
+            return (self.unpack(words, order) if count == 1 else self.unpack_many(words, count, order),)
 
         return read
 
@@ -132,8 +134,8 @@ def _shaped(values: ArrayLike, count: int, what: str) -> NDArray[Any]:
     return array
 
 
-def _read_bool(memory: bytearray, offset: int) -> bool:
-    return bool(_read_word(memory, offset)[0] != 0)
+def _read_bool(memory: bytearray, offset: int) -> tuple[bool]:
+    return (_read_word(memory, offset) != _ZERO,)
 
 
 class _Number(ValueType[V, A, S]):
@@ -168,17 +170,16 @@ class _Number(ValueType[V, A, S]):
         if count > 1:
             return super().reader(count, order) if is_swapped else self._array_reader(count)
         letter = self._LETTERS[self._native.str[1:]]
-        read_from = struct.Struct("=" + letter).unpack_from
         if not is_swapped:
-            return lambda memory, offset: read_from(memory, offset)[0]
+            return struct.Struct("=" + letter).unpack_from
         # Each word is in the order of this machine, so the words are put in that of the robot's before they are one.
         read_words, write_words = struct.Struct("=II").unpack_from, struct.Struct(_MARK[order] + "II").pack
         unpack = self._structs[order].unpack
-        return lambda memory, offset: unpack(write_words(*read_words(memory, offset)))[0]
+        return lambda memory, offset: unpack(write_words(*read_words(memory, offset)))
 
     def _array_reader(self, count: int) -> Reader:
         native = self._native
-        return lambda memory, offset: _frozen(np.frombuffer(memory, native, count, offset).copy())
+        return lambda memory, offset: (_frozen(np.frombuffer(memory, native, count, offset).copy()),)
 
     def pack(self, value: S, order: Order) -> Words:
         return _words(self._structs[order].pack(self._checked(value)), order)
@@ -327,7 +328,7 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
         if count > 1:
             return super().reader(count, order)
         scale = self.scale
-        return lambda memory, offset: _read_word(memory, offset)[0] * scale
+        return lambda memory, offset: (_read_word(memory, offset)[0] * scale,)
 
     def packer(self, count: int, order: Order) -> Packer:
         pack_any = super().packer(count, order)
@@ -380,9 +381,9 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
         if count > 1:
             return super().reader(count, order)
 
-        def read(memory: bytearray, offset: int) -> float:
+        def read(memory: bytearray, offset: int) -> tuple[float]:
             whole, part = _read_two_words(memory, offset)
-            return float(whole + part / 1e6)
+            return (whole + part / 1e6,)
 
         return read
 

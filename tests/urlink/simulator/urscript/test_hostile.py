@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import itertools
 import re
 import sys
@@ -137,6 +138,20 @@ def test_the_longest_programs_compile_at_once(name: str) -> None:
     with contextlib.suppress(ScriptError):
         compile_script(GROWING[name](250_000), FIRMWARE)
     assert time.process_time() - begun < 15.0
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_garbage_is_collected_as_before_once_a_program_is_compiled(is_on: bool) -> None:
+    before = gc.isenabled()
+    (gc.enable if is_on else gc.disable)()
+    try:
+        compile_script("x = 1\n", FIRMWARE)
+        assert gc.isenabled() is is_on
+        with pytest.raises(ScriptError):
+            compile_script("x = nothing()\n", FIRMWARE)
+        assert gc.isenabled() is is_on
+    finally:
+        (gc.enable if before else gc.disable)()
 
 
 def test_more_tokens_than_a_program_may_have() -> None:
