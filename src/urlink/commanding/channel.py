@@ -155,22 +155,22 @@ class CommandChannel:
 
     def _send(self, text: str, decide: Callable[[], object], timeout: float) -> None:
         outgoing = _Text((text.rstrip("\n") + "\n").encode())
-        until = time.monotonic() + timeout
+        until = self._clock() + timeout
         while True:
             with self._section:
                 if self._has_turn(outgoing):
                     self._send_some(outgoing, decide)
             if not outgoing.rest:
                 return
-            left = until - time.monotonic()
-            if self._unfinished not in (None, outgoing):
-                time.sleep(max(min(_PAUSE, left), 0.0))
-            elif left > 0.0:
-                self._connection.wait_for_room(left)
+            left = until - self._clock()
             if left <= 0.0:
                 break
+            if self._unfinished in (None, outgoing):
+                self._connection.wait_for_room(left)
+            else:
+                time.sleep(_PAUSE)
         with self._section:
-            if outgoing.is_begun:
+            if self._unfinished is outgoing:
                 self._give_up()
         raise LinkTimeout(
             f"the controller has not taken a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"
@@ -200,7 +200,7 @@ class CommandChannel:
             self._sent_at = self._clock()
             text.rest = text.rest[connection.send_some(text.rest) :]
         except BaseException:
-            if text.is_begun:
+            if self._unfinished is text:
                 self._give_up()
             raise
         self._unfinished = text if text.is_begun and text.rest else None
@@ -219,7 +219,7 @@ class _Text:
         self.size = len(data)
         self.thread = threading.get_ident()
         #: which connection it leaves by
-        self.number = 0
+        self.number: int | None = None
 
     @property
     def is_begun(self) -> bool:

@@ -70,13 +70,6 @@ class Status(NamedTuple):
             return _MASTER_STOPS.get(self.master_safety_state)
         return None
 
-    @property
-    def is_running(self) -> bool:
-        """It says that the robot runs, or says nothing of it."""
-        mode = self.robot_mode
-        # As numbers, a running CB3 and a CB2 without power are the same.
-        return mode is None or mode == (RobotModeCB2.RUNNING if isinstance(mode, RobotModeCB2) else RobotMode.RUNNING)
-
 
 class _Source:
     def __init__(self) -> None:
@@ -111,8 +104,7 @@ class Interlock:
         self._was_clear = False
         self._was_enabled = False  # at least once since the policy was set
         self._is_enabled = False  # since it was closed last
-        self._policy: Policy = "never"
-        self.policy = policy
+        self._policy = _known(policy)
 
     # -- what is heard ---------------------------------------------------------------------------
 
@@ -123,6 +115,7 @@ class Interlock:
     def forget(self, source: str) -> None:
         """This source need not be heard after all."""
         self._sources.pop(source, None)
+        self._look()
 
     def hear(self, source: str, status: Status, at: float) -> LinkError | None:
         """A source said something at the time `at`. The error that ends all motions, if that has closed it."""
@@ -215,17 +208,20 @@ class Interlock:
     def _absence(self) -> NotRunning | None:
         if not self._sources:
             return NotRunning("nothing has been heard of the robot yet; nothing was sent")
+        modes: list[RobotMode | RobotModeCB2] = []
         for name, heard in self._sources.items():
             if heard.absence is not None:
                 return NotRunning(heard.absence)
             if heard.status is None:
                 return NotRunning(f"nothing has been heard on the {name} interface yet; nothing was sent")
-        for heard in self._sources.values():
-            if heard.status is not None and not heard.status.is_running:
-                mode = heard.status.robot_mode
-                return NotRunning(f"the robot does not run: its mode is {'unknown' if mode is None else mode.name}")
-        if all(heard.status is None or heard.status.robot_mode is None for heard in self._sources.values()):
+            if heard.status.robot_mode is not None:
+                modes.append(heard.status.robot_mode)
+        if not modes:
             return NotRunning("the robot has not said its mode")
+        for mode in modes:
+            # As numbers, a running CB3 and a CB2 without power are the same.
+            if mode != (RobotModeCB2.RUNNING if isinstance(mode, RobotModeCB2) else RobotMode.RUNNING):
+                return NotRunning(f"the robot does not run: its mode is {mode.name}")
         return None
 
     def _staleness(self, now: float) -> NotRunning | None:
@@ -247,7 +243,6 @@ class Interlock:
             SafetyStop: a stop holds.
             NotRunning: the robot does not run, or nothing is known of it.
         """
-        self._look()
         blocked = self.blocked(now)
         if blocked is not None:
             raise blocked
@@ -263,8 +258,12 @@ class Interlock:
 
     @policy.setter
     def policy(self, policy: Policy) -> None:
-        if policy not in get_args(Policy):
-            raise BadValue(f"{policy!r} is no policy; expected one of {', '.join(get_args(Policy))}")
-        if policy != self._policy:
+        if _known(policy) != self._policy:
             self._was_enabled = self._is_enabled = False
         self._policy = policy
+
+
+def _known(policy: Policy) -> Policy:
+    if policy not in get_args(Policy):
+        raise BadValue(f"{policy!r} is no policy; expected one of {', '.join(get_args(Policy))}")
+    return policy

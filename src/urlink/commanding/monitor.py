@@ -129,14 +129,16 @@ class SafetyMonitor:
             Closed: the robot was closed.
         """
         for name in ("primary", "realtime") if closely else ("primary",):
-            if name in self._listening:
-                continue
-            self._subscribe(name)
-            if self._section.may_wait:
-                self.wait_for(lambda interlock, name=name: interlock.has_word(name), _FIRST_WORD)  # type: ignore[misc]
-            with self._section:
-                # Only now: a source that has just been asked must not close an interlock that was open.
-                self._interlock.expect(name)
+            if name not in self._listening:
+                self._begin_to_listen(name)
+
+    def _begin_to_listen(self, name: str) -> None:
+        self._subscribe(name)
+        if self._section.may_wait:
+            self.wait_for(lambda interlock: interlock.has_word(name), _FIRST_WORD)
+        with self._section:
+            # Only now: a source that has just been asked must not close an interlock that was open.
+            self._interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
         """Where something is in the way, wait for the next word of every source: the last one may be overtaken.
@@ -165,11 +167,11 @@ class SafetyMonitor:
         self._waiting.append(news)
         try:
             while not self._is(condition):
-                with self._section.waiting():
-                    try:
-                        news.get(timeout=max(until - time.monotonic(), 0.0))
-                    except Empty:
-                        return self._is(condition)
+                left = until - time.monotonic()
+                if left <= 0.0:
+                    return False
+                with self._section.waiting(), contextlib.suppress(Empty):
+                    news.get(timeout=left)
             return True
         finally:
             self._waiting.remove(news)

@@ -10,11 +10,13 @@ not known, and which bits are its tool outputs neither: they are not waited for.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.streaming.connection import Connection
@@ -25,6 +27,7 @@ from ..identity import KnownIdentity
 from ..interfaces.primary.robot_state import CartesianInfo, RobotModeData
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import indistinguishable
+from ..poses import to_matrix
 from ..urscript import commands
 from ..urscript.text import checked
 from .section import Section
@@ -111,10 +114,9 @@ class Settings:
                 raise BadValue(f"payload mass is {mass:g} kg; a {names} carries {most:g} kg at most")
         wanted = [mass, *(() if cog is None else cog)]
 
-        def shown(state: RealtimeState) -> list[float] | None:
-            if state.payload_mass is None or state.payload_cog is None:
-                return None
-            return [state.payload_mass, *state.payload_cog.tolist()][: len(wanted)]
+        def shown(state: RealtimeState) -> list[Any] | None:
+            cog = state.payload_cog  # which comes with the mass
+            return None if cog is None else [state.payload_mass, *cog.tolist()][: len(wanted)]
 
         echo = Echo(RealtimeState, shown, lambda values: _close(values, wanted))
         self.apply(
@@ -124,18 +126,15 @@ class Settings:
     def tcp(self, pose: Sequence[float], confirm: float | None) -> None:
         """See `Robot.set_tcp`."""
         text = commands.secondary(commands.tcp(pose))
-        wanted = [float(each) for each in pose]
+        wanted = to_matrix(pose)
 
         def shown(info: CartesianInfo) -> list[float] | None:
-            x, rest = info.tcp_offset_X, (info.tcp_offset_Y, info.tcp_offset_Z)
+            place = (info.tcp_offset_X, info.tcp_offset_Y, info.tcp_offset_Z)
             turn = (info.tcp_offset_Rx, info.tcp_offset_Ry, info.tcp_offset_Rz)
-            return None if x is None else [float(each or 0.0) for each in (x, *rest, *turn)]
+            return [each for each in (*place, *turn) if each is not None] or None
 
-        echo = Echo(
-            CartesianInfo,
-            shown,
-            lambda values: _close(values[:3], wanted[:3]) and _same_rotation(values[3:], wanted[3:]),
-        )
+        # As matrices: of two rotation vectors that turn the same way, one may go the longer way round.
+        echo = Echo(CartesianInfo, shown, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= (3, 2) else None, confirm)
 
     def speed_slider(self, fraction: float, confirm: float | None) -> None:
@@ -187,7 +186,7 @@ class Settings:
         """
         timeout = None if confirm is None else checked(confirm, "confirm", 1e-3)
         if timeout is None or echo is None:
-            self._channel.send(text, values, wait=timeout is not None)
+            self._channel.send(text, values, wait=False)
             return
         self._section.check_waiting()
         shown: list[Any] = [None]
@@ -227,16 +226,5 @@ class Settings:
         )
 
 
-def _close(values: Sequence[float], wanted: Sequence[float], tolerance: float = _EXACT) -> bool:
-    return all(abs(value - each) <= tolerance for value, each in zip(values, wanted, strict=True))
-
-
-def _same_rotation(values: Sequence[float], wanted: Sequence[float]) -> bool:
-    """Whether two rotation vectors turn the same way: one of them may go the longer way round."""
-    if _close(values, wanted):
-        return True
-    angle = math.hypot(*wanted)
-    return any(
-        angle > 0.0 and _close(values, [each * (1.0 + turn / angle) for each in wanted])
-        for turn in (2.0 * math.pi, -2.0 * math.pi)
-    )
+def _close(values: ArrayLike, wanted: ArrayLike) -> bool:
+    return np.allclose(values, wanted, rtol=0.0, atol=_EXACT)

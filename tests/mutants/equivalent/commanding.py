@@ -2,4 +2,10 @@ from __future__ import annotations
 
 from tests.mutants.equivalent import Equivalent
 
-EQUIVALENT: tuple[Equivalent, ...] = ()
+CHANNEL = "urlink/commanding/channel.py"
+INTERLOCK = "urlink/commanding/interlock.py"
+
+EQUIVALENT: tuple[Equivalent, ...] = (
+    Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),
+    Equivalent(INTERLOCK, "over", "True", "False", "of zip(strict=): both are statuses, so both are of one length"),
+)

@@ -150,6 +150,29 @@ def test_every_source_has_to_be_clear() -> None:
     assert "realtime" in str(interlock.refusal(1.4))
     interlock.forget("realtime")
     assert interlock.refusal(1.4) is None
+    # Since it is open again, what closes it ends what has been begun meanwhile.
+    assert isinstance(interlock.hear("primary", STOP, 1.5), SafetyStop)
+
+
+def test_what_has_said_nothing_is_no_running_robot() -> None:
+    interlock = Interlock()
+    assert "nothing has been heard of the robot yet" in str(interlock.refusal(0.0))
+    interlock.hear("primary", Status(safety_mode=SafetyMode.NORMAL), 1.0)
+    interlock.expect("realtime")
+    assert "nothing has been heard on the realtime interface yet" in str(interlock.refusal(1.0))
+    interlock.hear("realtime", Status(safety_mode=SafetyMode.NORMAL), 1.0)
+    assert "has not said its mode" in str(interlock.refusal(1.0))
+    interlock.hear("realtime", Status(RobotMode.RUNNING), 1.0)
+    assert interlock.refusal(1.0) is None
+
+
+def test_which_sources_have_spoken() -> None:
+    interlock = Interlock()
+    interlock.expect("primary")
+    assert [interlock.has_word(name) for name in ("primary", "realtime")] == [False, False]
+    interlock.hear("primary", CLEAR, 1.0)
+    interlock.lose("realtime", "refused")
+    assert [interlock.has_word(name) for name in ("primary", "realtime")] == [True, True]
 
 
 def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
@@ -157,8 +180,8 @@ def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
     interlock = Interlock("always")
     interlock.hear("primary", CLEAR, 1.0)
     interlock.enable(1.0)
-    assert interlock.refusal(1.0 + STALE_AFTER) is None
-    late = 1.1 + STALE_AFTER
+    assert interlock.refusal(2.0) is None
+    late = 2.1
     assert "either it is silent, or this program is held up" in str(interlock.refusal(late))
     with pytest.raises(NotRunning):
         interlock.enable(late)
@@ -302,8 +325,11 @@ def test_a_change_of_policy_asks_anew(before: Policy, after: Policy) -> None:
     interlock.policy = before  # no change
     assert interlock.refusal(1.0) is None
     interlock.policy = after
-    asks = after != before and after != "never"
-    assert isinstance(interlock.refusal(1.0), NotEnabled) == asks
+    refusal = interlock.refusal(1.0)
+    assert isinstance(refusal, NotEnabled) == (after != before and after != "never")
+    if refusal is not None:
+        when = {"on_startup": "once", "always": "at first and after every stop"}[after]
+        assert str(refusal).endswith(f"call robot.safety.enable() {when}")
     interlock.enable(1.0)
     assert interlock.refusal(1.0) is None
 

@@ -375,6 +375,15 @@ def test_each_text_is_told(robot: StandIn) -> None:
         robot.script.run("textmsg(1)", on_text=3)  # type: ignore[arg-type]
 
 
+def test_the_last_thousand_lines_are_kept(robot: StandIn) -> None:
+    program = run(robot)
+    robot.begins(program)
+    for number in range(1003):
+        robot.text(str(number))
+    until(lambda: program.texts[-1:] == ("1002",))
+    assert program.texts == tuple(map(str, range(3, 1003)))
+
+
 def test_texts_before_it_has_begun_are_another_programs(robot: StandIn) -> None:
     heard: list[str] = []
     robot.clear()

@@ -6,8 +6,7 @@ No thread and no clock: the connections are stand-ins whose subscribers the test
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any, cast, get_args
+from typing import cast, get_args
 
 import pytest
 from hypothesis import settings
@@ -19,6 +18,7 @@ from linkcore.errors import ConnectionLost, LinkError
 from linkcore.stamp import Stamp
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from tests.urlink.line import Line
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import STALE_AFTER, Interlock, Policy
 from urlink.commanding.monitor import SafetyMonitor
@@ -38,47 +38,6 @@ policies = st.sampled_from(get_args(Policy))
 safety_modes = st.one_of(st.sampled_from(SAFE), st.sampled_from(SafetyMode))
 robot_modes = st.one_of(st.just(RobotMode.RUNNING), st.sampled_from(RobotMode))
 sources = st.sampled_from(["primary", "realtime"])
-
-
-class Line:
-    """In place of a connection: keeps its subscribers, and what is sent."""
-
-    state = ConnectionState.CONNECTED
-    name = "line"
-    counters = SimpleNamespace(connections=1)
-
-    def __init__(self) -> None:
-        self.subscribers: dict[type, Callable[[Any], object]] = {}
-        self.on_silence: Callable[[float], object] = lambda seconds: None
-        self.sent: list[str] = []
-        self.aborts = 0
-        self.silence = SimpleNamespace(limit=None, watch=self.watch)
-        self.fan_out = SimpleNamespace(newest=lambda kind: None)
-
-    def subscribe_inline(self, kind: type, callback: Callable[[Any], object]) -> SimpleNamespace:
-        self.subscribers[kind] = callback
-        return SimpleNamespace(close=lambda: self.subscribers.pop(kind))
-
-    def watch(self, seconds: float, hook: Callable[[float], object]) -> Callable[[], None]:
-        assert seconds == STALE_AFTER
-        self.on_silence = hook
-        return lambda: None
-
-    def reads_here(self) -> bool:
-        """Every thread: nothing waits, since nothing could come."""
-        return True
-
-    def tell(self, packet: Any) -> None:
-        for kind, callback in self.subscribers.items():
-            if isinstance(packet, kind):
-                callback(packet)
-
-    def send_some(self, data: memoryview) -> int:
-        self.sent.append(bytes(data).decode())
-        return len(data)
-
-    def abort(self) -> None:
-        self.aborts += 1
 
 
 class InterlockBeforeTheChannel(RuleBasedStateMachine):
@@ -213,7 +172,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
             self.now += STALE_AFTER
             self.is_silent[source] = True
 
-        self.event(lambda: self.lines[source].on_silence(STALE_AFTER), change)
+        self.event(lambda: self.lines[source].be_silent(), change)
 
     @rule()
     def held_up(self) -> None:

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
-from linkcore.errors import BadValue, LinkError, LocalError
+from linkcore.errors import BadValue, LinkError, LinkTimeout, LocalError
+from linkcore.streaming.connection import Connection
+from linkcore.wire.packet import State
+from tests.urlink.line import Line
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
+from urlink.commanding.section import Section
+from urlink.commanding.setting_channel import SettingChannel
+from urlink.commanding.settings import Settings
 from urlink.errors import NotConfirmed, NotRunning
+from urlink.firmware import Firmware
+from urlink.identity import Identity, KnownIdentity
 from urlink.interfaces.enums import AnalogDomain, RobotMode
 from urlink.interfaces.primary.robot_state import CartesianInfo, MasterboardData, RobotModeData, RobotState, ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
@@ -278,3 +287,157 @@ def test_an_arm_that_nobody_knows_carries_what_any_does() -> None:
         robot.settings.payload(99.0, None, None, None)
         with pytest.raises(BadValue, match="payload mass"):
             robot.settings.payload(101.0, None, None, None)
+
+
+# -- a robot that shows something as soon as a setting has left ----------------------------------------
+
+
+class Answering:
+    """Settings of a robot that answers each of them with `answers`, before anything is waited for."""
+
+    def __init__(self, firmware: str = "5.11", is_remote: Callable[[], bool | None] = lambda: None) -> None:
+        self.firmware = Firmware.parse(firmware)
+        self.primary, self.realtime = Line(), Line()
+        self.answers: list[State] = []
+        self.sent: list[str] = []
+        self.doubts = 0
+        self.settings = Settings(
+            cast(SettingChannel, self),
+            cast(Connection, self.primary),
+            cast(Connection, self.realtime),
+            KnownIdentity(lambda: Identity(self.firmware, True, None)),
+            Section(),
+            is_remote,
+            None,
+        )
+
+    def send(self, text: str, values: object = None, *, wait: bool = True) -> None:
+        self.sent.append(text)
+        for answer in self.answers:
+            (self.realtime if isinstance(answer, RealtimeState) else self.primary).tell(answer)
+
+    def doubt(self) -> None:
+        self.doubts += 1
+
+    def is_confirmed(self, act: Callable[[Settings, float], None], *answers: State) -> bool:
+        self.answers = list(answers)
+        try:
+            act(self.settings, 0.001)
+        except NotConfirmed:
+            return False
+        finally:
+            assert self.primary.subscribers == self.realtime.subscribers == []
+        return True
+
+
+def offset(*pose: float) -> CartesianInfo:
+    axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
+    return CartesianInfo((5, 11), **{f"tcp_offset_{axis}": value for axis, value in zip(axes, pose, strict=True)})
+
+
+@pytest.mark.parametrize(
+    ("wanted", "shown", "is_same"),
+    [
+        ((0.1, 0.2, 0.3, 0, 0, 0), (0.1, 0.2, 0.3, 0, 0, 0), True),
+        ((0.1, 0.2, 0.3, 0, 0, 0), (0.1, 0.2, 0.3 + 0.9e-6, 0, 0, 0), True),
+        ((0.1, 0.2, 0.3, 0, 0, 0), (0.1, 0.2, 0.3 + 1.1e-6, 0, 0, 0), False),
+        ((0.1, 0.2, 0.3, 0, 0, 0), (0.1, 0.2, 0.3, 0, 0, 1.1e-6), False),
+        ((0, 0, 0, 0, 0, 0.5), (0, 0, 0, 0, 0, 0.5 - 2 * math.pi), True),
+        ((0, 0, 0, 0, 7.0, 0), (0, 0, 0, 0, 7.0 - 2 * math.pi, 0), True),
+        ((0, 0, 0, -3.0, 0, 0), (0, 0, 0, 2 * math.pi - 3.0, 0, 0), True),
+        ((0, 0, 0, 0, 0, 0), (0, 0, 0, 0, 0, 2 * math.pi), True),
+        ((0, 0, 0, 0, 0, 0.5), (0, 0, 0, 0, 0, -0.5), False),
+    ],
+)
+def test_two_offsets_of_the_tool_that_are_the_same(
+    wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool
+) -> None:
+    robot = Answering()
+    assert robot.is_confirmed(lambda settings, confirm: settings.tcp(wanted, confirm), offset(*shown)) == is_same
+    assert robot.doubts == (not is_same)
+
+
+@pytest.mark.parametrize(
+    ("act", "shown", "is_right"),
+    [
+        (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.5049), True),
+        (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.4951), True),
+        (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.5051), False),
+        (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.4949), False),
+        (lambda s, c: s.payload(1.0, None, None, c), RealtimeState((5, 11), payload_mass=1.0 + 0.9e-6), True),
+        (lambda s, c: s.payload(1.0, None, None, c), RealtimeState((5, 11), payload_mass=1.0 - 1.1e-6), False),
+        (lambda s, c: s.payload(1.0, [0, 0, 0], None, c), RealtimeState((5, 11), payload_mass=1.0), True),
+        (lambda s, c: s.payload(1.0, [0, 0, 1e-5], None, c), RealtimeState((5, 11), payload_mass=1.0), False),
+    ],
+)
+def test_how_far_off_may_be_what_is_shown(act: Callable[[Settings, float], None], shown: State, is_right: bool) -> None:
+    assert Answering().is_confirmed(act, shown) == is_right
+
+
+@pytest.mark.parametrize(
+    ("firmware", "act", "is_waited_for"),
+    [
+        ("5.9", lambda s, c: s.payload(1.0, None, None, c), False),
+        ("5.10", lambda s, c: s.payload(1.0, None, None, c), True),
+        ("3.1", lambda s, c: s.tcp([0] * 6, c), False),
+        ("3.2", lambda s, c: s.tcp([0] * 6, c), True),
+        ("1.8", lambda s, c: s.speed_slider(0.5, c), False),
+        ("3.0", lambda s, c: s.speed_slider(0.5, c), True),
+    ],
+)
+def test_what_shows_from_which_firmware_on(
+    firmware: str, act: Callable[[Settings, float], None], is_waited_for: bool
+) -> None:
+    robot = Answering(firmware)
+    assert robot.is_confirmed(act) != is_waited_for
+    assert len(robot.sent) == 1
+
+
+def test_a_right_value_counts_even_if_another_one_follows() -> None:
+    robot = Answering()
+
+    def act(settings: Settings, confirm: float) -> None:
+        settings.speed_slider(0.5, confirm)
+
+    right, other = (RobotModeData((5, 11), target_speed_fraction=each) for each in (0.5, 0.7))
+    assert robot.is_confirmed(act, other, right, other)
+    robot.answers = [right, other]
+    robot.settings.speed_slider(0.5, None)
+    robot.answers = [other]
+    with pytest.raises(NotConfirmed, match=r"within 0\.001 s: its states show 0\.7\."):
+        act(robot.settings, 0.001)
+
+
+def test_what_the_packets_leave_out_is_nothing_shown() -> None:
+    """A controller that says 5.11, and sends packets of an older one."""
+    robot = Answering()
+    robot.answers = [RealtimeState("3.4"), CartesianInfo("1.8")]
+    acts: list[Callable[[], None]] = [
+        lambda: robot.settings.payload(1.0, None, None, 0.001),
+        lambda: robot.settings.tcp([0] * 6, 0.001),
+    ]
+    for act in acts:
+        with pytest.raises(NotConfirmed, match="its states show nothing of it"):
+            act()
+
+
+def test_the_cause_is_named_even_if_the_dashboard_does_not_answer() -> None:
+    asked: list[str] = []
+
+    def is_remote() -> bool | None:
+        asked.append("dashboard")
+        raise LinkTimeout("no answer")
+
+    for firmware, why, count in (("5.11", "look at the pendant", 1), ("3.4", "Perhaps the controller was held up", 0)):
+        asked.clear()
+        with pytest.raises(NotConfirmed, match=why):
+            Answering(firmware, is_remote).settings.speed_slider(0.5, 0.001)
+        assert len(asked) == count
+
+
+def test_the_force_sensor_is_zeroed_where_there_is_one() -> None:
+    robot = Answering("3.0")
+    robot.settings.zero_force_sensor()
+    assert "zero_ftsensor()" in robot.sent[0]
+    with pytest.raises(LocalError, match=r"1\.8 has no zero"):
+        Answering("1.8").settings.zero_force_sensor()
