@@ -139,6 +139,14 @@ class _Mutator(ast.NodeTransformer):
         node.body = [self.visit(each) for each in node.body]
         return node
 
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        node.func = self.visit(node.func)
+        node.args = [self.visit(each) for each in node.args]
+        # ``strict`` of zip asserts that lengths are equal, and asserts are left alone.
+        if not (isinstance(node.func, ast.Name) and node.func.id == "zip"):
+            node.keywords = [self.visit(each) for each in node.keywords]
+        return node
+
     # -- conditions --------------------------------------------------------------------------
 
     def _condition(self, test: ast.expr) -> ast.expr:

@@ -44,6 +44,8 @@ def changes(source: str) -> list[tuple[str, str]]:
         ("log.warning(a, 1)", []),
         ("x: Literal[1] = a", []),
         ("assert a < 1", []),
+        ("x = zip(a, b[1], strict=True)", [("1", "2")]),
+        ("x = f(a, strict=True)", [("True", "False")]),
         ("@f(1)\nclass C:\n    pass", []),
         ("if TYPE_CHECKING:\n    x = 1", []),
         ("def __repr__(self):\n    return a + 1", []),

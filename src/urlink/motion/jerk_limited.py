@@ -17,7 +17,7 @@ Everything is plain floats: for six joints numpy takes longer for one operation 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -26,13 +26,12 @@ from linkcore.errors import BadValue
 
 from ..models import Model
 from ..vectors import JOINTS, six_limits
+from .root_finding import root
 
 __all__ = ["JointLimit", "Profile", "TargetFilter", "joint_limits"]
 
-#: Part of a way by which a push may miss it. What is left is a billionth of the resolution of a set-point.
-_PRECISION = 1e-15
-#: Steps of the search for a push; ten are usual, and halving alone would take fifty.
-_MOST_STEPS = 100
+#: rad by which a push may miss its target: a millionth of the resolution of a set-point.
+_PRECISION = 1e-12
 
 #: s, and rad/s³: a segment of constant jerk.
 _Segment = tuple[float, float]
@@ -94,10 +93,9 @@ class Profile:
         self._pieces: list[tuple[float, float, float, float, float, float]] = []
         t = 0.0
         for seconds, jerk in _segments(x, v, a, target, limit):
-            if seconds > 0.0:
-                self._pieces.append((t + seconds, t, x, v, a, jerk))
-                x, v, a = _after(x, v, a, jerk, seconds)
-                t += seconds
+            self._pieces.append((t + seconds, t, x, v, a, jerk))
+            x, v, a = _after(x, v, a, jerk, seconds)
+            t += seconds
         self.duration = t
 
     def at(self, t: float) -> tuple[float, float, float]:
@@ -260,39 +258,7 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
         end = [(peak / jerk, -jerk), (too_short / limit.speed, 0.0), *_brake(limit.speed, 0.0, limit)]
         seconds = longest
     else:
-        seconds = _root(missing, least, longest, _PRECISION * (1.0 + abs(way)))
+        seconds = root(missing, least, longest, _PRECISION)
         _, speed, acceleration = pushed(seconds)
         end = list(_brake(speed, acceleration, limit))
     return [(min(seconds, until_held), jerk), (max(seconds - until_held, 0.0), 0.0), *end]
-
-
-def _root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
-    """Where a growing function is zero, by the method of Chandrupatla (1997): inverse quadratic interpolation where the
-    last three places promise that it is good, halves elsewhere."""
-    a, b = high, low
-    at_a, at_b = function(a), function(b)
-    if at_b >= 0.0:
-        return b
-    if at_a <= 0.0:
-        return a
-    c, at_c = a, at_a
-    part = 0.5
-    for _ in range(_MOST_STEPS):
-        x = a + part * (b - a)
-        at_x = function(x)
-        if (at_x > 0.0) == (at_a > 0.0):
-            c, at_c = a, at_a
-        else:
-            c, b, at_c, at_b = b, a, at_b, at_a
-        a, at_a = x, at_x
-        if abs(at_a) <= precision or abs(b - a) <= _PRECISION * (abs(a) + abs(b)):
-            break
-        xi, phi = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
-        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
-            part = at_a / (at_b - at_a) * at_c / (at_b - at_c)
-            part += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
-            margin = _PRECISION * (abs(a) + abs(b)) / abs(b - a)
-            part = min(max(part, margin), 1.0 - margin)
-        else:
-            part = 0.5
-    return a if abs(at_a) <= abs(at_b) else b

@@ -56,8 +56,8 @@ class Teaching:
         self._realtime = realtime
         self._freedrive = freedrive
         self._triggers = triggers
-        self._open = contextlib.ExitStack()
-        self._is_open = False
+        #: what is to be closed behind the block; None outside of it
+        self._open: contextlib.ExitStack | None = None
         # An input that is on, or a button that is not held, in the first state keeps nothing.
         self._was_on, self._was_held = True, False
         self._kept_at = -math.inf
@@ -86,13 +86,13 @@ class Teaching:
                 watch = self._triggers.buttons.subscribe(self._look_at_button)
                 opened.callback(watch.close)
             self._open = opened.pop_all()
-        self._is_open = True
         return self
 
     def __exit__(self, *exc: object) -> None:
         """End freedrive; the waypoints stay."""
-        self._is_open = False
-        self._open.close()
+        opened, self._open = self._open, None
+        assert opened is not None, "a block is left that was entered"
+        opened.close()
 
     def record(self) -> TaughtPoint:
         """Keep where the arm is as the next waypoint.
@@ -101,7 +101,7 @@ class Teaching:
             LocalError: not within the block.
             LinkError: freedrive is over, and why; or no state tells where the arm is.
         """
-        if not self._is_open:
+        if self._open is None:
             raise LocalError("waypoints are recorded within the block: with robot.teach() as teaching: ...")
         if self._freedrive is not None and self._freedrive.error is not None:
             raise self._freedrive.error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,7 +35,7 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
         raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
     except (OSError, ValueError) as error:
         raise BadValue(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    reader = csv.reader(text.splitlines(keepends=True))
+    reader = csv.reader(io.StringIO(text))
     lines: list[int] = []
     rows: list[list[float]] = []
     columns: list[str] = []
@@ -43,7 +44,8 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
             if not row:
                 continue
             if not columns:
-                columns = _header(path, reader.line_num, [cell.strip() for cell in row])
+                columns = [cell.strip() for cell in row]
+                _check_header(path, reader.line_num, columns)
                 continue
             rows.append(_numbers_of(path, reader.line_num, row, columns))
             lines.append(reader.line_num)
@@ -51,7 +53,7 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
         raise BadValue(f"{path}, line {reader.line_num}: {error}") from None
     if len(rows) < 2:
         raise BadValue(f"{path}: {len(rows)} points; a trajectory has at least two")
-    order = [columns.index(name) for name in _names((len(columns) - 1) // 6)]
+    order = [columns.index(name) for name in _names(_quantities(columns))]
     table = np.array(rows, dtype=np.float64)[:, order]
     return [table[:, 0], *np.split(table[:, 1:], table.shape[1] // 6, axis=1)], lines[0]
 
@@ -71,14 +73,17 @@ def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
         raise BadValue(f"{path}: {error.strerror or error}") from error
 
 
-def _header(path: Path, line: int, columns: list[str]) -> list[str]:
-    for quantities in (1, 2, 3):
-        if sorted(columns) == sorted(_names(quantities)):
-            return columns
-    raise BadValue(
-        f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, and, or not, "
-        "qd0,...,qd5 and qdd0,...,qdd5"
-    )
+def _quantities(columns: list[str]) -> int:
+    """How many of positions, velocities and accelerations there are: of each six columns, beside the time."""
+    return len(columns) // 6
+
+
+def _check_header(path: Path, line: int, columns: list[str]) -> None:
+    if sorted(columns) != sorted(_names(max(_quantities(columns), 1))):
+        raise BadValue(
+            f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, and, or not, "
+            "qd0,...,qd5 and qdd0,...,qdd5"
+        )
 
 
 def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> list[float]:

@@ -110,12 +110,14 @@ class WaypointServer(Following):
             return b""
         if request == waypoints.BEAT:
             return b"(1)\r\n"
+        if request < 0:
+            raise ProgramStopped(f"the program on the robot asks for point {request}")
         if request == 0:
             return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
         if request == 2 and self._t is None:
             # It has just handed over the first point to go to, and moves from now on.
             self._t = 0.0
-        if 0 < request < len(self._trajectory):
+        if request < len(self._trajectory):
             return self._point(request, self._trajectory.q[request].tolist())
         # All points are handed over: the program may come to its end before its last line was read.
         self.survives_its_program = True

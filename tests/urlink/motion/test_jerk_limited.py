@@ -50,6 +50,76 @@ def test_from_rest_to_rest_it_takes_as_long_as_it_has_to() -> None:
     assert Profile(3, 0, 0, 3.0, JointLimit(1, 1, 1)).duration == 0.0
 
 
+#: speed, acceleration, their limits; where it brakes to, and how long that takes: integrated by hand, with a jerk of 1
+BRAKING = [
+    (1.0, 0.0, 10.0, 1.0, 2.0),
+    (4.0, 0.0, 1.0, 10.0, 5.0),
+    (7.0, 2.0, 10.0, 131.0 / 3.0, 8.0),
+    (7.0, -2.0, 10.0, 31.0 / 3.0, 4.0),
+    (12.25, -4.0, 10.0, 499.0 / 24.0, 5.0),
+    (1.0, -2.0, 10.0, -5.0 / 3.0, 4.0),
+    (7.0, 2.0, 2.0, 45.0 + 11.0 / 12.0, 8.5),
+    (0.0, 0.0, 1.0, 0.0, 0.0),
+]
+
+
+@pytest.mark.parametrize(("v", "a", "most", "way", "seconds"), BRAKING)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_it_brakes_and_no_more_where_that_leads_to_the_target(
+    sign: float, v: float, a: float, most: float, way: float, seconds: float
+) -> None:
+    """A little further, it is pushed first; a little nearer, it goes beyond and comes back. Either takes longer."""
+    limit = JointLimit(100.0, most, 1.0)
+    assert Profile(0.5, sign * v, sign * a, 0.5 + sign * way, limit).duration == pytest.approx(seconds, abs=1e-4)
+    for further in (0.05, -0.05):
+        target = 0.5 + sign * (way + further)
+        profile = Profile(0.5, sign * v, sign * a, target, limit)
+        assert seconds < profile.duration < seconds + 2.0
+        states = np.array([profile.at(t) for t in np.linspace(0.0, profile.duration, 400, endpoint=False)])
+        assert states[-1] == pytest.approx([target, 0.0, 0.0], abs=0.05)
+        if v * way > 0.0:
+            is_beyond = (sign * (states[:, 0] - target) > 1e-9).any()
+            assert is_beyond == (further < 0.0)
+
+
+def test_it_is_there_when_its_time_is_over_and_stays() -> None:
+    limit = JointLimit(1.0, 1.0, 1.0)
+    led = TargetFilter([0.5] * 6, [limit] * 6)
+    led.advance(1.0)
+    is_there = [led.is_at_target]
+    assert (led.q, led.qd, led.qdd) == ([0.5] * 6, [0.0] * 6, [0.0] * 6)
+    led.aim([0.5] * 5 + [2.5])
+    is_there.append(led.is_at_target)
+    led.advance(Profile(0.5, 0.0, 0.0, 2.5, limit).duration)
+    is_there.append(led.is_at_target)
+    assert is_there == [True, False, True]
+    assert led.q == led.target == [0.5] * 5 + [2.5]
+
+
+def test_going_on_from_elsewhere_no_limit_is_exceeded() -> None:
+    """At the largest speed and beyond it, the acceleration that leads there is gone; what the limit allows is kept."""
+    limit = JointLimit(1.0, 4.0, 60.0)
+    led = TargetFilter([0.0] * 6, [limit] * 6)
+    led.aim([2.0, 2.0, 2.0, -2.0, -2.0, -2.0])
+    led.advance(0.05)
+    assert np.abs(led.qdd) == pytest.approx([3.0] * 6)
+    led.restart([0.1] * 6, [1.0, -5.0, 0.97, -1.5, 5.0, -0.97])
+    assert led.qd == [1.0, -1.0, 0.97, -1.0, 1.0, -0.97]
+    assert led.q == [0.1] * 6
+    kept = math.sqrt(2.0 * 60.0 * 0.03)  # the speed grows by a² / 2j while the acceleration dies away
+    assert led.qdd == pytest.approx([0.0, 3.0, kept, 0.0, -3.0, -kept])
+    seen = []
+    while not led.is_at_target:
+        led.advance(0.001)
+        seen.append((led.qd, led.qdd))
+        assert len(seen) < 5000
+        led.qd, led.qdd = list(led.qd), list(led.qdd)
+    assert led.q == [2.0, 2.0, 2.0, -2.0, -2.0, -2.0]
+    fastest, hardest = np.abs(np.array(seen)).max(axis=0)
+    assert fastest == pytest.approx([1.0] * 6, abs=1e-9)
+    assert (hardest <= 4.0 + 1e-9).all()
+
+
 @pytest.mark.property
 @given(
     limits=st.lists(_limits, min_size=6, max_size=6),
@@ -144,3 +214,12 @@ def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
 def test_limits_that_make_no_sense(limits: tuple[float, float, float], message: str) -> None:
     with pytest.raises(BadValue, match=message):
         joint_limits(model("UR5e"), *limits)
+
+
+def test_an_arm_may_be_led_as_fast_as_it_can() -> None:
+    arm = model("UR5e")
+    limits = joint_limits(arm, arm.max_speed, arm.max_acceleration, [1, 2, 3, 4, 5, 6])
+    assert [each.speed for each in limits] == arm.max_speed.tolist()
+    assert [each.acceleration for each in limits] == arm.max_acceleration.tolist()
+    assert [each.jerk for each in limits] == [1, 2, 3, 4, 5, 6]
+    assert joint_limits(None, 100.0, 1e4, 1e5) == (JointLimit(100.0, 1e4, 1e5),) * 6

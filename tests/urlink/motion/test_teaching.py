@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,9 @@ import urlink
 from linkcore.errors import BadValue, Cancelled, LocalError
 from tests.waiting import until
 from urlink.errors import SafetyStop
-from urlink.motion import Taught, TaughtPoint
+from urlink.interfaces.enums import RobotStatusBits
+from urlink.motion import Joint, Taught, TaughtPoint, Teaching
+from urlink.motion.teaching import Triggers
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 
@@ -95,6 +97,130 @@ def test_the_button_keeps_one_when_it_is_let_go_and_no_program_runs(arm: tuple[C
         assert controller.program_name is None
 
 
+class Said:
+    """A stream of states that the test says; `closed` tells what of it was closed."""
+
+    def __init__(self, closed: list[str], name: str) -> None:
+        self._closed, self._name = closed, name
+        self._callback: Callable[[Any], object] | None = None
+        self._newest: Any = None
+
+    def subscribe(self, callback: Callable[[Any], object]) -> Any:
+        self._callback = callback
+        return SimpleNamespace(close=lambda: self._closed.append(f"subscription of {self._name}"))
+
+    def wait(self) -> Any:
+        return self._newest
+
+    def close(self) -> None:
+        self._closed.append(self._name)
+
+    def say(self, x: float = 0.0, time: float = 0.0, inputs: int = 0, status: int = 0) -> None:
+        """The arm is at `x` in all numbers."""
+        self._newest = SimpleNamespace(
+            time=time,
+            q_actual=[x] * 6,
+            tool_vector_actual=[-x] * 6,
+            digital_input_bits=inputs,
+            robot_status_bits=status,
+        )
+        if self._callback is not None:
+            self._callback(self._newest)
+
+
+class Mode:
+    """A freedrive that begins and ends when it is told."""
+
+    def __init__(self, ended: list[str]) -> None:
+        self.error: Exception | None = None
+        self._ended = ended
+
+    def __enter__(self) -> None:
+        self._ended.append("begun")
+
+    def __exit__(self, *exc: object) -> None:
+        self._ended.append("freedrive")
+
+
+def teaching_with(
+    realtime: Said, mode: Mode | None = None, input_bit: int | None = None, buttons: Said | None = None
+) -> tuple[Teaching, list[TaughtPoint]]:
+    told: list[TaughtPoint] = []
+    triggers = Triggers(input_bit, cast("Any", buttons), told.append)
+    return Teaching(cast("Any", realtime), "UR5e", cast("Any", mode), triggers), told
+
+
+def test_an_input_keeps_one_when_it_is_switched_on_and_not_when_it_bounces() -> None:
+    closed: list[str] = []
+    realtime = Said(closed, "realtime")
+    teaching, told = teaching_with(realtime, input_bit=3)
+    with teaching:
+        # On from the beginning; then other inputs; then this one beside others.
+        for x, time, inputs in (
+            (1, -0.3, 0b1000),
+            (2, -0.2, 0),
+            (3, -0.1, 0b10111),
+            (4, 0.0, 0b11001),
+            (5, 0.1, 0b1000),
+        ):
+            realtime.say(x, time, inputs)
+        assert [point.q[0] for point in told] == [4]
+        for x, time, inputs in ((6, 0.15, 0), (7, 0.2, 0b1000), (8, 0.25, 0), (9, 0.3, 0b1000), (10, 0.6, 0)):
+            realtime.say(x, time, inputs)
+    assert closed == ["subscription of realtime"]
+    assert [(point.q.tolist(), point.pose.tolist()) for point in told] == [([x] * 6, [-x] * 6) for x in (4, 9)]
+    assert list(teaching.taught) == told
+    assert teaching.taught.model == "UR5e"
+
+
+def test_the_button_keeps_where_the_arm_is_when_it_is_let_go() -> None:
+    closed: list[str] = []
+    realtime, buttons = Said(closed, "realtime"), Said(closed, "buttons")
+    teaching, told = teaching_with(realtime, buttons=buttons)
+    with teaching:
+        held = RobotStatusBits.POWER_ON | RobotStatusBits.TEACH_BUTTON_PRESSED
+        for x, status in enumerate((RobotStatusBits.POWER_ON, held, held, RobotStatusBits.POWER_ON, held, 0, 0)):
+            realtime.say(x)
+            buttons.say(9, status=status)
+    assert [point.q[0] for point in told] == [3, 5]
+    assert closed == ["subscription of buttons", "buttons"]
+
+
+def test_waypoints_are_recorded_within_the_block_and_within_the_mode() -> None:
+    ended: list[str] = []
+    realtime, mode = Said(ended, "realtime"), Mode(ended)
+    teaching, told = teaching_with(realtime, mode)
+    assert cast("Any", teaching.freedrive) is mode
+    realtime.say(0.5)
+    with pytest.raises(LocalError, match="within the block"):
+        teaching.record()
+    with teaching as entered:
+        assert entered is teaching
+        assert ended == ["begun"]
+        point = teaching.record()
+        assert point.q.tolist() == [0.5] * 6
+        mode.error = Cancelled("freedrive was cancelled")
+        with pytest.raises(Cancelled, match="was cancelled"):
+            teaching.record()
+    assert ended == ["begun", "freedrive"]
+    mode.error = None
+    with pytest.raises(LocalError, match="within the block"):
+        teaching.record()
+    assert told == [point] == list(teaching.taught)
+
+
+def test_what_cannot_be_listened_to_ends_the_mode() -> None:
+    ended: list[str] = []
+    buttons = Said(ended, "buttons")
+    buttons.subscribe = None  # type: ignore[assignment,method-assign]
+    teaching, _ = teaching_with(Said(ended, "realtime"), Mode(ended), 0, buttons)
+    with pytest.raises(TypeError), teaching:
+        pass
+    assert ended == ["begun", "buttons", "subscription of realtime", "freedrive"]
+    with pytest.raises(LocalError, match="within the block"):
+        teaching.record()
+
+
 @pytest.mark.slow
 def test_a_mode_that_is_over_records_nothing(arm: tuple[Controller, Robot]) -> None:
     _, robot = arm
@@ -150,6 +276,63 @@ def test_what_is_something_else_is_refused(tmp_path_factory: pytest.TempPathFact
         assert all(np.isfinite(point.q).all() for point in Taught.load(file))
 
 
+def test_what_is_played() -> None:
+    """One path through all joints, not waited for; slowly, and with a stop at each, unless something else is asked."""
+    asked: list[tuple[list[Joint], dict[str, object]]] = []
+    handle = object()
+
+    def path(waypoints: list[Joint], **rates: object) -> object:
+        asked.append((waypoints, rates))
+        return handle
+
+    robot = cast("Any", SimpleNamespace(model="UR5e", motion=SimpleNamespace(path=path)))
+    taught = Taught([TaughtPoint(np.full(6, 0.1 * i), np.zeros(6)) for i in range(3)])
+    assert taught.play(robot) is handle
+    assert taught.play(robot, speed=0.2, acceleration=0.3, blend=0.01, wait=5.0) is handle
+    for (waypoints, rates), blends, expected in zip(
+        asked, ([0.0] * 3, [0.01, 0.01, 0.0]), ((0.5, 1.0, False), (0.2, 0.3, 5.0)), strict=True
+    ):
+        assert [each.q.tolist() for each in waypoints] == [[0.1 * i] * 6 for i in range(3)]
+        assert [each.blend for each in waypoints] == blends
+        assert rates == dict(zip(("joint_speed", "joint_acceleration", "wait"), expected, strict=True))
+    assert [each.blend for each in taught.waypoints()] == [0.0] * 3
+
+
+def test_files_of_the_first_release_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "a.json"
+    point = {"q": [1, 2, 3, 4, 5, 6], "pose": [0.1] * 6}
+    file.write_text(
+        json.dumps({"format": "urlink taught waypoints", "version": 1, "model": None, "waypoints": [point]})
+    )
+    assert [each.q.tolist() for each in Taught.load(file)] == [point["q"]]
+
+
+POINT = {"q": [0] * 6, "pose": [0] * 6}
+
+
+@pytest.mark.parametrize(
+    ("held", "message"),
+    [
+        ([], 'expected an object whose "format" is "urlink taught waypoints"'),
+        ({"format": "poses"}, "expected an object"),
+        ({"version": 2}, "version 2 is not known; expected 1"),
+        ({"model": 5}, '"model" is 5; expected a name or null'),
+        ({"waypoints": {}}, '"waypoints" is no list'),
+        ({"waypoints": [POINT, [0] * 6]}, 'waypoint 1 has no "q" and "pose"'),
+        ({"waypoints": [{"q": [0] * 6}]}, 'waypoint 0 has no "q" and "pose"'),
+        ({"waypoints": [{**POINT, "q": [0] * 5}]}, "q of waypoint 0 has the shape"),
+        ({"waypoints": [{**POINT, "pose": "here"}]}, "its pose: expected numbers"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, held: object, message: str) -> None:
+    file = tmp_path / "a.json"
+    if isinstance(held, dict):
+        held = {"format": "urlink taught waypoints", "version": 1, "model": None, "waypoints": [], **held}
+    file.write_text(json.dumps(held))
+    with pytest.raises(BadValue, match=f"{file}: {message}"):
+        Taught.load(file)
+
+
 def test_what_cannot_be_played_or_kept_is_refused(tmp_path: Path) -> None:
     point = TaughtPoint(np.zeros(6), np.zeros(6))
     other = cast("Any", SimpleNamespace(model="UR10e", motion=None))
@@ -164,9 +347,11 @@ def test_what_cannot_be_played_or_kept_is_refused(tmp_path: Path) -> None:
     assert len(taught) == 1
     with pytest.raises(BadValue, match="cannot write"):
         taught.save(tmp_path / "none" / "a.json")
+    with pytest.raises(BadValue, match=f"cannot write {tmp_path}"):
+        taught.save(tmp_path)
+    assert list(tmp_path.parent.glob(f".{tmp_path.name}*")) == []
     with pytest.raises(BadValue, match="cannot read"):
         Taught.load(tmp_path / "none.json")
     (tmp_path / "text").write_text("{")
     with pytest.raises(BadValue, match="is no JSON"):
         Taught.load(tmp_path / "text")
-    assert [each.blend for each in Taught([point] * 3).waypoints(0.01)] == [0.01, 0.01, 0.0]

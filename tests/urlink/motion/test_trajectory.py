@@ -312,6 +312,9 @@ def test_columns_in_any_order_and_blank_lines(file: Path) -> None:
     [
         ("", "0 points"),
         ("time,q0\n", "line 1: the columns are time,q0; expected time,q0,...,q5"),
+        ("time\n0\n1\n", "line 1: the columns are time; expected"),
+        (HEADER + '0,0,0,0,0,0,0\n"1\n2",0,0,0,0,0,0\n', r"line 4, column time: '1\\n2' is not a finite number"),
+        (HEADER + "0" * 200_000, "line 2: field larger than"),
         (HEADER, "0 points"),
         (HEADER + "0,0,0,0,0,0,0\n", "1 points"),
         (HEADER + "0,0,0,0,0,0,0\n1,0,0,0,0,0\n", "line 3: 6 values; expected 7"),

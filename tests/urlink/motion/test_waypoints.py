@@ -1,0 +1,209 @@
+"""A trajectory that is handed over point by point: what the robot asks, what it is told, and how its arm is watched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import HOME, turned
+from urlink.errors import ProgramStopped, ToleranceExceeded
+from urlink.firmware import Firmware
+from urlink.motion.following import Tolerances
+from urlink.motion.trajectory import Trajectory
+from urlink.motion.waypoints import WaypointServer
+from urlink.urscript.programs import ReverseSocket
+
+#: Times differ, so that each point says how long after the last one it is.
+PATH = Trajectory.from_arrays([0.0, 0.5, 2.0], [HOME, turned(0.3), turned(0.5)])
+TOLERANCES = Tolerances(path=0.1, goal=0.01, goal_time=1.0, start=0.05)
+
+
+class Served:
+    """A program that asks, and its arm, on a clock that the test holds: each `step` is a state."""
+
+    BEGIN = 50.0
+
+    def __init__(self, path: Trajectory = PATH) -> None:
+        self.server = WaypointServer(path, TOLERANCES, Firmware.parse("5.11"), 0.1, 300.0)
+        self.seconds = 0.0
+        self.angle, self.speed = 0.0, 0.0
+
+    def step(self, said: bytes = b"", seconds: float = 0.0) -> list[list[float]]:
+        """So many seconds later something is said; the answers."""
+        self.seconds += seconds
+        speeds = np.array([0.0] * 5 + [self.speed])
+        state: Any = SimpleNamespace(
+            time=self.BEGIN + self.seconds,
+            q_target=np.array(turned(self.angle)),
+            q_actual=np.array(turned(self.angle)),
+            qd_target=speeds,
+            qd_actual=speeds,
+        )
+        answers = self.server.step(said, state, 1000.0 + self.seconds).decode().splitlines()
+        return [[float(each) for each in answer.strip("()").split(",")] for answer in answers]
+
+
+def test_points_are_handed_over_as_they_are_asked_for() -> None:
+    """In whatever pieces the questions come; the first point is where the arm stands."""
+    served = Served()
+    served.angle = 0.02
+    assert served.step(b"-1\n0") == [[1.0]]
+    assert served.step() == []
+    ((number, *rest),) = served.step(b"\n")
+    assert number == 0
+    assert rest == pytest.approx([*turned(0.02), *[0.0] * 6, 0.0])
+    answers = served.step(b"1\n-1\n2\n")
+    assert [answer[0] for answer in answers] == [1.0, 1.0, 2.0]
+    assert answers[0][1:] == pytest.approx([*turned(0.3), *PATH.qd[1], 0.5])
+    assert answers[2][1:] == pytest.approx([*turned(0.5), *[0.0] * 6, 1.5])
+    assert not served.server.survives_its_program
+    assert served.step(b"3\n") == [[-1.0, *[0.0] * 13]]
+    assert served.server.survives_its_program
+
+
+def test_accelerations_are_handed_over_where_there_are_some() -> None:
+    quintic = Trajectory.from_arrays(PATH.time, PATH.q, PATH.qd, np.arange(18).reshape(3, 6) / 100)
+    served = Served(quintic)
+    assert [answer[13:19] for answer in served.step(b"0\n1\n2\n")] == [
+        pytest.approx(row) for row in np.arange(18).reshape(3, 6) / 100
+    ]
+    assert served.step(b"3\n") == [[-1.0, *[0.0] * 19]]
+
+
+@pytest.mark.parametrize("firmware", ["3.4", "5.11"])
+def test_the_program_that_asks_leads_the_arm_along(firmware: str) -> None:
+    """Both ends, on a clock of their own. The controller is told how closely ``servoj`` follows."""
+    path = Trajectory.from_arrays([0.0, 0.1, 0.25], [HOME, turned(0.05), turned(0.08)])
+    server = WaypointServer(path, TOLERANCES, Firmware.parse(firmware), 0.05, 700.0)
+    bench = Bench(server.body(ReverseSocket("10.0.0.1", 50001, 7)), Firmware.parse(firmware))
+    told: set[tuple[float, ...]] = set()
+    servoj = bench.motion.servoj
+
+    def watched(q: Sequence[float], *parameters: float) -> object:
+        told.add(parameters)
+        return servoj(q, *parameters)
+
+    bench.motion.servoj = watched  # type: ignore[method-assign,assignment]
+
+    def answer() -> None:
+        said = bytes(bench.sockets.sent).removeprefix(b"\0\0\0\7")
+        bench.sockets.sent.clear()
+        at = bench.motion.setpoint
+        q, qd = np.array(at.q), np.array(at.qd)
+        state: Any = SimpleNamespace(
+            time=bench.cycle * bench.period, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd
+        )
+        bench.sockets.waiting.extend(server.step(said, state, 1000.0 + state.time))
+
+    bench.run(round(1.0 / bench.period), answer)
+    assert bench.has_finished
+    assert bench.said == []
+    assert server.survives_its_program
+    assert np.abs(np.array(bench.path)[:, 5]).max() == pytest.approx(0.08, abs=1e-4)
+    assert told == {(bench.period, 0.05, 700.0)}
+
+
+def test_it_begins_when_the_arm_stands() -> None:
+    served = Served()
+    served.speed = 0.5
+    assert served.step(b"0\n-1\n") == []
+    assert served.step(seconds=1.0) == []
+    served.speed = 0.0
+    assert [answer[0] for answer in served.step()] == [0.0, 1.0]
+
+    waiting = Served()
+    waiting.speed = 0.5
+    waiting.step(b"0\n")
+    with pytest.raises(LinkTimeout, match=r"did not come to rest within 1\.5 s"):
+        waiting.step(seconds=1.6)
+
+    elsewhere = Served()
+    elsewhere.angle = 0.06
+    with pytest.raises(BadValue, match="too far from where the arm is"):
+        elsewhere.step(b"0\n")
+
+
+def test_the_arm_is_watched_from_when_it_sets_out() -> None:
+    """That is when the point after the first is asked for. Asking again changes nothing."""
+    served = Served()
+    served.step(b"0\n1\n")
+    served.step(seconds=0.5)
+    assert (served.server.progress, served.server.began) == (0.0, None)
+    served.step(b"2\n", 0.25)
+    assert (served.server.progress, served.server.began) == (0.0, 50.75)
+    served.angle = 0.3
+    served.step(b"2\n", 0.5)
+    assert (served.server.progress, served.server.began) == (0.25, 50.75)
+    # Where the trajectory is over, the program may be behind it, so the arm is not missed yet.
+    served.angle = 0.5
+    served.step(b"-1\n", 1.5)
+    assert not served.server.is_over
+    served.angle = 0.3
+    served.step(b"3\n", 0.5)
+    assert served.server.progress == 0.25
+    served.step(b"-2\n")
+    assert served.server.progress == 1.25
+    served.angle = 0.5
+    assert not served.server.is_over
+    served.step()
+    assert served.server.is_over
+
+
+def test_a_state_from_the_past_counts_as_one_cycle() -> None:
+    served = Served()
+    served.step(b"0\n1\n2\n")
+    served.BEGIN = 20.0
+    served.step()
+    assert served.server.progress == pytest.approx(0.002 / 2.0)
+
+
+def test_an_arm_that_is_not_where_it_should_be() -> None:
+    served = Served()
+    served.step(b"0\n1\n2\n")
+    with pytest.raises(ToleranceExceeded, match=r"0\.500 s into its path; the tolerance is 0\.1 rad"):
+        served.step(seconds=0.5)
+
+    late = Served()
+    late.step(b"0\n1\n2\n3\n")
+    assert late.step(b"-2\n-1\n", 2.5) == [[1.0]]
+    assert not late.server.is_over
+    with pytest.raises(ToleranceExceeded, match="1 s after the end of its path"):
+        late.step(seconds=0.6)
+
+
+def test_a_program_that_has_come_to_its_end_before_it_was_watched() -> None:
+    served = Served()
+    served.step(b"0\n1\n")
+    assert not served.server.is_over
+    served.server.conclude()
+    served.step()
+    assert served.server.is_over
+
+
+@pytest.mark.parametrize("said", [b"", b"-1\n"])
+def test_a_program_that_falls_silent(said: bytes) -> None:
+    served = Served()
+    served.step(seconds=5.0)
+    served.step(said, 3.0)
+    if not said:
+        with pytest.raises(ConnectionLost, match="has said nothing for 3 s"):
+            served.step(seconds=0.5)
+    served.step(b"-2\n", 3.0)
+    served.step(seconds=30.0)
+
+
+def test_a_program_that_speaks_no_numbers() -> None:
+    served = Served()
+    assert served.step(b"0" * 32) == []
+    with pytest.raises(ProgramStopped, match="does not speak in numbers: b'0"):
+        served.step(b"0")
+    with pytest.raises(ProgramStopped, match="does not speak in numbers: b'one'"):
+        Served().step(b"0\none\n")
+    with pytest.raises(ProgramStopped, match="asks for point -3"):
+        Served().step(b"-3\n")
