@@ -1,15 +1,14 @@
 """The checksums of many records of one size at once.
 
-One call of `zlib.crc32` for each record costs more than the checksum. CRC-32 is linear, so the checksum of many records
-one after the other follows from those that are written in them: one call for all of their bytes then checks all.
-crc(A + B) is crc(A), moved on by the bytes of B, xor crc(B); moved on by one zero bit, a CRC is multiplied by x modulo
-the polynomial. See zlib's `crc32_combine`.
+One call of `zlib.crc32` for each record costs as much as the checksum. CRC-32 is linear, so the checksum of many
+records one after the other follows from those that are written in them: one call for all of their bytes checks all.
+crc(A + B) is crc(A), moved on by the bytes of B, xor crc(B); what moves a CRC on by some zero bytes is a matrix over
+GF(2). See zlib's `crc32_combine`.
 """
 
 from __future__ import annotations
 
 import zlib
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from .records import FRAME
 
 __all__ = ["intact"]
 
-_POLYNOMIAL = 0xEDB88320
 _ALL = 0xFFFFFFFF
 #: Records that one checksum covers: some hundred kB, which the cache of a processor holds.
 _BATCH = 256
@@ -34,68 +32,61 @@ def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
         data: a buffer of bytes that holds them.
         start: where the first begins.
     """
-    view = memoryview(data)
     good = np.zeros(count, np.bool_)
+    if not count:
+        return good
+    view = memoryview(data)
+    written: Any = np.ndarray((count,), ">u4", data, start + 4, (stride,))
     batches = count // _BATCH
     whole = batches * _BATCH
     if batches:
-        head: Any = np.ndarray((whole, 2), ">u4", data, start, (stride, 4))
-        expected = _joined(head, stride).tolist()
         size = _BATCH * stride
-        for number, crc in enumerate(expected):
+        for number, crc in enumerate(_joined(written[:whole].astype(np.uint32), stride).tolist()):
             at = start + number * size
             good[number * _BATCH : (number + 1) * _BATCH] = zlib.crc32(view[at : at + size]) == crc
-    for number in np.flatnonzero(~good).tolist():
-        at = start + number * stride
-        (crc,) = np.ndarray(1, ">u4", data, at + 4).tolist()
-        good[number] = zlib.crc32(view[at + FRAME.size : at + stride]) == crc
+    single = np.flatnonzero(~good)
+    crcs = written[single].tolist()
+    places = (start + FRAME.size + single * stride).tolist()
+    rest = stride - FRAME.size
+    good[single] = [zlib.crc32(view[at : at + rest]) == crc for at, crc in zip(places, crcs, strict=True)]
     return good
 
 
-def _joined(head: Any, stride: int) -> Crcs:
-    """The checksum of each `_BATCH` records, from the lengths and checksums (n, 2) that they begin with."""
-    # A word of four bytes moves the inner state on by four bytes, after it was added to it; least byte first.
-    word = head[:, 1].astype(">u4").view("<u4").astype(np.uint32)
-    length = int.from_bytes((stride - FRAME.size).to_bytes(4, "big"), "little")
-    state = _moved(np.array([_ALL ^ length], np.uint32), 4)[0]
-    crcs = _moved(_moved(state ^ word, 4) ^ np.uint32(_ALL), stride - FRAME.size) ^ head[:, 1].astype(np.uint32)
-    crcs = crcs.reshape(-1, _BATCH)
-    size = stride
+def _joined(written: Crcs, stride: int) -> Crcs:
+    """The checksum of each `_BATCH` records, from the checksums of what follows them in each record."""
+    rest = stride - FRAME.size
+    # Four bytes of length are the same in all records. Those of the checksum change the state that they leave, and are
+    # moved on with it; CRC-32 takes the least byte of a word first, and they lie the other way.
+    state = written.byteswap() ^ np.uint32(zlib.crc32(rest.to_bytes(4, "big")) ^ _ALL)
+    moved = _moved(state, _filled(_columns(4 + rest)))
+    crcs = (moved ^ written ^ np.uint32(zlib.crc32(bytes(rest)) ^ _ALL)).reshape(-1, _BATCH)
+    columns = _columns(stride)
     while crcs.shape[1] > 1:
-        crcs = _moved(crcs[:, 0::2], size) ^ crcs[:, 1::2]
-        size *= 2
+        tables = _filled(columns)
+        crcs = _moved(crcs[:, 0::2], tables) ^ crcs[:, 1::2]
+        columns = _moved(columns, tables)  # by twice as many bytes
     joined: Crcs = crcs[:, 0]
     return joined
 
 
-def _moved(crcs: Crcs, size: int) -> Crcs:
-    """CRCs moved on by so many zero bytes."""
-    tables = _tables(size)
+def _columns(size: int) -> Crcs:
+    """What becomes of each bit of a CRC that is moved on by so many zero bytes, (32,)."""
+    zeros = bytes(size)
+    none = zlib.crc32(zeros)
+    return np.array([zlib.crc32(zeros, 1 << bit) ^ none for bit in range(32)], np.uint32)
+
+
+def _filled(columns: Crcs) -> Crcs:
+    """The same of each value of each byte of a CRC, (4, 256), least byte first."""
+    tables = np.zeros((4, 256), np.uint32)
+    for bit in range(8):
+        tables[:, 1 << bit : 2 << bit] = tables[:, : 1 << bit] ^ columns[bit::8, None]
+    return tables
+
+
+def _moved(crcs: Crcs, tables: Crcs) -> Crcs:
+    """CRCs moved on by as many zero bytes as the tables are for."""
     moved: Crcs = tables[0][crcs & 0xFF]
     for number in (1, 2, 3):
         moved ^= tables[number][(crcs >> np.uint32(8 * number)) & 0xFF]
     return moved
-
-
-@lru_cache(maxsize=64)
-def _tables(size: int) -> Crcs:
-    """What becomes of each byte of a CRC that is moved on by so many zero bytes, shape (4, 256)."""
-    # Column i is what becomes of bit i: first of one zero bit, then by squaring of a power of two of them.
-    power = np.array([_POLYNOMIAL] + [1 << bit for bit in range(31)], np.uint32)
-    columns = np.uint32(1) << np.arange(32, dtype=np.uint32)
-    bits = 8 * size
-    while bits:
-        if bits & 1:
-            columns = _product(power, columns)
-        bits >>= 1
-        power = _product(power, power)
-    number = np.arange(256, dtype=np.uint32)
-    return np.stack([_product(columns, number << np.uint32(8 * byte)) for byte in range(4)])
-
-
-def _product(columns: Crcs, vectors: Crcs) -> Crcs:
-    """A matrix over GF(2), by its columns, applied to vectors."""
-    product = np.zeros_like(vectors)
-    for bit, column in enumerate(columns.tolist()):
-        product ^= np.where((vectors >> np.uint32(bit)) & 1, np.uint32(column), np.uint32(0))
-    return product

@@ -20,8 +20,10 @@ from .records import FRAME, HEAD, LARGEST, MAGIC, Kind
 
 __all__ = ["Gap", "Index"]
 
+#: Records of one size from which on those that follow are looked at together.
+_FEW = 16
 #: Records that are looked at together at first; then always four times as many.
-_FIRST_RUN = 16
+_FIRST_RUN = 64
 #: Bytes that are searched at a time for a record behind damage.
 _SEARCHED = 1 << 20
 
@@ -66,13 +68,11 @@ class Index:
         begin = bytes(self.data[: len(MAGIC)])
         if begin != MAGIC:
             raise BadRecording(f"{self.path} is not a recording: it begins with {begin!r}, not {MAGIC!r}")
-        runs = self._runs()
-        starts = [start + stride * np.arange(count, dtype=np.int64) for start, stride, count in runs]
-        start = np.concatenate(starts) if starts else np.empty(0, np.int64)
-        self.size: Numbers = np.repeat(
-            np.array([stride for _, stride, _ in runs], np.int64) - FRAME.size - HEAD.size,
-            np.array([count for _, _, count in runs], np.int64),
-        )
+        starts, strides, counts = np.array(self._runs(), np.int64).reshape(-1, 3).T
+        stride = np.repeat(strides, counts)
+        within = np.arange(len(stride)) - np.repeat(np.cumsum(counts) - counts, counts)
+        start: Numbers = np.repeat(starts, counts) + stride * within
+        self.size: Numbers = stride - FRAME.size - HEAD.size
         self.offset: Numbers = start + FRAME.size + HEAD.size
         heads = self._heads(start)
         self.kind: Numbers = heads["kind"].astype(np.int64)
@@ -114,30 +114,29 @@ class Index:
         runs: list[tuple[int, int, int]] = []
         view = memoryview(self.data.data)
         end, at, records = len(view), len(MAGIC), 0
-        unpack = FRAME.unpack_from
-        count = 0
+        unpack, crc32 = FRAME.unpack_from, zlib.crc32
+        start = stride = count = 0  # of the run that is being found
         while at < end:
             length, crc = unpack(view, at) if end - at >= FRAME.size else (0, 0)
             after = at + FRAME.size + length
-            is_whole = (
-                HEAD.size <= length <= LARGEST and after <= end and zlib.crc32(view[at + FRAME.size : after]) == crc
-            )
-            if not is_whole:
+            if not HEAD.size <= length <= LARGEST or after > end or crc32(view[at + FRAME.size : after]) != crc:
                 found = self._next(view, at, after)
                 self.gaps.append(Gap(records, at, found - at))
                 at = found
                 continue
-            count = 1
-            if end - after >= FRAME.size and unpack(view, after)[0] == length:
-                count += self._same(after, FRAME.size + length)
-            runs.append((at, FRAME.size + length, count))
-            at += count * (FRAME.size + length)
-            records += count
-        return runs
+            if after - at != stride or at != start + count * stride:
+                runs.append((start, stride, count))
+                start, stride, count = at, after - at, 0
+            # One by one at first: in a short run that is quicker.
+            more = self._same(after, stride) if count == _FEW else 0
+            count, records, at = count + 1 + more, records + 1 + more, after + more * stride
+        return [*runs[1:], (start, stride, count)] if count else []
 
     def _same(self, at: int, stride: int) -> int:
-        """How many whole records of one size begin at `at`, where at least one declares that size."""
+        """How many whole records of one size follow at `at`."""
         most = (len(self.data) - at) // stride
+        if not most:
+            return 0
         lengths: NDArray[np.int64] = np.ndarray((most,), ">u4", self.data, at, (stride,))
         done, window = 0, _FIRST_RUN
         while done < most:
@@ -154,19 +153,19 @@ class Index:
 
     def _next(self, view: memoryview, at: int, after: int) -> int:
         """Where the next whole record begins behind damage at `at`; the end of the file if none does."""
-        if _is_record(view, after):
-            return after  # the damage is within one record
-        # Whatever the damage was, a record has a length and a kind that can be.
-        for begin in range(at + 1, len(view), _SEARCHED):
-            stop = min(begin + _SEARCHED, len(view) - FRAME.size - HEAD.size + 1)
-            if stop <= begin:
-                break
+        # Whatever the damage was, a record has a length and a kind that can be. As a rule the next one begins where the
+        # damaged one ends; but what is damaged may be the length itself.
+        last = len(view) - FRAME.size - HEAD.size + 1
+        begin, stop = at + 1, after + 1
+        while begin < last:
+            stop = min(stop, begin + _SEARCHED, last)
             lengths = np.ndarray((stop - begin,), ">u4", self.data, begin, (1,))
             kinds = self.data[begin + FRAME.size : stop + FRAME.size]
             likely = (lengths >= HEAD.size) & (lengths <= LARGEST) & (kinds <= int(Kind.END))
             for place in (np.flatnonzero(likely) + begin).tolist():
                 if _is_record(view, place):
                     return int(place)
+            begin, stop = stop, stop + _SEARCHED
         return len(view)
 
 

@@ -113,7 +113,7 @@ def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
     """Packets that have been decoded, each with the number of its record, by layout."""
     places = _Places()
     for record, state in states:
-        places.add(state._layout, bytes(state), record)
+        places.add(state._layout, places.keep(bytes(state)), record)
     return places.parts(np.empty(0, np.uint8))
 
 
@@ -137,15 +137,20 @@ class _Places:
         self._single: tuple[Layout, list[int], list[int]] | None = None
         self._extra = bytearray()
 
-    def add(self, layout: Layout, data: bytes, record: int) -> None:
-        """One packet by its bytes."""
+    def keep(self, data: bytes) -> int:
+        """Keep the bytes of a packet that lie in no one place of the file; where they are."""
+        place = ~len(self._extra)
+        self._extra += data
+        return place
+
+    def add(self, layout: Layout, place: int, record: int) -> None:
+        """One packet."""
         if self._single is None or self._single[0] is not layout:
             self._finish()
             self._single = (layout, [], [])
-        _, place, records = self._single
-        place.append(~len(self._extra))
+        _, places, records = self._single
+        places.append(place)
         records.append(record)
-        self._extra += data
 
     def extend(self, layout: Layout, place: Numbers, record: Numbers) -> None:
         """Many, by where they lie in the file."""
@@ -219,48 +224,48 @@ class _Reader:
 
     def _are_packets(self, records: Numbers, header: bytes, size: int) -> NDArray[np.bool_]:
         """Which of the records hold whole packets of this size and header, and nothing else."""
-        index = self._index
-        sizes, offsets = index.size[records], index.offset[records]
+        sizes = self._index.size[records]
         good: NDArray[np.bool_] = (sizes % size == 0) & (sizes > 0)
-        wanted = np.frombuffer(header, np.uint8)
-        every = np.ndarray((len(index.data) - len(header) + 1, len(header)), np.uint8, index.data, 0, (1, 1))
-        counts = sizes[good] // size
-        places = np.repeat(offsets[good], counts) + size * _within(counts)
-        same = (every[places] == wanted).all(axis=1)
-        good[good] = np.logical_and.reduceat(same, np.cumsum(counts) - counts) if len(counts) else False
+        places, owners = self._packets(records[good], size)
+        # As text of a fixed width, which numpy compares at once.
+        width = len(header)
+        every = np.ndarray((len(self._index.data) - width + 1,), f"S{width}", self._index.data, 0, (1,))
+        good[np.searchsorted(records, owners[every[places] != header])] = False
         return good
+
+    def _packets(self, records: Numbers, size: int) -> tuple[Numbers, Numbers]:
+        """Where each packet of records that are full of them lies, and of which record it is."""
+        offsets, counts = self._index.offset[records], self._index.size[records] // size
+        if (counts == 1).all():
+            return offsets, records
+        within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        return np.repeat(offsets, counts) + size * within, np.repeat(records, counts)
 
     def _take(self, records: Numbers, like: State) -> bytes:
         """Keep where the packets of these records lie; the last of them."""
-        index, size = self._index, len(bytes(like))
-        counts = index.size[records] // size
-        place = np.repeat(index.offset[records], counts) + size * _within(counts)
-        self._places.extend(like._layout, place, np.repeat(records, counts))
-        last = int(place[-1])
-        return index.data[last : last + size].tobytes()
+        size = len(bytes(like))
+        places, owners = self._packets(records, size)
+        self._places.extend(like._layout, places, owners)
+        last = int(places[-1])
+        return self._index.data[last : last + size].tobytes()
 
     def _decode(self, record: int, protocol: PacketProtocol, last: State | None) -> State | None:
         """What a record completes, packet by packet; the packet that the next ones can be compared with, if any."""
         index = self._index
         stamp = Stamp(index.monotonic[record].item() / 1e9, index.wall[record].item() / 1e9)
-        for frame in protocol.framer.feed(index.payload(record)):
+        payload = index.payload(record)
+        for frame in protocol.framer.feed(payload):
             try:
                 state = protocol.decode(frame, stamp)
             except PacketError as error:
                 self.failed.append(str(error))
                 continue
             if isinstance(state, self._kind) and self._is_uniform:
-                self._places.add(state._layout, frame, record)
+                place = int(index.offset[record]) if frame == payload else self._places.keep(frame)
+                self._places.add(state._layout, place, record)
                 last = state
             else:
                 # It may have said how those that follow are to be read.
                 self.others.append((record, state))
                 last = None
         return last
-
-
-def _within(counts: Numbers) -> Numbers:
-    """0 to count - 1, for each of the counts, one after the other."""
-    total = int(counts.sum())
-    starts = np.cumsum(counts) - counts
-    return np.arange(total, dtype=np.int64) - np.repeat(starts, counts)

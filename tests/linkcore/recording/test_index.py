@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadRecording
@@ -55,6 +55,7 @@ def test_what_the_reader_finds_is_found(runs: list[tuple[int, int]], cut: int) -
 
 @pytest.mark.property
 @given(st.integers(1, 300), st.integers(0, 20), st.integers(0, 10_000), st.integers(1, 255))
+@example(count=23, size=0, place=445, change=104)  # the damaged length leads to another record
 def test_one_damaged_byte_costs_one_record(count: int, size: int, place: int, change: int) -> None:
     whole = [record(number, size) for number in range(count)]
     data = bytearray(MAGIC + b"".join(whole))
