@@ -363,15 +363,14 @@ class Arm:
         geometry = self._geometry
         return flange(geometry.lengths, f, q) if geometry.is_nominal else chain(geometry, f, q)[5]
 
-    def _in_turn(self, q: Angles[float], near: Angles[float], is_limited: bool) -> list[float]:
-        turned = list(_turned(q, near))
-        if is_limited:
-            for i, (low, high) in enumerate(self.position_limits.tolist()):
-                if turned[i] > high:
-                    turned[i] -= math.tau
-                elif turned[i] < low:
-                    turned[i] += math.tau
-        return turned
+    def _in_turn(self, q: Angles[float], near: Angles[float], is_limited: bool) -> Sequence[float]:
+        turned = _turned(q, near)
+        if not is_limited:
+            return turned
+        return [
+            angle - math.tau if angle > high else angle + math.tau if angle < low else angle
+            for angle, (low, high) in zip(turned, self.position_limits.tolist(), strict=True)
+        ]
 
     def _unreachable(self, target: Rigid[float], pose: ArrayLike, row: str = "") -> Unreachable:
         d1, a2, a3, d4, d5, d6 = self._geometry.lengths
@@ -425,7 +424,7 @@ def _target(tool: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
 
 def _turned(q: Sequence[float], near: Sequence[float]) -> Angles[float]:
     """Each joint in the turn closest to that of `near`, in (-pi, pi] from it."""
-    q1, q2, q3, q4, q5, q6 = (b + wrapped(a - b) for a, b in zip(q, near, strict=True))
+    q1, q2, q3, q4, q5, q6 = [b + wrapped(a - b) for a, b in zip(q, near, strict=True)]
     return q1, q2, q3, q4, q5, q6
 
 

@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 
 from ..models import Model
-from ..rigid import Functions, Number, Rigid
+from ..rigid import Functions, Number, Rigid, invert
 from ..vectors import six
 
 __all__ = [
@@ -149,6 +149,19 @@ class Geometry:
         object.__setattr__(self, "offsets", tuple(link.offset for link in self.links))
         rows = tuple((link.offset, link.a, link.d, *link.turns) for link in self.links)
         object.__setattr__(self, "rows", rows)
+
+    @cached_property
+    def to_wrist(self) -> Geometry:
+        """The arm that ends where frame 5 has its origin, a point on the axis of joint 6, and is turned by joint 6."""
+        *links, last = self.links
+        return replace(self, links=(*links, Link(last.offset, 0.0, 0.0, 0.0, 0.0)))
+
+    @cached_property
+    def wrist_in_flange(self) -> Rigid[float]:
+        """Where that end is, in the frame of the flange."""
+        last = self.links[5]
+        ca, sa, _, _ = last.turns
+        return invert((1.0, 0.0, 0.0, 0.0, ca, -sa, 0.0, sa, ca, last.a, 0.0, last.d))
 
 
 @lru_cache(maxsize=64)
@@ -282,9 +295,21 @@ def chain(geometry: Geometry, f: Functions[Number], q: Angles[Number]) -> list[R
         r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frame
         x0, x1, x2 = r00 * c + r01 * s, r10 * c + r11 * s, r20 * c + r21 * s
         y0, y1, y2 = r01 * c - r00 * s, r11 * c - r10 * s, r21 * c - r20 * s
-        px, py, pz = px + a * x0 + d * r02, py + a * x1 + d * r12, pz + a * x2 + d * r22
-        z0, z1, z2 = r02 * ca - y0 * sa, r12 * ca - y1 * sa, r22 * ca - y2 * sa
-        y0, y1, y2 = y0 * ca + r02 * sa, y1 * ca + r12 * sa, y2 * ca + r22 * sa
+        z0, z1, z2 = r02, r12, r22
+        # Every link lacks one or two of the four, and a thousand rows feel each multiplication.
+        if a:
+            px, py, pz = px + a * x0, py + a * x1, pz + a * x2
+        if d:
+            px, py, pz = px + d * z0, py + d * z1, pz + d * z2
+        if sa:
+            y0, y1, y2, z0, z1, z2 = (
+                y0 * ca + z0 * sa,
+                y1 * ca + z1 * sa,
+                y2 * ca + z2 * sa,
+                z0 * ca - y0 * sa,
+                z1 * ca - y1 * sa,
+                z2 * ca - y2 * sa,
+            )
         if sb:
             x0, x1, x2, z0, z1, z2 = (
                 x0 * cb - z0 * sb,

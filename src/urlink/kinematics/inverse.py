@@ -73,10 +73,11 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
             key=lambda q: distance(q, near),
             default=None,
         )
-    if max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
-        found = _found(geometry, near, target)
-        if found is not None and distance(found, near) < _CONTINUES:
-            return found
+    found = refine(geometry, near, target, _ALMOST)
+    if found is None and max(map(abs, error_at(geometry, near, FLOATS, target))) < _ALMOST:
+        found = refine_anywhere(geometry, near, target)
+    if found is not None and distance(found, near) < _CONTINUES:
+        return found
     seed = min(_seeds(geometry, target, near[5]), key=lambda q: distance(q, near), default=None)
     found = None if seed is None else refine(geometry, seed, target)
     return found if found is not None else _search(geometry, target, near)
@@ -121,14 +122,15 @@ def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: Float
     again = np.zeros(len(nears), dtype=bool)
     rest = np.arange(len(nears))
     if not geometry.is_nominal:
-        q1, q2, q3, q4, q5, q6 = nears.T
-        missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, targets)
+        rows = refine_rows(geometry, np.ascontiguousarray(nears.T), targets, _ALMOST).T
+        again = np.abs(rows - nears).max(axis=1) >= _CONTINUES
+        rest = np.flatnonzero(np.isnan(rows[:, 0]))
+    if len(rest) and not geometry.is_nominal:
+        q1, q2, q3, q4, q5, q6 = nears[rest].T
+        missed = error_at(geometry, (q1, q2, q3, q4, q5, q6), ROWS, rigid.take(targets, rest))
         almost = np.max(np.abs(missed), axis=0) < _ALMOST
-        near = np.flatnonzero(almost)
-        found = refine_rows(geometry, np.ascontiguousarray(nears[near].T), rigid.take(targets, near)).T
-        rows[near] = found
-        again[near] = ~(np.abs(found - nears[near]).max(axis=1) < _CONTINUES)
-        rest = np.flatnonzero(~almost)
+        again[rest[almost]] = True
+        rest = rest[~almost]
     if len(rest):
         chosen, unsure = _closest_branches(geometry, rigid.take(targets, rest), nears[rest])
         if not geometry.is_nominal:

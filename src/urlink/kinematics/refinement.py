@@ -1,11 +1,12 @@
-"""Joint positions of a calibrated arm, from those of the published arm that is closest to it.
+"""Joint positions of a calibrated arm, from others that almost put its flange at a pose.
 
-The closed form is exact for published arms only. For a calibrated arm it is off by some 0.1 mm to 1 mm. From there,
-each step measures by how much the flange misses the pose and moves the joints by what would make up for it on an arm
-whose axes 2, 3 and 4 are parallel and whose other twists are right angles. Such a Jacobian is inverted by hand; it
-misses that of the true arm by as much as its axes are tilted, some mrad. So it is applied twice: what the first step
-leaves, by the true Jacobian, is what the second one is for. Close to a singularity this does not converge: there
-`refine_anywhere` takes over, which is slower.
+The closed form is exact for published arms only. For a calibrated arm it is off by some 0.1 mm to 1 mm, and the joint
+positions of a moment ago are off by as far as the arm has moved since. Newton's method leads from there to the last
+digit: each step measures by how much the wrist misses, and moves the joints by the inverse of the Jacobian times that,
+which leaves about the square. From 0.01 rad it takes three. The inverse follows from the axes of the joints, without a
+matrix, and costs less than to find where the links are.
+
+Close to a singularity this does not converge. There `refine_anywhere` takes over, which is slower.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import math
 
 import numpy as np
 
-from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid, Six, take
+from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid, Six, product, take
 from ..rigid import row as row_of
 from .geometry import Angles, Geometry, chain, jacobian
 
@@ -22,18 +23,17 @@ __all__ = ["error_at", "refine", "refine_anywhere", "refine_rows"]
 
 #: m and rad. What may be left of the error when joint positions are taken for a solution.
 CONVERGED = 5e-14
-# About the second derivatives of the flange's position and orientation: what a Newton step of 1 rad may leave, m. Where
-# it is too small, what is left may be ten times as much as it should be, and still less than 1e-12.
+# About the second derivatives of the wrist's position and orientation: what a step of 1 rad may leave, m. Where it is
+# too small, what is left may be ten times as much as it should be, and still less than 1e-12.
 _CURVATURE = 2.0
-# While the error is larger, its square is more of what a step leaves than the tilt of the axes.
-_COARSE = 1e-4
-# More steps than this are needed only where they do not converge.
+# A step that is shorter, rad, is the last one: what it leaves need not be measured.
+_LAST = math.sqrt(CONVERGED / _CURVATURE)
+# More steps than this are needed only where they do not converge; longer ones, rad, are for `refine_anywhere`.
 _STEPS = 8
-# Steps that are longer, rad, or leave more of the error are for `refine_anywhere`.
-_TOO_LONG, _TOO_LITTLE = 0.5, 0.1
+_TOO_LONG = 0.5
 
 # So few rows are quicker one by one: a step of rows takes some hundred calls into numpy, however few there are.
-_FEW = 8
+_FEW = 16
 
 # Of `refine_anywhere`: the most steps; the largest step of a joint, rad; how far ahead the second derivative is
 # measured, in steps; the most that a step may be bent, in its length; and how many steps in a row may gain less than a
@@ -45,65 +45,82 @@ _BENT = 0.75
 _SLOW = 5
 
 
-def refine(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
-    """The joint positions close to `seed` that put the flange at `target`; None where the steps do not converge."""
+def refine(
+    geometry: Geometry, seed: Angles[float], target: Rigid[float], within: float = math.inf
+) -> Angles[float] | None:
+    """The joint positions close to `seed` that put the flange at `target`.
+
+    Args:
+        geometry: of the arm.
+        seed: rad.
+        target: the flange in the base frame.
+        within: m and rad; by how much the seed may miss the target.
+
+    Returns:
+        rad; None where the steps do not converge, or the seed misses by more.
+    """
+    wrist, there = geometry.to_wrist, product(target, geometry.wrist_in_flange)
     q = seed
-    for _ in range(_STEPS):
-        frames = chain(geometry, FLOATS, q)
-        error = _error(frames[5], target)
+    for n in range(_STEPS):
+        frames = chain(wrist, FLOATS, q)
+        error = _error(frames[5], there)
         size = max(map(abs, error))
+        if n == 0 and not (size <= within and _cosine(frames[5], there) > 0.0):
+            return None
         if size <= CONVERGED:
             return q
         try:
-            if size > _COARSE:
-                q = _moved(q, _step(frames, error))
-                continue
-            step, left = _newton(frames, error)
+            step = _step(frames, error)
         except ZeroDivisionError:
             return None
         q = _moved(q, step)
-        length, rest = max(map(abs, step)), max(map(abs, left))
-        if _CURVATURE * length * length + rest <= CONVERGED:
+        length = max(map(abs, step))
+        if length <= _LAST:
             return q
-        if length > _TOO_LONG or rest > _TOO_LITTLE * size:
+        if not length <= _TOO_LONG:
             return None
     return None
 
 
-def refine_rows(geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray]) -> FloatArray:
+def refine_rows(
+    geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray], within: float = math.inf
+) -> FloatArray:
     """The same for n seeds.
 
     Args:
+        geometry: of the arm.
         seeds: (6, n) rad.
         targets: n transforms.
+        within: as for `refine`.
 
     Returns:
-        (6, n) rad, NaN where the steps do not converge.
+        (6, n) rad, NaN where `refine` gives None.
     """
     found = np.full(seeds.shape, np.nan)
+    wrist = geometry.to_wrist
+    there: Rigid[FloatArray] = product(targets, geometry.wrist_in_flange)  # type: ignore[arg-type]
     at, q = np.arange(seeds.shape[1]), seeds
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for n in range(_STEPS):
-            frames = chain(geometry, ROWS, _angles(q))
-            error = _error(frames[5], targets)
+            frames = chain(wrist, ROWS, _angles(q))
+            error = _error(frames[5], there)
             size = np.max(np.abs(error), axis=0)
-            there = size <= CONVERGED
-            found[:, at[there]] = q[:, there]
-            if n == 0 and (size > _COARSE).any():
-                q = np.where(there, q, q + _step(frames, error))
-                continue
-            step, left = _newton(frames, error)
+            step = np.where(size > CONVERGED, _step(frames, error), 0.0)
             q = q + step
-            length, rest = (np.max(np.abs(six), axis=0) for six in (step, left))
-            done = ~there & (_CURVATURE * length * length + rest <= CONVERGED)
+            length = np.max(np.abs(step), axis=0)
+            done = length <= _LAST
+            going = ~done & (length <= _TOO_LONG)
+            if n == 0:
+                close = (size <= within) & (_cosine(frames[5], there) > 0.0)
+                done, going = done & close, going & close
             found[:, at[done]] = q[:, done]
-            going = ~there & ~done & (length <= _TOO_LONG) & (rest <= _TOO_LITTLE * size)
-            at, q, targets = at[going], q[:, going], take(targets, going)
+            if not going.all():
+                at, q, there = at[going], q[:, going], take(there, going)
             if len(at) <= _FEW:
                 break
     for i, row in enumerate(at.tolist() if len(at) <= _FEW else []):
         q1, q2, q3, q4, q5, q6 = q[:, i].tolist()
-        one = refine(geometry, (q1, q2, q3, q4, q5, q6), row_of(targets, i))
+        one = refine(geometry, (q1, q2, q3, q4, q5, q6), row_of(targets, row))
         if one is not None:
             found[:, row] = one
     return found
@@ -143,69 +160,69 @@ def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
     return q1 + d1, q2 + d2, q3 + d3, q4 + d4, q5 + d5, q6 + d6
 
 
-def _newton(frames: list[Rigid[Number]], error: Six[Number]) -> tuple[Six[Number], Six[Number]]:
-    """How to move the joints for the flange to move by `error`; and what of it is left to the first order.
-
-    Raises:
-        ZeroDivisionError: in a singularity (floats only).
-    """
-    first = _step(frames, error)
-    left = _left(frames, error, first)
-    second = _step(frames, left)
-    return _moved(first, second), _left(frames, left, second)
-
-
-def _left(frames: list[Rigid[Number]], error: Six[Number], step: Six[Number]) -> Six[Number]:
-    """What of `error` is left when the joints move by `step`, as far as the Jacobian goes."""
-    vx, vy, vz, wx, wy, wz = error
-    _, _, _, _, _, _, _, _, _, px, py, pz = frames[5]
-    d1 = step[0]
-    vx, vy, wz = vx + d1 * py, vy - d1 * px, wz - d1
-    for d, (_, _, zx, _, _, zy, _, _, zz, ox, oy, oz) in zip(step[1:], frames, strict=False):
-        zx, zy, zz = d * zx, d * zy, d * zz
-        lx, ly, lz = px - ox, py - oy, pz - oz
-        vx, vy, vz = vx - (zy * lz - zz * ly), vy - (zz * lx - zx * lz), vz - (zx * ly - zy * lx)
-        wx, wy, wz = wx - zx, wy - zy, wz - zz
-    return vx, vy, vz, wx, wy, wz
-
-
 def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
-    """How to move the joints for the flange to move by `error`, as if the axes 2, 3 and 4 were parallel.
+    """How to move the joints for the wrist to move by `error`: the inverse of its Jacobian times that.
 
-    Where the axes 5 and 6 meet, at the origin of frame 5, only joints 1 to 4 move anything, and joints 2 to 4 do so in
-    the plane of the arm. So one joint after the other follows. Each of the three divisions is one of the singularities.
+    Joint 6 does not move the wrist, and joint 5 hardly does. So they are eliminated first: they turn what joints 1 to
+    4 leave to be turned. These have to move the wrist, and to turn the hand about the direction m, about which joints
+    5 and 6 cannot. Joints 2 to 4 turn about almost the same direction; so joints 2 and 3 are looked at as if joint 4
+    turned back, and joint 4 as if it did what all three of them do. What is left is three by three, by Cramer's rule.
+    Each of the three divisors is zero in one of the singularities.
 
     Raises:
         ZeroDivisionError: in a singularity (floats only).
     """
     vx, vy, vz, wx, wy, wz = error
-    _, _, nx, _, _, ny, _, _, nz, x1, y1, z1 = frames[0]
-    _, _, _, _, _, _, _, _, _, x2, y2, z2 = frames[1]
-    _, _, _, _, _, _, _, _, _, x3, y3, z3 = frames[2]
-    _, _, ax, _, _, ay, _, _, az, _, _, _ = frames[3]
-    _, _, bx, _, _, by, _, _, bz, x5, y5, z5 = frames[4]
-    _, _, _, _, _, _, _, _, _, x6, y6, z6 = frames[5]
-    # The velocity of the origin of frame 5.
-    lx, ly, lz = x5 - x6, y5 - y6, z5 - z6
-    vx, vy, vz = vx + wy * lz - wz * ly, vy + wz * lx - wx * lz, vz + wx * ly - wy * lx
-    # Joint 1: what goes along the normal n of the plane of the arm, the axis of joint 2.
-    d1 = (nx * vx + ny * vy + nz * vz) / (ny * x5 - nx * y5)
-    vx, vy, wz = vx + d1 * y5, vy - d1 * x5, wz - d1
-    # Joints 5 and 6, with the axes a and b, and the sum of joints 2 to 4, about n. u = n x a is upright to n and a.
-    ux, uy, uz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
-    d6 = (ux * wx + uy * wy + uz * wz) / (ux * bx + uy * by + uz * bz)
-    wx, wy, wz = wx - d6 * bx, wy - d6 * by, wz - d6 * bz
-    d5 = ax * wx + ay * wy + az * wz
-    d234 = nx * wx + ny * wy + nz * wz
-    # Turned about the origin of frame 3 by that sum; the rest is for the triangle of the arm links.
-    lx, ly, lz = x5 - x3, y5 - y3, z5 - z3
-    vx, vy, vz = vx - d234 * (ny * lz - nz * ly), vy - d234 * (nz * lx - nx * lz), vz - d234 * (nx * ly - ny * lx)
-    fx, fy, fz = x3 - x1, y3 - y1, z3 - z1
-    gx, gy, gz = x3 - x2, y3 - y2, z3 - z2
-    area = nx * (fy * gz - fz * gy) + ny * (fz * gx - fx * gz) + nz * (fx * gy - fy * gx)
-    d2 = (vx * gx + vy * gy + vz * gz) / area
-    d3 = -(vx * fx + vy * fy + vz * fz) / area
-    return d1, d2, d3, d234 - d2 - d3, d5, d6
+    # The axis of each joint and a point on it; then what 1 rad of it moves the wrist by, and which way it turns.
+    _, _, i2, _, _, j2, _, _, k2, x2, y2, z2 = frames[0]
+    _, _, i3, _, _, j3, _, _, k3, x3, y3, z3 = frames[1]
+    _, _, i4, _, _, j4, _, _, k4, x4, y4, z4 = frames[2]
+    _, _, i5, _, _, j5, _, _, k5, x5, y5, z5 = frames[3]
+    _, _, i6, _, _, j6, _, _, k6, px, py, pz = frames[4]
+    x2, y2, z2, x3, y3, z3 = px - x2, py - y2, pz - z2, px - x3, py - y3, pz - z3
+    x4, y4, z4, x5, y5, z5 = px - x4, py - y4, pz - z4, px - x5, py - y5, pz - z5
+    x2, y2, z2 = j2 * z2 - k2 * y2, k2 * x2 - i2 * z2, i2 * y2 - j2 * x2
+    x3, y3, z3 = j3 * z3 - k3 * y3, k3 * x3 - i3 * z3, i3 * y3 - j3 * x3
+    x4, y4, z4 = j4 * z4 - k4 * y4, k4 * x4 - i4 * z4, i4 * y4 - j4 * x4
+    x5, y5, z5 = j5 * z5 - k5 * y5, k5 * x5 - i5 * z5, i5 * y5 - j5 * x5
+    # Joints 5 and 6: f, times an angular velocity, is the share of joint 5 in it.
+    mx, my, mz = j5 * k6 - k5 * j6, k5 * i6 - i5 * k6, i5 * j6 - j5 * i6
+    square = mx * mx + my * my + mz * mz
+    fx, fy, fz = (j6 * mz - k6 * my) / square, (k6 * mx - i6 * mz) / square, (i6 * my - j6 * mx) / square
+    share = fx * wx + fy * wy + fz * wz
+    share2, share3 = fx * i2 + fy * j2 + fz * k2, fx * i3 + fy * j3 + fz * k3
+    share4 = fx * i4 + fy * j4 + fz * k4
+    vx, vy, vz = vx - share * x5, vy - share * y5, vz - share * z5
+    x1, y1, z1 = -fz * x5 - py, -fz * y5 + px, -fz * z5
+    x4, y4, z4 = x4 - share4 * x5, y4 - share4 * y5, z4 - share4 * z5
+    # Joints 2 and 3, with joint 4 that turns back.
+    x2, y2, z2 = x2 - share2 * x5 - x4, y2 - share2 * y5 - y4, z2 - share2 * z5 - z4
+    x3, y3, z3 = x3 - share3 * x5 - x4, y3 - share3 * y5 - y4, z3 - share3 * z5 - z4
+    m4 = mx * i4 + my * j4 + mz * k4
+    m2, m3 = mx * i2 + my * j2 + mz * k2 - m4, mx * i3 + my * j3 + mz * k3 - m4
+    # Joints 1 to 3: a, b and c, times a velocity of the wrist, are their shares of it; h is how they turn about m.
+    ax, ay, az = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
+    volume = x1 * ax + y1 * ay + z1 * az
+    ax, ay, az = ax / volume, ay / volume, az / volume
+    x1, y1, z1 = x1 / volume, y1 / volume, z1 / volume
+    bx, by, bz = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
+    cx, cy, cz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    hx, hy, hz = mz * ax + m2 * bx + m3 * cx, mz * ay + m2 * by + m3 * cy, mz * az + m2 * bz + m3 * cz
+    d234 = (mx * wx + my * wy + mz * wz - hx * vx - hy * vy - hz * vz) / (m4 - hx * x4 - hy * y4 - hz * z4)
+    vx, vy, vz = vx - d234 * x4, vy - d234 * y4, vz - d234 * z4
+    d1 = ax * vx + ay * vy + az * vz
+    d2 = bx * vx + by * vy + bz * vz
+    d3 = cx * vx + cy * vy + cz * vz
+    d4 = d234 - d2 - d3
+    # Joints 5 and 6 turn the rest.
+    wx, wy, wz = (
+        wx - d2 * i2 - d3 * i3 - d4 * i4,
+        wy - d2 * j2 - d3 * j3 - d4 * j4,
+        wz - d2 * k2 - d3 * k3 - d4 * k4 - d1,
+    )
+    d5 = fx * wx + fy * wy + fz * wz
+    d6 = i6 * wx + j6 * wy + k6 * wz - d5 * (i5 * i6 + j5 * j6 + k5 * k6)
+    return d1, d2, d3, d4, d5, d6
 
 
 def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:

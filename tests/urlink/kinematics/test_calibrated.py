@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
 from tests.urlink.arms import REPORTED_UR5, Array, Table, calibrated, calibration, joints, models, tcps
-from urlink.kinematics import Arm, Unreachable
+from urlink.kinematics import Arm, Unreachable, refinement
+from urlink.kinematics.geometry import chain
 from urlink.models import MODELS, Model, model
 from urlink.poses import compose, invert, to_matrix
 
@@ -151,6 +153,19 @@ def test_the_eight_ways_are_those_of_the_published_arm_and_exact() -> None:
     between = np.abs(np.angle(np.exp(1j * (ours[both] - theirs[both])))).max(axis=1)
     assert np.quantile(between, 0.9) < 0.05
     np.testing.assert_allclose(arm.branches(there[0]), ours[0], atol=1e-9)
+
+
+def test_three_steps_lead_from_a_hundredth_of_a_radian_to_the_last_digit(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = calibrated("UR5e", 5)
+    rng = np.random.default_rng(14)
+    q = rng.uniform(-3.0, 3.0, (200, 6))
+    q = q[(np.abs(np.sin(q[:, [2, 4]])) > 0.3).all(axis=1)]
+    steps = Mock(wraps=chain)
+    monkeypatch.setattr(refinement, "chain", steps)
+    there = arm.forward(q)
+    for pose, close in zip(there.tolist(), (q + rng.uniform(-0.01, 0.01, q.shape)).tolist(), strict=True):
+        assert missed(arm, arm.inverse(pose, close), np.array(pose)) < 1e-12
+    assert steps.call_count / len(q) < 3.2
 
 
 def test_rows_are_what_one_pose_is() -> None:
