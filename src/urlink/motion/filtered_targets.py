@@ -23,7 +23,7 @@ class FilteredTargets:
     def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
         self.newest: list[float] | None = None
         self._limits, self._cycle = limits, cycle
-        self._filter = TargetFilter([0.0] * 6, limits)
+        self._filter: TargetFilter  # made by `begin`, which comes first
 
     @property
     def has_targets(self) -> bool:
@@ -40,8 +40,8 @@ class FilteredTargets:
         self._filter.restart(q, qd)
 
     def at(self, time: float) -> tuple[list[float], list[float]]:
-        if self.newest is not None:
-            self._filter.aim(self.newest)
+        assert self.newest is not None  # `has_targets`
+        self._filter.aim(self.newest)
         return self._filter.after(self._cycle)
 
     def accept(self, time: float) -> None:

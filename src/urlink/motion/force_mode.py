@@ -133,7 +133,8 @@ class ForceMode(LinkedBlock):
     @property
     def wrench(self) -> FloatArray:
         """(6,) what the tool is to exert, N and Nm along and about the axes of the frame."""
-        return six(self._told.values or [0.0] * 6, "wrench")
+        assert self._told.values is not None  # it is told a wrench from the first word on
+        return six(self._told.values, "wrench")
 
     def set_wrench(self, wrench: ArrayLike) -> None:
         """Exert another wrench from the next state on; along axes that are not compliant it does not count.

@@ -7,7 +7,9 @@ interlock closes after a second, which ends every motion; the program on the rob
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from linkcore.errors import ConnectionLost, LinkError, LocalError
@@ -91,7 +93,8 @@ class LinkedProgram:
         context: the robot.
         dialogue: what is said to it.
         open_link: makes the way to it; may raise `LinkError`.
-        on_linked: called, more than once, when the program has connected and when it will not any more.
+        on_linked: called, more than once, when the program has been told the first word, and when it will not be any
+            more.
     """
 
     def __init__(
@@ -111,7 +114,7 @@ class LinkedProgram:
         self._clock = context.clock
         self._link: Link | None = None
         self._subscription: Subscription | None = None
-        self._sent = 0.0
+        self._sent = math.nan
         self._lost: tuple[LinkError, float] | None = None
         self._concluded: float | None = None
         self._has_ended = False  # by itself, with something left to say
@@ -130,7 +133,7 @@ class LinkedProgram:
             context.channel.check()
             self._link = link = self._open_link()
             self._sent = self._clock()
-            self._subscription = context.realtime.subscribe(self._on_state, policy=latest)
+            self._subscription = context.realtime.subscribe(partial(self._on_state, link), policy=latest)
             life.on_end(self._release)
             context.programs.start(
                 # It asks for no permission: once its life is over, nobody takes its connection or writes its token.
@@ -159,8 +162,8 @@ class LinkedProgram:
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
-        if self._link is not None:
-            self._link.send(data)
+        assert self._link is not None
+        self._link.send(data)
 
     def finish(self) -> None:
         """Tell the program to end; its life is over once it has.
@@ -187,9 +190,8 @@ class LinkedProgram:
 
     # -- what happens --------------------------------------------------------------------------------
 
-    def _on_state(self, state: RealtimeState) -> None:
-        link = self._link
-        if link is None or self._life.is_over:
+    def _on_state(self, link: Link, state: RealtimeState) -> None:
+        if self._life.is_over:
             return
         try:
             self._look(link, state)
@@ -218,11 +220,11 @@ class LinkedProgram:
             self._life.fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
 
     def _talk(self, link: Link, state: RealtimeState, now: float) -> None:
-        self._on_linked()
         try:
             answer = self._dialogue.step(link.received(), state, now)
             if answer:
                 self.say(answer)
+            self._on_linked()
             if self._dialogue.is_over:
                 self.finish()
         except ConnectionLost as error:

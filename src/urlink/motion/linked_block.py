@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LinkedBlock"]
 
+#: Seconds that the program has to connect, where no states come that would say so before.
+_LONGEST = CONNECT_TIMEOUT + 1.0
 #: Seconds that the reason of a lost connection has to arrive.
 _REASON = 1.5
 #: Seconds that the program has to end when the block is left.
@@ -61,10 +63,10 @@ class LinkedBlock(Motion):
         self._program.begin()
         try:
             with self._context.section.waiting():
-                self._linked.result(CONNECT_TIMEOUT + 1.0)
+                self._linked.result(_LONGEST)
         except (FutureTimeout, TimeoutError):
             self.cancel()
-            raise LinkTimeout(f"{self.name}: no connection within {CONNECT_TIMEOUT:g} s") from None
+            raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s") from None
         except BaseException:
             self.cancel()
             raise

@@ -26,8 +26,8 @@ NAMES = tuple(
     [f"input_double_register_{FIRST_FLOAT + i}" for i in range(12)]
     + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(3)]
 )
-#: Largest number of a word; after it the count begins anew.
-_MOST = 1 << 30
+#: Largest number of a word, as large as an integer register holds; after it the count begins anew, from 1.
+_MOST = 0x7FFF_FFFF
 
 
 class Inputs(Protocol):
@@ -110,7 +110,7 @@ class RegisterLink:
             f"client or a fieldbus write one of {', '.join(NAMES)}?"
         )
 
-    def close(self, *, farewell: bool = False) -> None:
+    def close(self, *, farewell: bool) -> None:
         """Write nothing more; a program that goes on finds no new word, and brakes. Idempotent."""
         self._is_closed = True
         self.is_up = False

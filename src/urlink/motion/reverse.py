@@ -91,15 +91,16 @@ class ReverseLink:
         """The program has connected."""
         return self._connection is not None
 
-    def poll(self, has_begun: bool = True) -> bool:
+    def poll(self, has_begun: bool) -> bool:
         """Take the connection, if it has been made; True once it has. Never waits."""
         while self._connection is None and (connection := self._accepted()) is not None:
+            candidate = (connection, bytearray())
             if connection.host not in self._peers:
-                self._refuse(connection, f"the robot is at {', '.join(sorted(self._peers))}")
-            else:
-                self._candidates.append((connection, bytearray()))
-                if len(self._candidates) > _MOST_CANDIDATES:
-                    self._refuse(self._candidates.pop(0)[0], "it said nothing")
+                self._refuse(candidate, f"the robot is at {', '.join(sorted(self._peers))}")
+                continue
+            self._candidates.append(candidate)
+            if len(self._candidates) > _MOST_CANDIDATES:
+                self._refuse(self._candidates[0], "it said nothing")
         for candidate in tuple(self._candidates):
             if self._connection is None:
                 self._look(candidate)
@@ -109,8 +110,8 @@ class ReverseLink:
         while True:
             try:
                 return self._listener.accept(0)
-            except ConnectionLost:  # it is gone again; perhaps there is another
-                continue
+            except ConnectionLost:
+                pass  # it is gone again; perhaps there is another
             except (LinkTimeout, ConnectFailed):
                 return None
 
@@ -128,23 +129,25 @@ class ReverseLink:
         if said[:_TOKEN_SIZE] == token:
             self._waiting = bytes(said[_TOKEN_SIZE:])
             self._connection = connection
-            with contextlib.suppress(ValueError):  # another thread is closing
-                self._candidates.remove(candidate)
+            self._forget(candidate)
             self.stop_listening()
             if self._is_closed:  # by another thread, in the meantime
                 connection.abort()
         elif not token.startswith(said[:_TOKEN_SIZE]):
-            self._drop(candidate)
-            self._refuse(connection, "it is not the program that is waited for")
+            self._refuse(candidate, "it is not the program that is waited for")
+
+    def _refuse(self, candidate: _Candidate, why: str) -> None:
+        name = candidate[0].name
+        _log.warning("%s connected to the port for a program on the robot and was refused: %s", name, why)
+        self._drop(candidate)
 
     def _drop(self, candidate: _Candidate) -> None:
         candidate[0].abort()
-        with contextlib.suppress(ValueError):  # another thread is closing
-            self._candidates.remove(candidate)
+        self._forget(candidate)
 
-    def _refuse(self, connection: TcpTransport, why: str) -> None:
-        _log.warning("%s connected to the port for a program on the robot and was refused: %s", connection.name, why)
-        connection.abort()
+    def _forget(self, candidate: _Candidate) -> None:
+        with contextlib.suppress(ValueError):  # it was none yet, or another thread is closing
+            self._candidates.remove(candidate)
 
     def stop_listening(self) -> None:
         """Take no connection any more."""

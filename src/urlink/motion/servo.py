@@ -76,7 +76,7 @@ class _Leading:
         self._servoing = servoing
         #: set once, by whichever thread
         self.paced = paced
-        #: rad; where the arm is led
+        #: rad; where the arm was led before it began
         self.here: list[float] | None = None
         self.has_begun = False
 
@@ -125,9 +125,8 @@ class Servo(LinkedBlock):
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
-        self._sent_at = 0.0
+        self._began = self._sent_at = math.nan
         self._count = self._late = 0
-        self._began = 0.0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
         self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()
         self._limit = SpeedLimit(model, 1.0 / rate)
@@ -188,9 +187,8 @@ class Servo(LinkedBlock):
         time = checked(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            cycle = 1.0 / self._servoing.firmware.rate
             model = self._context.who.identity.arm
-            schedule = Schedule(model, cycle, self._delay, self._context.section)
+            schedule = Schedule(model, self._cycle, self._delay, self._context.section)
             self._dialogue.paced = PacedSetpoints(self._servoing, model, schedule)
             self._schedule = schedule
         schedule = self._schedule
@@ -293,8 +291,7 @@ class Servo(LinkedBlock):
                 raise BadValue(excess)
             return
         here = self._dialogue.here
-        if here is None:
-            here = self._context.state().q_target.tolist()
+        assert here is not None  # the block is open once the program has been told the first word
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(

@@ -15,7 +15,7 @@ from ..vectors import FloatArray
 __all__ = ["measure"]
 
 #: Steps of Newton's method for the delay; four are usual.
-_STEPS = 20
+_STEPS = 8
 #: s beyond which there is no delay to speak of: the arm does not follow.
 _LONGEST = 0.5
 #: Part of the wave that may be left unexplained by a delay.
@@ -44,28 +44,27 @@ def measure(
     Raises:
         LinkError: the arm does not follow.
     """
-    q: list[float] = []
-    begun = 0.0
-    seen: list[tuple[float, float]] = []
+    rate = 2.0 * math.pi / duration
 
     def wave(t: FloatArray | float) -> FloatArray:
-        return 0.5 * amplitude * (1.0 - np.cos(2.0 * math.pi / duration * np.clip(t, 0.0, duration)))
+        return 0.5 * amplitude * (1.0 - np.cos(rate * np.clip(t, 0.0, duration)))
 
+    q: list[float] = []
+    seen: list[tuple[float, float]] = []
     for state in states:
-        if not q:
-            q, begun = state.q_target.tolist(), state.time
-        t = state.time - begun
-        seen.append((t, float(state.q_actual[joint]) - q[joint]))
+        q = q or state.q_target.tolist()
+        seen.append((state.time, float(state.q_actual[joint])))
+        t = state.time - seen[0][0]
         send([*q[:joint], q[joint] + float(wave(t)), *q[joint + 1 :]])
         if t > duration + _LONGEST:
             break
     times, actual = np.array(seen).T
-    # As it stood: sensors have an offset.
-    actual = actual - actual[0]
+    # From where it was at first: sensors have an offset.
+    times, actual = times - times[0], actual - actual[0]
     delay = 0.0
     for _ in range(_STEPS):
-        ahead = (wave(times - delay + 1e-4) - wave(times - delay - 1e-4)) / 2e-4
-        delay += float((wave(times - delay) - actual) @ ahead / (ahead @ ahead))
+        speed = 0.5 * amplitude * rate * np.sin(rate * np.clip(times - delay, 0.0, duration))
+        delay += float((wave(times - delay) - actual) @ speed / (speed @ speed))
     rest = float(np.abs(wave(times - delay) - actual).max())
     if not 0.0 <= delay <= _LONGEST or rest > _UNEXPLAINED * abs(amplitude):
         raise LinkError(

@@ -77,6 +77,8 @@ class Rehearsal(StandIn):
         self.time = 100.0
         self.cycle = 1.0 / self.firmware.rate
         self.link: socket.socket | None = None
+        #: those in the last word, rad/s
+        self.speeds = [0.0] * 6
         self._rest = b""
         self.clear()
         self.show()
@@ -201,7 +203,9 @@ class Rehearsal(StandIn):
             assert inputs["input_int_register_47"] == int(
                 re.search(r"input_integer_register\(47\) == (\d+)", self.uploaded)[1]  # type: ignore[index]
             )
-            return [inputs[f"input_double_register_{36 + i}"] for i in range(6)], int(inputs["input_int_register_46"])
+            numbers = [inputs[f"input_double_register_{36 + i}"] for i in range(12)]
+            self.speeds = numbers[6:]
+            return numbers[:6], int(inputs["input_int_register_46"])
         assert self.link is not None
         while len(self._rest) < WORD_SIZE:
             try:
@@ -211,9 +215,11 @@ class Rehearsal(StandIn):
             if not data:
                 return None
             self._rest += data
-        numbers = struct.unpack(">13i", self._rest[:WORD_SIZE])
+        *words, mode = struct.unpack(">13i", self._rest[:WORD_SIZE])
         self._rest = self._rest[WORD_SIZE:]
-        return [each / 1e6 for each in numbers[:6]], numbers[12]
+        numbers = [each / 1e6 for each in words]
+        self.speeds = numbers[6:]
+        return numbers[:6], mode
 
     def obey(self) -> tuple[list[float], int] | None:
         """One tick, and the word that answers it; the arm goes there."""

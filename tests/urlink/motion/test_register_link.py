@@ -11,7 +11,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
-from urlink.motion.register_link import NAMES, RegisterLink
+from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.simulator.registers import Bank
@@ -68,6 +68,7 @@ class Led(Bench):
 def test_what_is_written() -> None:
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
+    assert not link.is_up
     assert not link.poll(has_begun=False)
     assert link.poll(has_begun=True)
     link.send(WAIT_WORD + setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6], [1.1, -1.2, 1.3, -1.4, 1.5, -1.6]))
@@ -79,11 +80,38 @@ def test_what_is_written() -> None:
     )
     assert list(packages[1].values()) == [0.0] * 12 + [2, programs.STOP, token]
     assert link.received() == b""
-    link.close()
+    link.close(farewell=True)
     assert [link.is_up, link.poll(has_begun=True)] == [False, False]
     with pytest.raises(ConnectionLost):
         link.send(WAIT_WORD)
     assert isinstance(link.absence("nothing came"), ConnectFailed)
+
+
+def test_numbers_of_words_fit_a_register_for_ever() -> None:
+    """Nor are they ever 0, which is what a register holds that nobody has written."""
+    packages: list[dict[str, float]] = []
+    link = RegisterLink(Inputs(packages.append))
+    link._count = 0x7FFF_FFFD  # as after 50 days at 500 Hz
+    for _ in range(4):
+        link.send(WAIT_WORD)
+    assert [package["input_int_register_45"] for package in packages] == [0x7FFF_FFFE, 0x7FFF_FFFF, 1, 2]
+
+
+def test_registers_are_claimed_for_the_first_program_alone() -> None:
+    claimed: list[tuple[str, ...]] = []
+
+    def claim(names: tuple[str, ...]) -> Inputs:
+        claimed.append(names)
+        return Inputs(lambda package: None)
+
+    port = RegisterPort(claim)
+    assert claimed == []
+    links = [port.open() for _ in range(3)]
+    assert claimed == [NAMES]
+    # Each has a token of its own, which no register holds by itself.
+    tokens = {link.endpoint.token for link in links}
+    assert len(tokens) == 3
+    assert all(0 < token < programs.TOKENS for token in tokens)
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)

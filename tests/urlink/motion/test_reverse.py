@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost
+from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from tests.waiting import until
 from urlink.motion.reverse import ReverseLink, ReversePort
 
@@ -22,12 +22,18 @@ def link() -> Iterator[ReverseLink]:
     link.close()
 
 
+def is_up(link: ReverseLink) -> bool:
+    """Whether its program has come; that the controller has begun it does not count, since it says so itself."""
+    return link.poll(has_begun=False)
+
+
 def test_listens_on_the_route_to_the_robot_at_a_free_port(link: ReverseLink) -> None:
     host, port, _ = link.endpoint
     assert host == "127.0.0.1"
-    assert port > 0
-    assert not link.poll()
+    assert port > 1023
+    assert not is_up(link)
     assert not link.is_up
+    assert link.received() == b""
 
 
 def token(link: ReverseLink) -> bytes:
@@ -36,11 +42,11 @@ def token(link: ReverseLink) -> bytes:
 
 def test_takes_one_program(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
-        assert not link.poll()
+        assert not is_up(link)
         program.sendall(token(link)[:1])
-        assert not link.poll()
+        assert not is_up(link)
         program.sendall(token(link)[1:] + b"0\n")
-        until(link.poll)
+        until(lambda: is_up(link))
         received = bytearray(link.received())
         program.sendall(b"-1\n")
         until(lambda: received.extend(link.received()) or len(received) == 5)  # type: ignore[func-returns-value]
@@ -56,7 +62,7 @@ def test_a_program_that_is_gone(link: ReverseLink) -> None:
         link.send(b"before it came")
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
-        until(link.poll)
+        until(lambda: is_up(link))
 
     def look() -> bool:
         link.received()
@@ -74,7 +80,7 @@ def read_all(program: socket.socket) -> None:
 def test_a_program_that_does_not_read(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
-        until(link.poll)
+        until(lambda: is_up(link))
 
         def send_on() -> None:
             while True:
@@ -90,14 +96,14 @@ def test_a_program_that_does_not_read(link: ReverseLink) -> None:
             read_all(program)
 
 
-@pytest.mark.parametrize("is_meant_to_arrive", [True, False])
-def test_what_is_given_up_is_discarded(link: ReverseLink, is_meant_to_arrive: bool) -> None:
+@pytest.mark.parametrize("options", [{}, {"farewell": False}, {"farewell": True}])
+def test_what_is_given_up_is_discarded_but_for_a_farewell(link: ReverseLink, options: dict[str, bool]) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
-        until(link.poll)
+        until(lambda: is_up(link))
         link.send(b"farewell")
-        link.close(farewell=is_meant_to_arrive)
-        if is_meant_to_arrive:
+        link.close(**options)
+        if options.get("farewell"):
             assert program.recv(100) == b"farewell"
             assert program.recv(100) == b""
         else:
@@ -126,7 +132,7 @@ def serves(link: ReverseLink) -> None:
     assert not link.is_up
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
-        until(link.poll)
+        until(lambda: is_up(link))
         link.send(b"set-point")
         assert program.recv(100) == b"set-point"
 
@@ -134,7 +140,7 @@ def serves(link: ReverseLink) -> None:
 def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as stranger:
         stranger.sendall(token(link))
-        until(lambda: link.poll() or caplog.records)
+        until(lambda: is_up(link) or caplog.records)
         assert "127.0.0.77" in caplog.text
         assert "the robot is at 127.0.0.1" in caplog.text
         assert is_refused(stranger)
@@ -145,44 +151,116 @@ def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.L
 def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as stranger:
         stranger.sendall(said)
-        until(lambda: link.poll() or caplog.records)
+        until(lambda: is_up(link) or caplog.records)
         assert "not the program that is waited for" in caplog.text
         assert is_refused(stranger)
         serves(link)
 
 
 def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
-    strangers = []
-    for _ in range(12):
+    """Eight are waited for; the next one takes the place of the first."""
+    strangers: list[socket.socket] = []
+
+    def comes() -> socket.socket:
         strangers.append(socket.create_connection(link.endpoint[:2], TIMEOUT))
-        until(lambda: not link.poll())
-    assert is_refused(strangers[0])
+        until(lambda: is_up(link) or len(link._candidates) == min(len(strangers), 8))
+        return strangers[-1]
+
+    first = comes()
+    for _ in range(7):
+        comes()
+    first.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        first.recv(1)
+    first.settimeout(TIMEOUT)
+    comes()
+    assert is_refused(first)
     serves(link)
     for stranger in strangers:
         assert is_refused(stranger)
         stranger.close()
 
 
-def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink) -> None:
-    for _ in range(3):
-        socket.create_connection(link.endpoint[:2], TIMEOUT).close()
-        link.poll()
-    serves(link)
+@pytest.mark.parametrize("said", [b"", b"nonsense"])
+def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink, said: bytes) -> None:
+    """Nor does who was refused: the program that came before them, and is slow to say who it is, is still heard."""
+    with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
+        until(lambda: not is_up(link) and link._candidates)
+        for _ in range(12):
+            with socket.create_connection(link.endpoint[:2], TIMEOUT) as stranger:
+                stranger.sendall(said)
+                stranger.shutdown(socket.SHUT_WR)
+                until(lambda: not is_up(link) and is_left_alone(stranger))
+        program.sendall(token(link))
+        until(lambda: is_up(link))
+
+
+def is_left_alone(stranger: socket.socket) -> bool:
+    """The other side has closed or reset the connection; without waiting for it."""
+    stranger.setblocking(False)
+    try:
+        return stranger.recv(100) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
+
+
+def test_free_ports_wait_side_by_side() -> None:
+    where = ReversePort("127.0.0.1")
+    first, second = where.open(), where.open()
+    for link in (first, second):
+        serves(link)
+        link.close()
+
+
+class Coming:
+    """A connection that has just been accepted, from elsewhere than a socket."""
+
+    name, host = "127.0.0.1:9", "127.0.0.1"
+
+    def __init__(self, link: ReverseLink) -> None:
+        self.link = link
+        self.is_aborted = False
+
+    def receive_waiting(self) -> tuple[bytes, None]:
+        self.link.close()  # as another thread does at this moment
+        return token(self.link), None
+
+    def abort(self) -> None:
+        self.is_aborted = True
+
+
+def test_a_program_that_comes_while_its_link_is_closed(link: ReverseLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    coming = Coming(link)
+    # Before it comes another, that is gone when it is looked at.
+    queue = [ConnectionLost("gone"), coming]
+
+    def accept(timeout: float) -> object:
+        if not queue:
+            raise LinkTimeout("nobody")
+        if isinstance(each := queue.pop(0), Exception):
+            raise each
+        return each
+
+    monkeypatch.setattr(link._listener, "accept", accept)
+    is_up(link)
+    assert coming.is_aborted
 
 
 def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
-        link.poll()
+        is_up(link)
         link.close()
         assert is_refused(program)
-    assert not link.poll()
+    assert not is_up(link)
 
 
 def test_another_address_that_programs_come_from() -> None:
     link = ReversePort("127.0.0.1", peer="127.0.0.77").open()
     with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as program:
         program.sendall(token(link))
-        until(link.poll)
+        until(lambda: is_up(link))
     link.close()
 
 
@@ -192,7 +270,7 @@ def test_an_address_that_something_translates() -> None:
     assert link.endpoint[:2][0] == "192.0.2.7"
     with socket.create_connection(("127.0.0.1", link.endpoint.port), TIMEOUT) as program:
         program.sendall(token(link))
-        until(link.poll)
+        until(lambda: is_up(link))
     link.close()
 
 
@@ -207,8 +285,8 @@ def test_a_fixed_port_waits_for_the_newest_program() -> None:
     # The program of the first, which the controller begins late, is not taken for that of the second.
     with socket.create_connection(second.endpoint[:2], TIMEOUT) as late:
         late.sendall(token(first))
-        assert not first.poll()
-        until(lambda: not second.poll() and is_refused(late))
+        assert not is_up(first)
+        until(lambda: not is_up(second) and is_refused(late))
     serves(second)
     first.close()
     second.close()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -140,16 +142,56 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
     assert seen[1] < 0.1 * seen[0]
 
 
-def test_an_arm_that_does_not_follow() -> None:
-    led = Scheduled(_FIRMWARES[2], 0.0)
+class Lagging:
+    """An arm that is where it was led `lag` s before, `gain` times as far; its sensor is off by `offset` rad."""
 
-    def states() -> Iterator[RealtimeState]:
-        while True:
-            yield led.state()
-            led.bench.cycle += 1
+    def __init__(self, lag: float, gain: float = 1.0, offset: float = 0.01, joint: int = 5) -> None:
+        self.lag, self.gain, self.offset, self.joint = lag, gain, offset, joint
+        #: s from the first state, and rad from there
+        self.sent: list[tuple[float, list[float]]] = []
 
+    def measure(self, amplitude: float = 0.05, duration: float = 1.0) -> float:
+        return measure(self._states(amplitude, duration), self._send, self.joint, amplitude, duration)
+
+    def _states(self, amplitude: float, duration: float) -> Iterator[RealtimeState]:
+        for i in range(100_000):
+            self.time = 0.002 * i
+            t = min(max(self.time - self.lag, 0.0), duration)
+            q = np.array(HOME)
+            q[self.joint] += self.offset + self.gain * amplitude * np.sin(np.pi * t / duration) ** 2
+            yield cast(RealtimeState, SimpleNamespace(time=50.0 + self.time, q_target=np.array(HOME), q_actual=q))
+
+    def _send(self, q: list[float]) -> None:
+        self.sent.append((self.time, list(np.subtract(q, HOME))))
+
+
+@pytest.mark.parametrize(("lag", "amplitude"), [(0.003, 0.05), (0.12, -0.3), (0.45, 0.05)])
+def test_the_delay_is_that_by_which_an_arm_lags(lag: float, amplitude: float) -> None:
+    assert Lagging(lag).measure(amplitude) == pytest.approx(lag, abs=1e-7)
+    assert Lagging(lag, joint=2).measure(amplitude, 3.0) == pytest.approx(lag, abs=1e-7)
+
+
+def test_what_is_sent_to_measure_it() -> None:
+    """One joint there and back, from rest to rest; the states after that are waited for too."""
+    arm = Lagging(0.02, joint=2)
+    arm.measure(0.1, 0.8)
+    times, way = np.array([time for time, _ in arm.sent]), np.array([q for _, q in arm.sent])
+    assert way == pytest.approx(np.outer(0.1 * np.sin(np.pi * np.minimum(times, 0.8) / 0.8) ** 2, np.eye(6)[2]))
+    assert times[-1] == pytest.approx(0.8 + 0.5, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    "arm",
+    [Lagging(0.0, 0.0), Lagging(0.6), Lagging(-0.01), Lagging(0.02, 0.7), Lagging(0.02, -1.0), Lagging(0.02, 1.3)],
+    ids=["at all", "within half a second", "but goes before", "all the way", "there", "and stop"],
+)
+def test_an_arm_that_does_not_follow(arm: Lagging) -> None:
     with pytest.raises(LinkError, match="does not follow"):
-        measure(states(), lambda q: None, 5, 0.05, 0.5)
+        arm.measure()
+
+
+def test_an_arm_that_follows_nearly_all_the_way() -> None:
+    assert Lagging(0.02, 0.85).measure() == pytest.approx(0.02, abs=1e-3)
 
 
 class TestServo:

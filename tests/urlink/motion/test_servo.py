@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,11 +24,12 @@ class Beside:
 
     def __init__(self, robot: Rehearsal) -> None:
         self._robot = robot
+        self._sent = len(robot.sent)
         self._thread = threading.Thread(target=self._run)
         self.over = threading.Event()
 
     def _run(self) -> None:
-        until(lambda: self._robot.sent)
+        until(lambda: len(self._robot.sent) > self._sent)
         self._robot.connect()
         while not self.over.wait(0.002):
             self._robot.tick()
@@ -84,8 +85,15 @@ def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: s
 
 
 def test_outside_of_its_block(led: Rehearsal) -> None:
-    with pytest.raises(LocalError, match="within its block"):
-        led.motion.servo().send(HOME)
+    servo = led.motion.servo()
+    calls: list[Callable[[], object]] = [
+        lambda: servo.send(HOME),
+        lambda: servo.schedule(HOME, at=0.0),
+        servo.measure_delay,
+    ]
+    for tell in calls:
+        with pytest.raises(LocalError, match="within its block"):
+            tell()
     assert led.sent == []
 
 
@@ -102,6 +110,71 @@ def test_statistics(led: Rehearsal) -> None:
     assert stats.p50 == pytest.approx(0.0, abs=1e-9)
     assert stats.max == pytest.approx(0.002)
     assert stats.p99 == pytest.approx(0.002)
+
+
+def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> None:
+    """Statistics look back on the newest intervals, but what they count is of all."""
+    with opened(robot, rate=2.0) as servo:
+        for interval in (0.5, 0.75, 0.25, 0.8125, 0.5):
+            servo.send(HOME)
+            robot.time += interval
+        servo.send(HOME)
+        stats = servo.stats
+    assert (stats.count, stats.late, stats.max) == (6, 1, 0.3125)
+    assert stats.mean == pytest.approx(2.8125 / 5)
+    assert stats.p50 == 0.25
+    assert 0.25 < stats.p99 < 0.3125
+
+
+def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.servo._REMEMBERED", 2)
+    with opened(robot, rate=2.0) as servo:
+        for interval in (2.0, 0.5, 0.75):
+            servo.send(HOME)
+            robot.time += interval
+        servo.send(HOME)
+        assert (servo.stats.count, servo.stats.late, servo.stats.max) == (4, 1, 0.25)
+
+
+def test_a_set_point_carries_its_speed(led: Rehearsal) -> None:
+    with opened(led) as servo:
+        for q, seconds, speed in ((0.03, 0.0, 0.0), (0.032, 0.004, 0.5), (0.033, 0.0, 0.5), (0.031, 0.002, -1.0)):
+            led.time += seconds
+            servo.send(turned(q))
+            assert next_set_point(led) == pytest.approx(turned(q))
+            assert led.speeds == pytest.approx([0.0] * 5 + [speed], abs=1e-6)
+        # From now on the loop alone says something.
+        for _ in range(3):
+            led.show()
+        servo.send(turned(0.031))
+        assert (word := led.word()) is not None
+        assert word[1] == FOLLOW
+
+
+def test_the_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
+    led.q = turned(2 * np.pi - 0.05)
+    led.show()
+    with opened(led) as servo:
+        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+            servo.send(turned(2 * np.pi - 0.1001))
+        with pytest.raises(BadValue, match=r"q\[5\] \(wrist 3\) is 6\.2832 rad; expected -6\.2832 to 6\.2832"):
+            servo.send(turned(np.nextafter(2 * np.pi, 7)))
+        servo.send(turned(2 * np.pi))
+    led.q = turned(0.0)
+    led.show()
+    with opened(led) as servo:
+        with pytest.raises(BadValue, match="from where the arm is"):
+            servo.send(turned(np.nextafter(-0.05, -1)))
+        servo.send(turned(-0.05))
+
+
+def test_the_range_of_an_arm_that_nobody_knows(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(model="UR9000")
+    with opened(robot, target_filter="jerk_limited") as servo:
+        for target in ([100.0] * 6, [-100.0] * 6):
+            servo.send(target)
+        with pytest.raises(BadValue, match="not finite"):
+            servo.send([float("inf")] * 6)
 
 
 def test_too_fast_is_refused_and_the_loop_can_go_on(led: Rehearsal) -> None:
@@ -259,6 +332,19 @@ def test_the_registers_cannot_be_written_any_more(rehearsal: Callable[..., Rehea
             servo.send(HOME)
         servo.cancel()
     assert servo.done
+
+
+def test_what_is_heard_in_time_is_why_nothing_can_be_sent(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(link="rtde")
+
+    def stop(values: Mapping[str, float]) -> None:
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        raise ConnectionLost("cut")
+
+    with opened(robot) as servo:
+        robot.inputs._write = stop  # type: ignore[method-assign]
+        with pytest.raises(SafetyStop, match="protective stop"):
+            servo.send(HOME)
 
 
 def test_firmware_without_these_registers(rehearsal: Callable[..., Rehearsal]) -> None:

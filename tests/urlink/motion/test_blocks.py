@@ -1,0 +1,269 @@
+"""What force mode, freedrive, torque and a movement to a contact tell the robot; its side is played by the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from linkcore.errors import BadValue, Cancelled, Closed, LinkTimeout, LocalError
+from linkcore.handle import Phase
+from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
+from tests.urlink.motion.test_servo import Beside
+from tests.waiting import until
+from urlink.errors import NoContact, ProgramStopped
+from urlink.kinematics import Arm
+from urlink.models import model
+from urlink.motion.force_mode import ForceMode
+from urlink.motion.linked_block import LinkedBlock
+from urlink.motion.motions import LinkName
+from urlink.vectors import FloatArray
+
+DOWN = [0, 0, -10.0, 0, 0, 0.5]
+B = TypeVar("B", bound=LinkedBlock)
+
+
+@contextmanager
+def entered(robot: Rehearsal, block: B) -> Iterator[B]:
+    """A block that has connected; it is cancelled at the end."""
+    with Beside(robot):
+        block.__enter__()
+    yield block
+    block.cancel()
+
+
+def told(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
+    """What the program is told with the next states; of words that were on their way before, the first that fits."""
+    while True:
+        robot.tick()
+        word = robot.word()
+        assert word is not None
+        if word[1] == FOLLOW and until_it_is in (None, word[0]):
+            return word[0]
+
+
+def link_of(robot: Rehearsal) -> LinkName:
+    return "rtde" if robot.has_registers else "reverse"
+
+
+def press(robot: Rehearsal, frame: ArrayLike | str = "base", **options: Any) -> ForceMode:
+    axes, limits = [0, True, 1, 0, 0, 0], [0.1, 0.2, 0.3, 1, 2, 3]
+    return robot.motion.force_mode(frame, axes, DOWN, limits, link=link_of(robot), **options)
+
+
+def test_force_mode_tells_its_wrench_with_every_state_and_the_rest_once(led: Rehearsal) -> None:
+    with entered(led, press(led, [1, 2, 3, 0, 0, 0.5], kind=3, damping=0.25, gain=1.5, watchdog=0.5)) as pressing:
+        call = (
+            "force_mode(p[1.0, 2.0, 3.0, 0.0, 0.0, 0.5], [0, 1, 1, 0, 0, 0], wrench, 3, [0.1, 0.2, 0.3, 1.0, 2.0, 3.0])"
+        )
+        for part in (call, "force_mode_set_damping(0.25)", "force_mode_set_gain_scaling(1.5)", "missed < 250"):
+            assert part in led.uploaded
+        for _ in range(3):
+            assert told(led) == DOWN
+        assert pressing.wrench.tolist() == DOWN
+        with pytest.raises(BadValue, match=r"wrench\[z\]"):
+            pressing.set_wrench([0, 0, -2000, 0, 0, 0])
+        assert pressing.wrench.tolist() == DOWN
+        pressing.set_wrench([0.0] * 6)
+        assert told(led, [0.0] * 6) == told(led) == pressing.wrench.tolist() == [0.0] * 6
+        assert len(led.sent) == 1
+    with pytest.raises(Cancelled):
+        pressing.set_wrench(DOWN)
+
+
+def test_force_mode_leaves_to_the_controller_what_nobody_chose(robot: Rehearsal) -> None:
+    robot.q = turned(0.3)
+    robot.show()
+    with entered(robot, press(robot, "tool")):
+        pose = ", ".join(f"{each:.4f}" for each in robot.pose)
+        written = robot.uploaded.partition("force_mode(p[")[2].partition("]")[0]
+        assert ", ".join(f"{float(each):.4f}" for each in written.split(",")) == pose
+        assert "wrench, 2, [" in robot.uploaded
+        assert "force_mode_set" not in robot.uploaded
+    with entered(robot, press(robot)):
+        assert "force_mode(p[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], " in robot.uploaded
+
+
+def test_freedrive_is_told_that_somebody_is_there(led: Rehearsal) -> None:
+    free = led.motion._freedrive([1, 0, 0, 0, 0, True], [1, 2, 3, 0, 0, 0.5], 0.4, link_of(led))
+    with entered(led, free):
+        call = "freedrive_mode(freeAxes=[1, 0, 0, 0, 0, 1], feature=p[1.0, 2.0, 3.0, 0.0, 0.0, 0.5])"
+        assert call in led.uploaded
+        assert "missed < 200" in led.uploaded
+        for _ in range(3):
+            assert told(led) == [0.0] * 6
+    assert free.phase is Phase.CANCELLED
+
+
+@pytest.mark.parametrize("is_compensated", [True, False])
+def test_torques_are_those_of_the_loop_and_nothing_else(
+    rehearsal: Callable[..., Rehearsal], is_compensated: bool
+) -> None:
+    robot = rehearsal("5.25", "UR5e")
+    most = model("UR5e").max_torque.tolist()
+    with entered(robot, robot.motion.torque(friction_compensation=is_compensated, watchdog=0.1)) as torque:
+        assert f"friction_comp={is_compensated}" in robot.uploaded
+        assert "missed < 50" in robot.uploaded
+        robot.tick()
+        assert (word := robot.word()) is not None
+        assert word[1] == WAIT
+        for joint, limit in enumerate(most):
+            values = [0.0] * 6
+            for sign in (1.0, -1.0):
+                values[joint] = sign * np.nextafter(limit, 2 * limit)
+                with pytest.raises(BadValue, match=rf"torque\[{joint}\] .* at most {limit:g} Nm"):
+                    torque.send(values)
+            values[joint] = -limit
+            torque.send(values)
+            while (word := robot.word()) is None or word[1] == WAIT:
+                assert word is not None
+            assert word == (values, FOLLOW)
+        # A state is answered by the loop alone.
+        robot.show()
+        torque.send([1.0] * 6)
+        assert robot.word() == ([1.0] * 6, FOLLOW)
+
+
+def test_torques_within_limits_of_ones_own(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal("5.25", "UR5e")
+    with entered(robot, robot.motion.torque(limits=[10, 10, 10, 5, 0, 5])) as torque:
+        torque.send([10, -10, 10, 5, 0, -5])
+        for values in ([11, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0.1, 0], [0, 0, 0, -6, 0, 0]):
+            with pytest.raises(BadValue, match="at most"):
+                torque.send(values)
+
+
+def each_block(robot: Rehearsal) -> dict[str, Callable[[], LinkedBlock]]:
+    return {
+        "force_mode": lambda: press(robot),
+        "freedrive": lambda: robot.motion._freedrive(None, "base", 0.5, "reverse"),
+        "torque": robot.motion.torque,
+        "jog": robot.motion.jog,
+        "servo": robot.motion.servo,
+    }
+
+
+BLOCKS = ["force_mode", "freedrive", "torque", "jog", "servo"]
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_each_is_good_for_one_block(rehearsal: Callable[..., Rehearsal], name: str) -> None:
+    robot = rehearsal("5.25", "UR5e")
+    block = each_block(robot)[name]()
+    assert (block.name, robot.motion.current) == (name, None)
+    with entered(robot, block):
+        assert robot.motion.current is block
+    while (word := robot.word()) is not None:
+        last = word
+    assert last == ([0.0] * 6, STOP)
+    sent = len(robot.sent)
+    with pytest.raises(LocalError, match=f"the {name} has been used before"):
+        block.__enter__()
+    assert len(robot.sent) == sent
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_program_that_comes_to_its_end_ends_the_block(rehearsal: Callable[..., Rehearsal], name: str) -> None:
+    robot = rehearsal("5.25", "UR5e")
+    block = each_block(robot)[name]()
+    with entered(robot, block):
+        robot.finish()
+        with pytest.raises(ProgramStopped, match=f"the program of {name} ended before its time"):
+            block.wait(TIMEOUT)
+
+
+def test_a_block_that_is_left_is_told_nothing_more(robot: Rehearsal) -> None:
+    with entered(robot, robot.motion.jog()) as jog:
+        jog._program.finish()  # as its end does, which then waits for the arm to stand
+        with pytest.raises(Closed, match="the block of the jog was left"):
+            jog.move([0.1] * 6)
+
+
+def test_a_program_that_does_not_end_when_its_block_is_left(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.motion.linked_block._END_TIMEOUT", 0.05)
+    with entered(robot, robot.motion.jog()) as jog:
+        jog.__exit__()
+        assert jog.phase is Phase.CANCELLED
+
+
+def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+
+    @contextmanager
+    def urgent() -> Iterator[None]:
+        seen.append("begins")
+        yield
+        seen.append("ends")
+
+    monkeypatch.setattr("urlink.motion.linked_block.urgent", urgent)
+    with entered(robot, robot.motion.jog()) as jog:
+        assert seen == ["begins"]
+        robot.finish()
+        until(lambda: jog.done)
+        jog.__exit__()
+        assert seen == ["begins", "ends"]
+
+
+def test_a_block_whose_program_never_comes(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor do states, by which it would be told that it has not."""
+    monkeypatch.setattr("urlink.motion.linked_block._LONGEST", 0.05)
+    jog = robot.motion.jog()
+    with pytest.raises(LinkTimeout, match=r"jog: no connection within 0\.05 s"):
+        jog.__enter__()
+    assert jog.phase is Phase.CANCELLED
+    assert "stopj" in robot.sent[-1]
+
+
+# -- to a contact ----------------------------------------------------------------------------------------
+
+
+class Tooled(Rehearsal):
+    """With a tool 0.1 m before its flange."""
+
+    tcp = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> FloatArray:
+        return Arm("UR5e").forward(self.q, self.tcp)
+
+
+def test_where_a_contact_began() -> None:
+    at = turned(0.2)
+    with Tooled() as robot:
+        motion = robot.motion.until_contact([0, 0, -1])
+        robot.begin()
+        robot.text("user: something else")
+        robot.text(f"urlink: contact {[round(each, 6) for each in at]}")
+        until(lambda: motion.contact is not None)
+        assert motion.contact is not None
+        assert motion.contact.q == pytest.approx(at, abs=1e-6)
+        assert motion.contact.pose == pytest.approx(Arm("UR5e").forward(at, Tooled.tcp), abs=1e-5)
+        assert not motion.done
+        robot.finish()
+        motion.wait(TIMEOUT)
+
+
+def test_where_a_contact_began_on_an_arm_that_nobody_knows(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(model="UR9000")
+    motion = robot.motion.until_contact([0, 0, -1])
+    robot.begin()
+    robot.text(f"urlink: contact {list(HOME)}")
+    until(lambda: motion.contact is not None)
+    assert motion.contact is not None
+    assert motion.contact.q == pytest.approx(HOME)
+    assert motion.contact.pose is None
+    motion.cancel()
+    assert "stopj" in robot.sent[-1]
+
+
+def test_nothing_was_touched(robot: Rehearsal) -> None:
+    motion = robot.motion.until_contact([0, 0, -1], distance=0.25)
+    robot.begin()
+    robot.text("urlink: no contact")
+    with pytest.raises(NoContact, match=r"nothing was touched within 0\.25 m"):
+        motion.wait(TIMEOUT)
+    assert motion.contact is None

@@ -1,0 +1,339 @@
+"""A program that is talked to while it runs: what is said when, and what ends it, on a clock that the test has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkError, LocalError
+from linkcore.handle import Motion, Phase
+from tests.urlink.motion.rehearsal import TIMEOUT, Rehearsal
+from tests.waiting import until
+from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.motion.linked import LinkedProgram
+from urlink.urscript.programs import InputRegisters, ReverseSocket
+
+
+class Talk:
+    """A dialogue, its link, and the program that they lead; each does as the test has set it."""
+
+    endpoint = ReverseSocket("10.0.0.1", 50001, 7)
+
+    def __init__(self, robot: Rehearsal, *, farewell: bytes = b"bye", survives_its_program: bool = False) -> None:
+        self.robot = robot
+        self.now = 1000.0
+        self._looks = 0
+        # the dialogue
+        self.farewell = farewell
+        self.survives_its_program = survives_its_program
+        self.is_over = False
+        self.answer = b"word"
+        self.concluded = 0
+        #: what it was told with each state: what came, and when
+        self.steps: list[tuple[bytes, float]] = []
+        self.failure: Exception | None = None
+        # the link
+        self.opened = 0
+        self.is_up = False
+        self.comes_up = True
+        self.polls: list[bool] = []
+        self.said: list[bytes] = []
+        self.heard = b""
+        self.loss: LinkError | None = None
+        self.closed: list[bool] = []
+        # the program
+        self.linked = 0
+        context = replace(robot.motion._context, clock=self._clock)
+        self.life = context.programs.life("talk")
+        self.motion = Motion(self.life)
+        self.program = LinkedProgram(self.life, context, self, self._open, on_linked=self._on_linked)
+
+    def _clock(self) -> float:
+        self._looks += 1
+        return self.now
+
+    def _open(self) -> Talk:
+        self.opened += 1
+        return self
+
+    def _on_linked(self) -> None:
+        self.linked += 1
+
+    # -- as a dialogue -----------------------------------------------------------------------------------
+
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        assert link == self.endpoint
+        return ["sync()"]
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        self.steps.append((received, now))
+        if self.failure is not None:
+            raise self.failure
+        return self.answer
+
+    def conclude(self) -> None:
+        self.concluded += 1
+
+    # -- as a link ---------------------------------------------------------------------------------------
+
+    def poll(self, has_begun: bool) -> bool:
+        self.polls.append(has_begun)
+        self.is_up = has_begun and self.comes_up
+        return self.is_up
+
+    def send(self, data: bytes) -> None:
+        if self.loss is not None:
+            raise self.loss
+        self.said.append(data)
+
+    def received(self) -> bytes:
+        if self.loss is not None:
+            raise self.loss
+        return self.heard
+
+    def absence(self, why: str) -> LinkError:
+        return ConnectFailed(f"absent: {why}")
+
+    def close(self, *, farewell: bool) -> None:
+        self.closed.append(farewell)
+
+    # -- what the test does ------------------------------------------------------------------------------
+
+    def look(self, seconds: float = 0.0) -> None:
+        """States come so much later, of which one has been seen to its end, or it is over."""
+        self.now += seconds
+        looks = self._looks
+        self.robot.until(lambda: self._looks >= looks + 2 or self.life.is_over)
+
+    def begin(self) -> Talk:
+        """It is sent, it begins, and it has been told the first word."""
+        self.program.begin()
+        self.robot.begin()
+        if self.comes_up:
+            self.robot.until(lambda: self.linked)
+        return self
+
+    def fails(self, error: type[Exception], message: str) -> None:
+        with pytest.raises(error, match=message):
+            self.motion.wait(TIMEOUT)
+        assert self.motion.phase is Phase.FAILED
+        until(lambda: self.closed)
+
+
+@pytest.fixture
+def talk(robot: Rehearsal) -> Talk:
+    return Talk(robot)
+
+
+def test_is_told_something_once_it_has_begun(talk: Talk) -> None:
+    talk.program.begin()
+    assert "get_flag" not in talk.robot.uploaded  # it asks for nothing: nobody would take its connection
+    talk.look()
+    assert talk.polls
+    assert not any(talk.polls)
+    assert [talk.linked, talk.steps, talk.said] == [0, [], []]
+    talk.heard = b"token"
+    talk.robot.begin()
+    talk.robot.until(lambda: talk.linked)
+    assert talk.said[0] == b"word"
+    assert talk.steps[0] == (b"token", 1000.0)
+    talk.answer = b""
+    talk.look()
+    said = len(talk.said)
+    talk.look(1.0)
+    assert talk.steps[-1] == (b"token", 1001.0)
+    assert len(talk.said) == said
+    talk.motion.cancel()
+    assert talk.said[said:] == [b"bye"]
+    assert talk.closed == [True]
+
+
+def test_one_that_does_not_come(talk: Talk) -> None:
+    talk.comes_up = False
+    talk.begin().look(4.99)
+    assert not talk.motion.done
+    talk.look(0.02)
+    talk.fails(ConnectFailed, "absent: it has not within 5 s")
+    assert "stopj" in talk.robot.sent[-1]
+    assert [talk.said, talk.closed] == [[], [False]]
+    assert talk.linked == 1  # nobody is left waiting for it
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> None:
+    talk.begin()
+    assert not talk.program.is_finishing
+    talk.is_over = True
+    talk.robot.until(lambda: talk.program.is_finishing)
+    talk.program.finish()
+    talk.look(0.99)
+    assert not talk.motion.done
+    assert talk.said.count(b"bye") == 1
+    if is_told:
+        talk.robot.finish()
+    else:
+        talk.look(0.02)
+    talk.motion.wait(TIMEOUT)
+    assert talk.motion.phase is Phase.DONE
+    assert talk.closed == [True]
+
+
+def test_what_it_says_at_its_end_does_not_count(talk: Talk) -> None:
+    talk.begin()
+    talk.program.finish()
+    talk.robot.text("urlink: nothing to go to")
+    talk.robot.text("urlink: the link ended")
+    talk.robot.finish()
+    talk.motion.wait(TIMEOUT)
+
+
+def test_one_that_needs_no_farewell(robot: Rehearsal) -> None:
+    talk = Talk(robot, farewell=b"").begin()
+    talk.program.finish()
+    assert b"" not in talk.said
+    robot.finish()
+    talk.motion.wait(TIMEOUT)
+    assert talk.closed == [False]
+    other = Talk(robot, farewell=b"").begin()
+    other.motion.cancel()
+    assert "stopj" in robot.sent[-1]
+    assert [b"" in other.said, other.closed] == [False, [False]]
+
+
+def test_the_reason_of_a_loss_has_a_second_to_come(talk: Talk) -> None:
+    talk.begin()
+    talk.loss = ConnectionLost("first")
+    talk.look()
+    talk.loss = None
+    talk.program.lose(ConnectionLost("second"))
+    talk.look(0.99)
+    assert not talk.motion.done
+    steps = len(talk.steps)
+    talk.look(0.02)
+    talk.fails(ConnectionLost, r"^the connection of the program on the robot was lost; it brakes by itself: first$")
+    assert len(talk.steps) == steps
+    # It is gone, and brakes by itself: there is nobody to tell.
+    assert b"bye" not in talk.said
+    assert not any("stopj" in text for text in talk.robot.sent)
+
+
+def test_a_stop_is_the_reason_of_a_loss(talk: Talk) -> None:
+    talk.begin()
+    talk.loss = ConnectionLost("reset")
+    talk.look()
+    talk.robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    talk.fails(SafetyStop, "protective stop")
+
+
+def test_an_end_after_a_loss_is_the_loss(talk: Talk) -> None:
+    talk.begin()
+    talk.loss = ConnectionLost("reset")
+    talk.look()
+    talk.robot.finish()
+    talk.fails(ConnectionLost, "reset")
+
+
+def test_an_end_before_its_time(talk: Talk) -> None:
+    talk.begin()
+    talk.robot.finish()
+    talk.fails(ProgramStopped, "the program of talk ended before its time")
+
+
+def test_one_that_goes_on_after_its_program(robot: Rehearsal) -> None:
+    talk = Talk(robot, survives_its_program=True).begin()
+    talk.heard = b"never mind"
+    robot.finish()
+    robot.until(lambda: talk.concluded)
+    steps, said = len(talk.steps), len(talk.said)
+    talk.look()
+    assert not talk.motion.done
+    assert {received for received, _ in talk.steps[steps:]} <= {b"", b"never mind"}
+    assert talk.steps[-1] == (b"", 1000.0)
+    assert len(talk.said) <= said + 1
+    talk.is_over = True
+    talk.look()
+    talk.motion.wait(TIMEOUT)
+    assert talk.motion.phase is Phase.DONE
+
+
+@pytest.mark.parametrize("failure", [ToleranceExceeded("off"), ZeroDivisionError("off")])
+def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
+    talk.begin()
+    talk.failure = failure
+    talk.look()
+    talk.fails(type(failure), "off")
+    assert talk.said[-1] == b"bye"
+    subscription = talk.program._subscription
+    assert subscription is not None
+    # A mistake of ours is one that the subscription tells of.
+    until(lambda: subscription.stats.raised == isinstance(failure, ZeroDivisionError))
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("urlink: cannot connect", ConnectFailed, "absent: it says that it was refused"),
+        ("urlink: the link ended", ConnectionLost, "says that its connection ended"),
+        ("urlink: nothing to go to", ConnectionLost, "nothing came to the program on the robot in time"),
+        ("urlink: the first point is too far away", ToleranceExceeded, "first point is too far away"),
+    ],
+)
+def test_what_ends_it_is_what_it_says(talk: Talk, text: str, error: type[Exception], message: str) -> None:
+    talk.begin()
+    talk.robot.text("urlink: good morning")
+    talk.robot.text(text)
+    talk.fails(error, message)
+
+
+def interrupted() -> Talk:
+    raise KeyboardInterrupt
+
+
+def taken() -> Talk:
+    raise BadAddress("taken")
+
+
+@pytest.mark.parametrize(
+    ("open_link", "raised", "error"), [(taken, BadAddress, BadAddress), (interrupted, KeyboardInterrupt, LocalError)]
+)
+def test_a_link_that_cannot_be_had(
+    talk: Talk, open_link: Callable[[], Talk], raised: type[BaseException], error: type[Exception]
+) -> None:
+    talk.program._open_link = open_link
+    with pytest.raises(raised):
+        talk.program.begin()
+    assert isinstance(talk.motion.error, error)
+    assert [talk.robot.sent, talk.linked, talk.closed] == [[], 1, []]
+
+
+def test_an_arm_that_may_not_be_moved(talk: Talk) -> None:
+    talk.robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: talk.robot.safety.cause)
+    with pytest.raises(SafetyStop):
+        talk.program.begin()
+    assert [talk.opened, talk.robot.sent, talk.linked] == [0, [], 1]
+
+
+def test_a_program_that_cannot_be_sent(talk: Talk) -> None:
+    talk.robot.slow.refusal = ConnectionLost("not sent")
+    with pytest.raises(ConnectionLost, match="not sent"):
+        talk.program.begin()
+    talk.fails(ConnectionLost, "not sent")
+    steps = len(talk.steps)
+    talk.robot.show()
+    assert len(talk.steps) == steps
+
+
+def test_nothing_is_said_after_its_end(talk: Talk) -> None:
+    talk.begin()
+    talk.robot.vanish()
+    talk.robot.until(lambda: talk.motion.done)
+    said = len(talk.said)
+    with pytest.raises(ProgramStopped):
+        talk.program.say(b"late")
+    talk.robot.show()
+    assert len(talk.said) == said
