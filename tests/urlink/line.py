@@ -1,12 +1,36 @@
-"""A connection without thread, socket and clock: its subscribers are called by the test, and what is sent is kept."""
+"""What commands a robot without thread, socket and clock: the test calls who listens, and lets time pass."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
-from linkcore.streaming.events import ConnectionState
+from linkcore.callbacks import CallbackThread
+from linkcore.stamp import Stamp
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from urlink.commanding.channel import CommandChannel
+from urlink.commanding.interlock import Interlock
+from urlink.commanding.monitor import SafetyMonitor
+from urlink.commanding.section import Section
+from urlink.interfaces.enums import RobotMode, SafetyMode
+from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState
+from urlink.interfaces.realtime.packets import RealtimeState
+
+FIRMWARE = (5, 11)
+
+
+def slow(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING, **modes: bool) -> RobotState:
+    """What the primary interface says."""
+    package = RobotModeData(FIRMWARE, robot_mode=mode, **modes)
+    return RobotState(package, MasterboardData(FIRMWARE, safety_mode=safety))
+
+
+def fast(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING) -> RealtimeState:
+    """What the real-time interface says."""
+    return RealtimeState(FIRMWARE, robot_mode=mode, safety_mode=safety)
 
 
 class Subscriber:
@@ -19,6 +43,7 @@ class Subscriber:
         among.append(self)
 
     def close(self, timeout: float = 0.0) -> None:
+        assert timeout == 0.0, "here nobody waits for what is being told"
         self._among.remove(self)
 
     def __enter__(self) -> None:
@@ -87,3 +112,48 @@ class Line:
 
     def abort(self) -> None:
         self.aborts += 1
+
+
+class Desk:
+    """Monitor and channel between two lines. Each wait for room takes `pace` seconds, and calls `meanwhile`.
+
+    Args:
+        stale_after: seconds, as of `Interlock`.
+        may_wait: this thread may wait for what a robot says.
+    """
+
+    def __init__(self, *, stale_after: float = math.inf, may_wait: bool = False) -> None:
+        self.now = 100.0
+        self.pace = 0.2
+        self.waits: list[float] = []
+        self.meanwhile: Callable[[], object] = lambda: None
+        self.primary, self.realtime = Line(self._wait), Line()
+        slow, fast = cast(Connection, self.primary), cast(Connection, self.realtime)
+        self.section = Section(lambda: not may_wait)
+        self.interlock = Interlock(stale_after=stale_after)
+        # Called back at once.
+        self.callbacks = cast(CallbackThread, SimpleNamespace(call=lambda function, *arguments: function(*arguments)))
+        self.monitor = SafetyMonitor(slow, fast, self.interlock, self.section, self.callbacks, self.clock)
+        self.channel = CommandChannel(slow, self.monitor, self.section, self.clock)
+
+    def clock(self) -> float:
+        return self.now
+
+    def _wait(self, seconds: float) -> None:
+        self.waits.append(seconds)
+        self.now += self.pace
+        self.meanwhile()
+
+    def clear(self) -> None:
+        """All is well on both lines."""
+        self.monitor.listen(closely=True)
+        self.primary.tell(slow())
+        self.realtime.tell(fast())
+        assert self.monitor.refusal() is None
+
+    def event(self, line: Line, state: ConnectionState, error: Exception | None = None) -> None:
+        line.tell(ConnectionEvent(state, line.name, error, Stamp(self.now, self.now)))
+
+    @property
+    def sent(self) -> list[str]:
+        return self.primary.sent

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -90,7 +91,7 @@ class _Run:
     begun: float | None = None
     verdict: ScriptError | bool = False
     is_stopped: bool = False
-    at: float = 0.0
+    at: float = math.nan
     was_seen: bool = False
 
     @property
@@ -370,13 +371,13 @@ class Programs:
                 continue
             if mode.is_program_running or mode.is_program_paused:
                 run.was_seen = True
-            elif run.was_seen or run.verdict or self._was_missed(run):
+            elif run.was_seen or run.verdict or self._was_missed(run.begun):
                 self._end(run)
         self._check_time()
 
-    def _was_missed(self, run: _Run) -> bool:
+    def _was_missed(self, begun: float) -> bool:
         """It was over before a state could show it, and no key message tells: the flag has been down for too long."""
-        return not self._has_keys and run.begun is not None and self._clock() - run.begun > _FLAG_LAG
+        return not self._has_keys and self._clock() - begun > _FLAG_LAG
 
     def _check_time(self) -> None:
         now = self._clock()
@@ -426,9 +427,9 @@ class Programs:
             if run.verdict:
                 self._end(run)
             elif successor is not None:
-                run.life.cancel(f"preempted by {successor.life.name}", brake=False)
+                run.life.cancel(f"preempted by {successor.life.name}")
             elif f"_{self._token}_" in name:  # one that was given up since it was sent
-                run.life.cancel(f"preempted by {name}", brake=False)
+                run.life.cancel(f"preempted by {name}")
             else:
                 run.life.fail(ProgramStopped(f"{run.life.name} was replaced by {name}, a program from elsewhere"))
 
@@ -442,7 +443,7 @@ class Programs:
         elif run.verdict:
             run.on_finish()
         elif (newest := self._newest()) is not None and newest is not run and not run.wrapped.is_secondary:
-            run.life.cancel(f"preempted by {newest.life.name}", brake=False)
+            run.life.cancel(f"preempted by {newest.life.name}")
         elif (stop := self._monitor.refusal(is_stop=True)) is not None:
             run.life.fail(stop)
         elif not run.is_stopped:

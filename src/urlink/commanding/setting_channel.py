@@ -13,6 +13,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Literal, Protocol
 
 from linkcore.errors import Closed, ConnectionLost, LinkError
@@ -89,11 +90,16 @@ class SettingChannel:
             NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
             RemoteError: it could not be sent.
         """
-        if values is None or self._inputs is None:
-            self._channel.command(text)
-        elif not self._wrote(self._inputs, values, wait):
+        if values is not None and self._inputs is not None:
+            self._channel.check_running()
+            write = self._writer(self._inputs, values, wait)
+            if write is not None:
+                # Perhaps RTDE was given back just now, or is cut; the next setting claims it anew.
+                with contextlib.suppress(ConnectionLost, Closed):
+                    self._channel.beside(write)
+                    return
             self._sent_text_at = self._clock()
-            self._channel.command(text)
+        self._channel.command(text)
 
     def doubt(self) -> None:
         """What was sent does not show: nothing of it is to arrive later over RTDE, and what follows goes by text."""
@@ -102,34 +108,27 @@ class SettingChannel:
             with contextlib.suppress(LinkError):
                 self._inputs().abort()
 
-    def _wrote(self, inputs: Callable[[], BriefInputs], values: Values, wait: bool) -> bool:
-        """Write a setting to RTDE inputs; False where that cannot be, and nothing was written."""
-        self._channel.check_running()
+    def _writer(self, inputs: Callable[[], BriefInputs], values: Values, wait: bool) -> Callable[[], None] | None:
+        """What writes a setting to RTDE inputs; None where that cannot be."""
         if self._clock() - self._sent_text_at < _SETTLED or self._is_refused(()):
-            return False
+            return None
         written = values()
         if written is None or self._is_refused(tuple(written)):
-            return False
+            return None
         try:
             write = inputs().claim(tuple(written), wait=wait and self._section.may_wait)
         except LinkError as error:
             # Imported here, so that whoever only reads states does not pay for it.
             from ..interfaces.rtde.protocol import RtdeRefused
 
-            self._refuse(tuple(written) if isinstance(error, RtdeRefused) else (), error)
-            return False
-        if write is None:
-            return False
-        try:
-            self._channel.beside(lambda: write(written))
-        except (ConnectionLost, Closed):
-            return False  # of RTDE, which was given back just now, or cut; the next setting claims it anew
-        return True
+            names = tuple(written) if isinstance(error, RtdeRefused) else ()
+            self._refuse(names)
+            _log.info("%s: %s by script: %s", self._connection.name, names or "settings", printable(error))
+            return None
+        return None if write is None else partial(write, written)
 
     def _is_refused(self, names: tuple[str, ...]) -> bool:
         return self._refused.get(names) == self._connection.counters.connections
 
-    def _refuse(self, names: tuple[str, ...], why: Exception | None = None) -> None:
+    def _refuse(self, names: tuple[str, ...]) -> None:
         self._refused[names] = self._connection.counters.connections
-        if why is not None:
-            _log.info("%s: %s by script: %s", self._connection.name, names or "settings", printable(why))

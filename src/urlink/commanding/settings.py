@@ -45,8 +45,8 @@ _PAYLOAD_MARGIN = 1.25
 _EXACT = 1e-6
 #: The same for the slider, whose place on the pendant is a whole percentage.
 _SLIDER = 0.005
-#: The first firmware that shows the payload, and the first that shows a slider.
-_SHOWS_PAYLOAD, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 0)
+#: The first firmware that shows the payload, the offset of the tool, and a slider.
+_SHOWS_PAYLOAD, _SHOWS_TCP, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 2), Firmware(3, 0)
 
 
 @dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
@@ -135,7 +135,7 @@ class Settings:
 
         # As matrices: of two rotation vectors that turn the same way, one may go the longer way round.
         echo = Echo(CartesianInfo, shown, lambda values: _close(to_matrix(values), wanted))
-        self.apply(text, "the tool centre point", echo if self.firmware >= (3, 2) else None, confirm)
+        self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
 
     def speed_slider(self, fraction: float, confirm: float | None) -> None:
         """See `Robot.set_speed_slider`."""

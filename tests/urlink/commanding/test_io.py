@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,7 @@ from urlink.commanding import io as module
 from urlink.commanding.io import IO, Analog
 from urlink.errors import NotRunning
 from urlink.interfaces.enums import AnalogDomain, RobotMode, SafetyMode
+from urlink.interfaces.primary.robot_state import ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
 
 
@@ -58,6 +61,7 @@ def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], Non
         lambda io: io.tool_digital_out(2),
         lambda io: io.analog_in(2),
         lambda io: io.analog_out(-1),
+        lambda io: io.analog_out(2),
         lambda io: io.tool_analog_in(2),
     ],
 )
@@ -133,6 +137,19 @@ def test_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FIRST_STATE", 0.05)
     with StandIn() as robot, pytest.raises(LinkTimeout):
         robot.io.digital_in(0)
+
+
+def test_a_first_state_is_waited_for_for_two_seconds() -> None:
+    waited: list[float] = []
+
+    def wait(timeout: float) -> ToolData:
+        waited.append(timeout)
+        return ToolData((5, 11), tool_output_voltage=12)
+
+    primary: Any = SimpleNamespace(of=lambda kind: SimpleNamespace(latest=None, wait=wait))
+    unused: Any = None
+    assert IO(unused, primary, unused).tool_voltage == 12
+    assert waited == [2.0]
 
 
 # -- waiting for an input ------------------------------------------------------------------------------

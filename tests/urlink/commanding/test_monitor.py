@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from linkcore.callbacks import CallbackThread
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
 from linkcore.stamp import Stamp
-from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
-from tests.urlink.line import Line, Subscriber
+from tests.urlink.line import FIRMWARE, Desk, Subscriber, fast, slow
 from urlink.commanding.interlock import Interlock
-from urlink.commanding.monitor import SafetyMonitor
 from urlink.commanding.section import Section
 from urlink.errors import NotRunning, SafetyStop
 from urlink.interfaces.enums import RobotMode, SafetyMode
@@ -24,53 +20,23 @@ from urlink.interfaces.primary.robot_message import SafetyModeMessage
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState
 from urlink.interfaces.realtime.packets import RealtimeState
 
-FIRMWARE = (5, 11)
 STALE_AFTER = 1.0
 
 
-def slow(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING) -> RobotState:
-    return RobotState(RobotModeData(FIRMWARE, robot_mode=mode), MasterboardData(FIRMWARE, safety_mode=safety))
+class Monitored(Desk):
+    """`closings` is what motions ended with, `stops` what users were told."""
 
-
-def fast(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING) -> RealtimeState:
-    return RealtimeState(FIRMWARE, robot_mode=mode, safety_mode=safety)
-
-
-class Desk:
-    """A monitor between two lines; `closings` is what motions ended with, `stops` what users were told."""
-
-    def __init__(self, *, may_wait: bool = False) -> None:
-        self.now = 100.0
-        self.primary, self.realtime = Line(), Line()
+    def __init__(self) -> None:
+        super().__init__(stale_after=STALE_AFTER)
         self.closings: list[LinkError] = []
         self.stops: list[LinkError] = []
         self.silences: list[float] = []
-        self.section = Section(lambda: not may_wait)
-        self.interlock = Interlock(stale_after=STALE_AFTER)
-        callbacks = SimpleNamespace(call=lambda callback, error: callback(error))
-        self.monitor = SafetyMonitor(
-            cast(Connection, self.primary),
-            cast(Connection, self.realtime),
-            self.interlock,
-            self.section,
-            cast(CallbackThread, callbacks),
-            lambda: self.now,
-        )
         self.monitor.on_close(self.closings.append)
         self.monitor.on_silence(self.silences.append)
         self.forget = self.monitor.on_stop(self.stops.append)
 
     def listen(self) -> None:
         self.monitor.listen(closely=True)
-
-    def clear(self) -> None:
-        self.listen()
-        self.primary.tell(slow())
-        self.realtime.tell(fast())
-        assert self.monitor.refusal() is None
-
-    def event(self, line: Line, state: ConnectionState, error: Exception | None = None) -> None:
-        line.tell(ConnectionEvent(state, line.name, error, Stamp(self.now, self.now)))
 
     @property
     def listeners(self) -> list[int]:
@@ -79,11 +45,11 @@ class Desk:
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def desk() -> Monitored:
+    return Monitored()
 
 
-def test_each_interface_is_listened_to_once(desk: Desk) -> None:
+def test_each_interface_is_listened_to_once(desk: Monitored) -> None:
     desk.monitor.listen()
     assert desk.listeners == [2, 1, 0, 0]
     for _ in range(2):
@@ -100,7 +66,7 @@ def test_each_interface_is_listened_to_once(desk: Desk) -> None:
     assert (len(desk.closings), len(desk.stops)) == (2, 1)
 
 
-def test_an_interface_that_says_nothing_lets_nothing_through(desk: Desk) -> None:
+def test_an_interface_that_says_nothing_lets_nothing_through(desk: Monitored) -> None:
     desk.monitor.listen()
     desk.primary.tell(slow())
     assert desk.monitor.refusal() is None
@@ -109,9 +75,19 @@ def test_an_interface_that_says_nothing_lets_nothing_through(desk: Desk) -> None
     assert desk.closings == []  # until it has been waited for, what runs goes on
 
 
+def test_a_stop_of_the_arm_needs_nobody_to_enable_it(desk: Monitored) -> None:
+    desk.clear()
+    with desk.monitor.decision() as interlock:
+        interlock.policy = "always"
+    assert (str(desk.monitor.refusal()).partition(":")[0], desk.monitor.refusal(is_stop=True)) == ("not enabled", None)
+    desk.monitor.require(is_stop=True)
+    with pytest.raises(SafetyStop, match="not enabled"):
+        desk.monitor.require()
+
+
 @pytest.mark.parametrize(("limit", "seconds"), [(None, 1.0), (0.5, 0.5), (3.0, 1.0)])
 def test_silence_is_told_of_before_the_connection_counts_as_lost(
-    desk: Desk, limit: float | None, seconds: float
+    desk: Monitored, limit: float | None, seconds: float
 ) -> None:
     desk.primary.silence.limit = limit
     desk.clear()
@@ -121,7 +97,7 @@ def test_silence_is_told_of_before_the_connection_counts_as_lost(
     assert len(desk.closings) == 1
 
 
-def test_what_was_said_before_one_listens_counts(desk: Desk) -> None:
+def test_what_was_said_before_one_listens_counts(desk: Monitored) -> None:
     newest: dict[type, State] = {RobotState: slow(SafetyMode.SAFEGUARD_STOP), RealtimeState: fast()}
     for line in (desk.primary, desk.realtime):
         line.fan_out.newest = newest.__getitem__
@@ -129,7 +105,7 @@ def test_what_was_said_before_one_listens_counts(desk: Desk) -> None:
     assert "safeguard stop" in str(desk.monitor.refusal())
 
 
-def test_a_connection_that_is_down_already_is_a_lost_one(desk: Desk) -> None:
+def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> None:
     desk.realtime.state = ConnectionState.CONNECTING
     desk.monitor.listen()
     desk.primary.tell(slow())
@@ -143,7 +119,7 @@ def test_a_connection_that_is_down_already_is_a_lost_one(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("fails_at", [1, 2])
-def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Desk, fails_at: int) -> None:
+def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Monitored, fails_at: int) -> None:
     subscribe, tries = desk.realtime.subscribe_inline, iter(range(1, 100))
 
     def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
@@ -163,7 +139,7 @@ def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Desk, fails_at: 
     desk.clear()
 
 
-def test_two_that_listen_at_the_same_time_listen_once(desk: Desk) -> None:
+def test_two_that_listen_at_the_same_time_listen_once(desk: Monitored) -> None:
     """A signal handler can come while its own thread subscribes."""
     subscribe = desk.primary.subscribe_inline
 
@@ -177,7 +153,7 @@ def test_two_that_listen_at_the_same_time_listen_once(desk: Desk) -> None:
     assert desk.listeners == [2, 1, 2, 1]
 
 
-def test_what_a_connection_tells(desk: Desk) -> None:
+def test_what_a_connection_tells(desk: Monitored) -> None:
     desk.clear()
     for state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
         desk.event(desk.primary, state)
@@ -191,7 +167,7 @@ def test_what_a_connection_tells(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("state", [ConnectionState.IDLE, ConnectionState.CLOSED])
-def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Desk, state: ConnectionState) -> None:
+def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Monitored, state: ConnectionState) -> None:
     desk.clear()
     (told,) = [each.callback for each in desk.primary.subscribers if each.kind is ConnectionEvent]
     desk.event(desk.primary, state)
@@ -203,7 +179,7 @@ def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Desk, state: C
     assert desk.monitor.refusal() is None  # an event of the connection before
 
 
-def test_what_the_primary_interface_says_in_parts(desk: Desk) -> None:
+def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
     desk.clear()
     desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal())
@@ -216,7 +192,7 @@ def test_what_the_primary_interface_says_in_parts(desk: Desk) -> None:
         assert isinstance(desk.monitor.refusal(), SafetyStop)
 
 
-def test_a_word_is_as_old_as_its_bytes(desk: Desk) -> None:
+def test_a_word_is_as_old_as_its_bytes(desk: Monitored) -> None:
     """However late it is read: a program that was held up has old states waiting."""
     desk.clear()
 
@@ -232,7 +208,7 @@ def test_a_word_is_as_old_as_its_bytes(desk: Desk) -> None:
     assert "nothing has been read from the realtime interface for 1.1 s" in str(refusal)
 
 
-def test_closing_lets_go_of_everything(desk: Desk) -> None:
+def test_closing_lets_go_of_everything(desk: Monitored) -> None:
     desk.clear()
     desk.monitor.close()
     assert desk.listeners == [0, 0, 0, 0]
@@ -248,7 +224,7 @@ def test_who_waits_looks_again_when_time_is_up() -> None:
     desk = Desk(may_wait=True)
     answers = iter([False, True, False, False])
     assert desk.monitor.wait_for(lambda interlock: next(answers), 0.01)
-    assert not desk.monitor.wait_for(lambda interlock: next(answers), 0.01)
+    assert desk.monitor.wait_for(lambda interlock: next(answers), 0.01) is False
     assert not desk.monitor._waiting
 
 
@@ -291,7 +267,7 @@ def test_how_long_news_is_waited_for() -> None:
         return True
 
     desk.monitor.wait_for = wait_for  # type: ignore[method-assign]
-    desk.listen()
+    desk.monitor.listen(closely=True)
     (has_word, seconds), (also, _) = asked
     assert seconds == 2.0
     assert not has_word(desk.interlock)

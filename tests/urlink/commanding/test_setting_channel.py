@@ -5,15 +5,20 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkError
+from linkcore.streaming.connection import Connection
+from tests.urlink.line import Line
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
 from urlink.commanding import setting_channel
+from urlink.commanding.channel import CommandChannel
+from urlink.commanding.section import Section
 from urlink.errors import NotConfirmed, NotRunning
 from urlink.interfaces.enums import RobotMode
 from urlink.rtde import InputInUse, brief_claims
@@ -156,6 +161,71 @@ def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: StandIn,
     with pytest.raises(NotRunning):
         robot.io.set_digital_out(0, True)
     assert (inputs.asked, robot.sent) == ([], [])
+
+
+# -- on a clock that the test holds --------------------------------------------------------------------
+
+
+class Desk:
+    """A channel for settings, before one that takes all; `sent` is what went by text."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.sent: list[str] = []
+        self.inputs = Inputs()
+        self.line = Line()
+        channel = SimpleNamespace(check_running=lambda: None, command=self.sent.append, beside=lambda send: send())
+        self.settings = setting_channel.SettingChannel(
+            cast(CommandChannel, channel),
+            cast(Connection, self.line),
+            Section(),
+            lambda: self.inputs,
+            lambda: self.now,
+        )
+
+    def send(self, values: Mapping[str, Any] | None) -> None:
+        self.settings.send("text", lambda: values)
+
+
+def test_a_package_half_a_second_after_a_text_overtakes_nothing() -> None:
+    desk = Desk()
+    desk.inputs.held = {"a"}
+    desk.send({"a": 1})
+    for later, written in ((0.499, 0), (0.499, 0), (0.5, 1), (0.0, 2)):
+        desk.now += later
+        desk.send({"b": 1})
+        assert len(desk.inputs.written) == written
+    assert len(desk.sent) == 3
+
+
+def test_what_has_no_inputs_now_goes_by_text_and_the_next_does_not() -> None:
+    """Of an analogue output it is not known what it drives before the robot has said so."""
+    desk = Desk()
+    desk.send(None)
+    assert (desk.inputs.asked, desk.sent) == ([], ["text"])
+    desk.now += 1.0
+    desk.send({"a": 1})
+    assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
+
+
+def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    desk = Desk()
+    desk.inputs.held = {"a"}
+    for _ in range(2):
+        desk.send({"a": 1})
+        desk.now += 1.0
+    assert len(desk.inputs.asked) == 1
+    assert caplog.text.count("('a',) by script: in use") == 1
+    desk.settings.doubt()
+    desk.settings.doubt()
+    assert desk.inputs.aborted == 1
+    desk.send({"b": 1})
+    assert len(desk.inputs.asked) == 1
+    desk.line.counters.connections += 1
+    desk.now += 1.0
+    desk.send({"b": 1})
+    assert desk.inputs.written == [{"b": 1}]
 
 
 # -- against the simulator -----------------------------------------------------------------------------

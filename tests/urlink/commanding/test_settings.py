@@ -15,6 +15,7 @@ from linkcore.wire.packet import State
 from tests.urlink.line import Line
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
+from urlink.commanding.io import IO
 from urlink.commanding.section import Section
 from urlink.commanding.setting_channel import SettingChannel
 from urlink.commanding.settings import Settings
@@ -357,6 +358,11 @@ def test_two_offsets_of_the_tool_that_are_the_same(
     assert robot.doubts == (not is_same)
 
 
+def analog_out(settings: Settings, fraction: float, confirm: float) -> None:
+    nobody: Any = None
+    IO(settings, primary=nobody, realtime=nobody).set_analog_out(0, fraction, confirm=confirm)
+
+
 @pytest.mark.parametrize(
     ("act", "shown", "is_right"),
     [
@@ -364,6 +370,14 @@ def test_two_offsets_of_the_tool_that_are_the_same(
         (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.4951), True),
         (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.5051), False),
         (lambda s, c: s.speed_slider(0.5, c), RobotModeData((5, 11), target_speed_fraction=0.4949), False),
+        (lambda s, c: s.speed_slider(0.0, c), RobotModeData((5, 11), target_speed_fraction=0.005), True),
+        (lambda s, c: analog_out(s, 0.5, c), MasterboardData((5, 11), analog_output_0=0.004 + 0.016 * 0.519), True),
+        (lambda s, c: analog_out(s, 0.5, c), MasterboardData((5, 11), analog_output_0=0.004 + 0.016 * 0.479), False),
+        (
+            lambda s, c: analog_out(s, 0.0, c),
+            MasterboardData((5, 11), analog_output_domain_0=1, analog_output_0=0.2),
+            True,
+        ),
         (lambda s, c: s.payload(1.0, None, None, c), RealtimeState((5, 11), payload_mass=1.0 + 0.9e-6), True),
         (lambda s, c: s.payload(1.0, None, None, c), RealtimeState((5, 11), payload_mass=1.0 - 1.1e-6), False),
         (lambda s, c: s.payload(1.0, [0, 0, 0], None, c), RealtimeState((5, 11), payload_mass=1.0), True),
