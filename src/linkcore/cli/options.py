@@ -26,6 +26,7 @@ def add_command(
     parser.add_argument(
         "-v", "--verbose", action="count", default=0, help="log to stderr what happens; twice for everything"
     )
+    parser.add_argument("-q", "--quiet", action="store_true", help="draw no progress bar")
     parser.set_defaults(usage_error=parser.error)
     return parser
 

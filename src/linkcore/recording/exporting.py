@@ -7,12 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ..errors import BadRecording, BadValue
+from ..progress import Progress, unseen
 from .table import Table
 
-__all__ = ["FileWriter", "Progress", "chosen", "export"]
+__all__ = ["FileWriter", "chosen", "export"]
 
-#: Called with the part of the work that is done, 0 to 1.
-Progress = Callable[[float], object]
 #: Writes tables, by name, to a path.
 FileWriter = Callable[[Path, Mapping[str, Table], Progress], None]
 
@@ -41,7 +40,7 @@ def export(
         raise BadValue(f"{path}: no format has the suffix {path.suffix!r}; expected one of {', '.join(writers)}")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     try:
-        writer(unfinished, tables, progress or (lambda part: None))
+        writer(unfinished, tables, progress or unseen)
         os.replace(unfinished, path)
     except OSError as error:
         raise BadRecording(f"cannot write {path}: {error.strerror or error}") from error

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import BadRecording, BadValue, Closed
+from ..progress import Progress
 from ..stamp import Stamp
 from ..streaming.events import Chunk, ConnectionEvent
 from .records import FRAME, HEAD, LARGEST, MAGIC, Kind, Record, pack
@@ -140,7 +141,11 @@ def _reason(error: Exception) -> str:
 
 
 class Recording:
-    """A recording to read.
+    """A recording to read; it is read from beginning to end at once, for what it says of its channels.
+
+    Args:
+        path: of the file.
+        progress: called with the part that is read, 0 to 1.
 
     Attributes:
         path: the file.
@@ -152,12 +157,12 @@ class Recording:
         BadRecording: no such file, or not a recording.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
         self.path = Path(path)
         self.channels: dict[int, dict[str, Any]] = {}
         self.is_complete = False
         self.left_out = 0
-        for record in self:
+        for record in self.records(progress):
             if record.kind is Kind.CHANNEL:
                 self.channels[record.channel] = self._described(record, "name")
             elif record.kind is Kind.EVENT:
@@ -176,9 +181,16 @@ class Recording:
         return info
 
     def __iter__(self) -> Iterator[Record]:
+        """As `records`."""
+        return self.records()
+
+    def records(self, progress: Progress | None = None) -> Iterator[Record]:
         """The records up to the end, or to the first that is incomplete or damaged.
 
         `left_out` then says how many bytes follow.
+
+        Args:
+            progress: called with the part that is read, 0 to 1.
 
         Raises:
             BadRecording: no such file, or not a recording.
@@ -204,6 +216,8 @@ class Recording:
                 if len(body) < length or zlib.crc32(body) != checksum:
                     break
                 at += FRAME.size + length
+                if progress is not None:
+                    progress(at / max(size, at))
                 kind, channel, monotonic, wall = HEAD.unpack_from(body)
                 if kind > Kind.END:
                     continue  # of a later version of the format

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadRecording
+from ..progress import Progress, unseen
 from .checksums import intact
 from .records import FRAME, HEAD, LARGEST, MAGIC, Kind
 
@@ -22,8 +23,10 @@ __all__ = ["Gap", "Index"]
 
 #: Records of one size from which on those that follow are looked at together.
 _FEW = 16
-#: Records that are looked at together at first; then always four times as many.
+#: Records that are looked at together at first; then four times as many.
 _FIRST_RUN = 64
+#: Records that are looked at together at most.
+_MOST = 1 << 16
 #: Bytes that are searched at a time for a record behind damage.
 _SEARCHED = 1 << 20
 
@@ -49,6 +52,7 @@ class Index:
 
     Args:
         path: of the file.
+        progress: called with the part that is read, 0 to 1.
 
     Raises:
         BadRecording: no such file, or not a recording.
@@ -61,8 +65,9 @@ class Index:
         gaps: what lies between the records, or behind them, and is none.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], progress: Progress = unseen) -> None:
         self.path = Path(path)
+        self._progress = progress
         self.data = _mapped(self.path)
         self.gaps: list[Gap] = []
         begin = bytes(self.data[: len(MAGIC)])
@@ -130,6 +135,7 @@ class Index:
             # One by one at first: in a short run that is quicker.
             more = self._same(after, stride) if count == _FEW else 0
             count, records, at = count + 1 + more, records + 1 + more, after + more * stride
+            self._progress(at / end)
         return [*runs[1:], (start, stride, count)] if count else []
 
     def _same(self, at: int, stride: int) -> int:
@@ -146,9 +152,10 @@ class Index:
             if not good.all():
                 return done + int(np.argmin(good))
             done += there
+            self._progress((at + done * stride) / len(self.data))
             if there < len(same):
                 break
-            window *= 4
+            window = min(4 * window, _MOST)
         return done
 
     def _next(self, view: memoryview, at: int, after: int) -> int:

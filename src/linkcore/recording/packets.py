@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PacketError, WrongPeer
+from ..progress import Progress, unseen
 from ..stamp import Stamp
 from ..wire.layout import Layout
 from ..wire.packet import State
@@ -91,7 +92,13 @@ class Channel(NamedTuple):
 
 
 def read_channel(
-    index: Index, number: int, protocol: Callable[[], PacketProtocol], kind: type[State], *, is_uniform: bool = True
+    index: Index,
+    number: int,
+    protocol: Callable[[], PacketProtocol],
+    kind: type[State],
+    *,
+    is_uniform: bool = True,
+    progress: Progress = unseen,
 ) -> Channel:
     """The packets of a channel.
 
@@ -99,8 +106,9 @@ def read_channel(
         protocol: makes the protocol of a connection.
         kind: class of the packets that become rows.
         is_uniform: packets of this class that have the same header and size have the same layout.
+        progress: called with the part that is done, 0 to 1.
     """
-    reader = _Reader(index, kind, is_uniform)
+    reader = _Reader(index, kind, is_uniform, progress)
     begins: list[int] = []
     for records in _connections(index, number):
         if reader.has_read:
@@ -181,7 +189,7 @@ class _Places:
 class _Reader:
     """Reads connection after connection of one channel."""
 
-    def __init__(self, index: Index, kind: type[State], is_uniform: bool) -> None:
+    def __init__(self, index: Index, kind: type[State], is_uniform: bool, progress: Progress) -> None:
         self.others: list[tuple[int, State]] = []
         self.skipped = 0
         self.failed: list[str] = []
@@ -189,6 +197,7 @@ class _Reader:
         self._index = index
         self._kind = kind
         self._is_uniform = is_uniform
+        self._progress = progress
         self._places = _Places()
 
     def parts(self) -> list[Part]:
@@ -217,6 +226,7 @@ class _Reader:
                         at = until
                         continue
                 last = self._decode(int(records[at]), protocol, last)
+                self._progress(int(records[at]) / len(self._index.kind))
                 at += 1
         except WrongPeer as error:
             self.failed.append(str(error))

@@ -1,4 +1,4 @@
-"""Tables as CSV, Parquet, MATLAB and HDF5 files."""
+"""Tables as CSV, Parquet, MATLAB, HDF5 and MCAP files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import numpy as np
 
 from ..errors import BadValue
 from ..extras import needs
-from .exporting import FileWriter, Progress
+from ..progress import Progress
+from .exporting import FileWriter
+from .mcap_file import write_mcap
 from .table import Table, flat_columns
 
 __all__ = ["TABLE_WRITERS"]
@@ -114,4 +116,5 @@ TABLE_WRITERS: Mapping[str, FileWriter] = {
     ".mat": write_mat,
     ".h5": write_h5,
     ".hdf5": write_h5,
+    ".mcap": write_mcap,
 }

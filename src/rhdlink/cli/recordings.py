@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 from linkcore.cli.interruption import Interruption
 from linkcore.cli.options import Subparsers, add_command, positive_int, seconds
+from linkcore.cli.progress_bar import ProgressBar
 from linkcore.errors import BadRecording
 from linkcore.recording.file import Recording
 from linkcore.recording.player import ReplayClock
@@ -88,17 +89,24 @@ def _record(args: argparse.Namespace) -> int:
         BadRecording: the file exists, or cannot be made, or the disk failed.
         RemoteError: nobody is there.
     """
-    with Interruption() as interruption, connect(args.address, timeout=args.timeout, record=args.file) as robot:
+    with (
+        Interruption() as interruption,
+        connect(args.address, timeout=args.timeout, record=args.file) as robot,
+        ProgressBar("recording", args.quiet) as progress,
+    ):
         tell(f"recording {robot.address} into {args.file}; Ctrl-C ends it")
-        until = None if args.duration is None else time.monotonic() + args.duration
+        begin = time.monotonic()
+        until = None if args.duration is None else begin + args.duration
         sync_thread = robot.background(args.period)
         while until is None or time.monotonic() < until:
             left = 0.02 if until is None else min(0.02, max(until - time.monotonic(), 0.0))
             if interruption.wait(left) or (args.count is not None and sync_thread.syncs >= args.count):
                 break
+            by_time = 0.0 if args.duration is None else (time.monotonic() - begin) / args.duration
+            progress(max(by_time, 0.0 if args.count is None else sync_thread.syncs / args.count))
             if sync_thread.failure is not None:
                 raise sync_thread.failure
-    print(_summary_text(summarise(Recording(args.file))))
+    print(_summary_text(_summary(args)))
     interruption.raise_if_any()
     return 0
 
@@ -110,18 +118,23 @@ def _replay(args: argparse.Namespace) -> int:
         BadRecording: no such file, or it is none, or it holds no such variable.
         PacketError: it holds bytes that are no batch.
     """
-    recording = Recording(args.file)
     if args.rate is None:
         if args.names or args.count is not None:
             args.usage_error("what to print can be chosen only when the recording is played, with --rate")
-        summary = summarise(recording)
+        summary = _summary(args)
         print(strict_json(summary.as_json()) if args.json else _summary_text(summary))
         return 0
+    recording = Recording(args.file)
     with Interruption() as interruption:
         for update in itertools.islice(_updates(recording, args, interruption), args.count):
             print(strict_json(update_as_json(update)) if args.json else _line(update), flush=True)
     interruption.raise_if_any()
     return 0
+
+
+def _summary(args: argparse.Namespace) -> Summary:
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+        return summarise(Recording(args.file, progress), progress)
 
 
 def _updates(recording: Recording, args: argparse.Namespace, interruption: Interruption) -> Iterator[Update]:

@@ -3,25 +3,63 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from linkcore.errors import BadRecording, PacketError
+from linkcore.progress import Progress
 from linkcore.recording.columns import ArrayColumns, Column
+from linkcore.recording.exporting import chosen, export
 from linkcore.recording.file import Recording
 from linkcore.recording.table import Table
+from linkcore.recording.table_files import TABLE_WRITERS
 
 from ..variables.database import Database
 from ..variables.database import Table as Variables
 from ..variables.declarations import Declaration, Declarations
 from .playback import play
+from .recorder import CHANNEL
 
-__all__ = ["load"]
+__all__ = ["RobotTable", "load"]
 
 
-def load(path: str | os.PathLike[str], declared: type[Declarations] | None = None) -> Table:
+class RobotTable(Table):
+    """What was recorded of a robot: a row for each batch that it sent, a column for each variable."""
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        fields: Sequence[str] | None = None,
+        rate: float | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write it to a file of another program, which replaces one of the same name once it is whole.
+
+        Args:
+            path: its suffix says the format: .csv, .parquet, .mat, .h5 or .mcap.
+            fields: names of variables; None for all.
+            rate: rows a second to which it is resampled; None for the batches as they came.
+            progress: called with the part that is done, 0 to 1.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadValue: no such format or variable.
+            BadRecording: the file cannot be written.
+            LocalError: what writes the format is not installed; says how to.
+        """
+        return export(path, chosen({CHANNEL: self}, fields, rate), TABLE_WRITERS, progress)
+
+
+def load(
+    path: str | os.PathLike[str], declared: type[Declarations] | None = None, *, progress: Progress | None = None
+) -> RobotTable:
     """A recording as columns: ``load("drive.urlog")["encl"]``, a row for each batch that the robot sent.
 
     A variable keeps its value until the robot sends another. Of a read and a write variable with the same name the read
@@ -31,11 +69,12 @@ def load(path: str | os.PathLike[str], declared: type[Declarations] | None = Non
         path: of the file.
         declared: class that declares variables, such as `rhdlink.Smr`: their columns are typed as it says, under the
             names of its attributes. Other variables are 32-bit words, int32, (n,) or (n, words).
+        progress: called with the part that is done, 0 to 1.
 
     Raises:
         BadRecording: no such file, or it holds no robot that runs RHD, or another kind of robot after a reconnect.
     """
-    recording = Recording(path)
+    recording = Recording(path, progress)
     rows: list[bytes] = []
     wall: list[float] = []
     time: list[float] = []
@@ -43,7 +82,7 @@ def load(path: str | os.PathLike[str], declared: type[Declarations] | None = Non
     missing: list[str] = []
     database: Database | None = None
     try:
-        for moment in play(recording):
+        for moment in play(recording, progress):
             tables = (moment.database.write, moment.database.read)
             if moment.is_handshake and database is not None:
                 begins.append(len(rows))
@@ -76,7 +115,7 @@ def load(path: str | os.PathLike[str], declared: type[Declarations] | None = Non
                 arrays[attribute] = array
     seconds = np.array(time) - (time[0] if time else 0.0)
     stamps = np.round(np.array(wall) * 1e9).astype(np.int64).astype("M8[ns]")
-    return Table(str(path), ArrayColumns(known, arrays), seconds, stamps, begins, missing)
+    return RobotTable(str(path), ArrayColumns(known, arrays), seconds, stamps, begins, missing)
 
 
 def _add_words(

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from linkcore.progress import Progress
 from linkcore.recording.file import Kind, Record, Recording
 from linkcore.stamp import Stamp
 
@@ -47,14 +48,17 @@ class Moment:
         return Update(changes, self.received)
 
 
-def received(recording: Recording) -> Iterator[tuple[int, Record]]:
+def received(recording: Recording, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
     """What a robot sent, as it came: the number of the connection, from 1, and the record with the bytes.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
 
     Raises:
         BadRecording: it holds no robot that runs RHD.
     """
     number, connection = recording.channel(CHANNEL), 1
-    for record in recording:
+    for record in recording.records(progress):
         if record.channel != number:
             continue
         if record.kind is Kind.BYTES:
@@ -63,15 +67,18 @@ def received(recording: Recording) -> Iterator[tuple[int, Record]]:
             connection += 1
 
 
-def play(recording: Recording) -> Iterator[Moment]:
+def play(recording: Recording, progress: Progress | None = None) -> Iterator[Moment]:
     """Every batch, in order.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
 
     Raises:
         BadRecording: it holds no robot that runs RHD.
         PacketError: it holds bytes that are no batch.
     """
     decoder, database, current = ServerDecoder(), Database(), 1
-    for connection, record in received(recording):
+    for connection, record in received(recording, progress):
         if connection != current:
             decoder, current = ServerDecoder(), connection
         decoder.feed(record.payload)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from linkcore.progress import Progress
 from linkcore.recording.file import Recording
 
 from .playback import play
@@ -43,8 +44,11 @@ class Summary:
         return {**vars(self)}
 
 
-def summarise(recording: Recording) -> Summary:
+def summarise(recording: Recording, progress: Progress | None = None) -> Summary:
     """Read it through.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
 
     Raises:
         BadRecording: it holds no robot that runs RHD.
@@ -52,7 +56,7 @@ def summarise(recording: Recording) -> Summary:
     """
     summary = Summary(str(recording.path), recording.path.stat().st_size, recording.is_complete, recording.left_out)
     first: float | None = None
-    for moment in play(recording):
+    for moment in play(recording, progress):
         first = moment.received.monotonic if first is None else first
         summary.seconds = moment.received.monotonic - first
         summary.batches += 1

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
-
-from linkcore.cli.progress import ProgressBar
+from linkcore.cli.export_command import add_export
 
 from ..data.recording import load
-from .options import Subparsers, add_command, positive_number
+from .options import Subparsers
 from .tap import tell
 
 __all__ = ["add_parser"]
@@ -30,28 +28,11 @@ _EXAMPLES = (
 
 def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
-    parser = add_command(
-        subparsers, "export", "write a recording to a file of another program", _DESCRIPTION, _EXAMPLES
+    add_export(
+        subparsers,
+        _DESCRIPTION,
+        _EXAMPLES,
+        lambda path, progress: load(path, progress=progress),
+        lambda recording: f"{recording.duration:.1f} s of {', '.join(recording.tables)}",
+        tell,
     )
-    parser.add_argument("file", metavar="FILE", help="a recording")
-    parser.add_argument("to", metavar="OUT", help="file to write; its suffix says the format")
-    parser.add_argument("fields", metavar="FIELD", nargs="*", help="write only these fields")
-    parser.add_argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second")
-    parser.set_defaults(run=run, trailing="fields")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Export, and say what was missing.
-
-    Raises:
-        BadRecording: no such recording, or the file cannot be written.
-        BadValue: no such format or field.
-        LocalError: what writes the format is not installed.
-    """
-    recording = load(args.file)
-    with ProgressBar(f"writing {args.to}") as progress:
-        recording.export(args.to, args.fields or None, args.rate, progress=progress)
-    for each in recording.missing:
-        tell(f"missing: {each}")
-    print(f"{args.to}: {recording.duration:.1f} s of {', '.join(recording.tables)}")
-    return 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from linkcore.cli.progress_bar import ProgressBar
+
 from ..data.recording import load
 from .options import Subparsers, add_command
 from .tap import tell
@@ -44,9 +46,11 @@ def run(args: argparse.Namespace) -> int:
         BadValue: no such field, or no such kind of picture.
         LocalError: matplotlib is not installed.
     """
-    recording = load(args.file)
-    plot = recording.plot(*args.fields, start=args.start, end=args.end)
-    for each in recording.missing:
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+        recording = load(args.file, progress=progress)
+        plot = recording.plot(*args.fields, start=args.start, end=args.end)
+        missing = recording.missing
+    for each in missing:
         tell(f"missing: {each}")
     if args.output is None:
         plot.show()

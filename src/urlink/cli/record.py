@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from linkcore.cli.interruption import Interruption
-from linkcore.cli.progress import ProgressBar
+from linkcore.cli.progress_bar import ProgressBar
 from linkcore.recording.file import Recording
 from linkcore.streaming.events import ConnectionState
 
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
     with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
         streams = [getattr(robot, name) for name in interfaces]
-        with robot.record(args.file, interfaces), ProgressBar("recording") as progress:
+        with robot.record(args.file, interfaces), ProgressBar("recording", args.quiet) as progress:
             tell(f"recording {' and '.join(interfaces)} of {args.address} into {args.file}; Ctrl-C ends it")
             begin = time.monotonic()
             until = None if args.duration is None else begin + args.duration
@@ -88,6 +88,8 @@ def run(args: argparse.Namespace) -> int:
     if Path(args.file).suffix.lower() == ".mcap":
         print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
     else:
-        print(summarise(Recording(args.file)).as_text())
+        with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+            summary = summarise(Recording(args.file, progress), progress)
+        print(summary.as_text())
     interruption.raise_if_any()
     return 0

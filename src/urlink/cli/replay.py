@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from urllib.parse import quote
 
+from linkcore.cli.progress_bar import ProgressBar
 from linkcore.recording.file import Recording
 from linkcore.text import strict_json
 
@@ -64,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         for name in ("fields", "interface", "type", "count", "timeout"):
             if getattr(args, name):
                 args.usage_error("what to print can be chosen only when the recording is played, with --rate")
-        summary = summarise(Recording(args.file))
+        with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+            summary = summarise(Recording(args.file, progress), progress)
         print(strict_json(summary.as_json()) if args.json else summary.as_text())
         return 0
     interface, kind = kind_of(args)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from linkcore.errors import PacketError, WrongPeer
+from linkcore.progress import Progress
 from linkcore.recording.file import Kind, Record, Recording
 from linkcore.text import printable
 
@@ -117,10 +118,14 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def summarise(recording: Recording) -> Summary:
-    """Read a recording from beginning to end."""
+def summarise(recording: Recording, progress: Progress | None = None) -> Summary:
+    """Read a recording from beginning to end.
+
+    Args:
+        progress: called with the part that is read, 0 to 1.
+    """
     readers = {number: _Reader(info) for number, info in recording.channels.items()}
-    for record in recording:
+    for record in recording.records(progress):
         reader = readers.get(record.channel)
         if reader is not None:
             reader.take(record)

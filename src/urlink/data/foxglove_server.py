@@ -11,6 +11,7 @@ import numpy as np
 
 from linkcore.errors import ConnectFailed
 from linkcore.extras import needs
+from linkcore.recording.topics import Topic
 from linkcore.streaming.policy import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.wire.packet import State
@@ -18,7 +19,7 @@ from linkcore.wire.packet import State
 from ..interfaces.primary.robot_message import RobotMessage
 from ..kinematics import Arm
 from .live import topics_of_states
-from .ros_messages import Topic, description_topic
+from .ros_messages import description_topic
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -15,9 +15,11 @@ import numpy as np
 
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.recording.columns import PacketColumns
+from linkcore.recording.mcap_file import McapFile
 from linkcore.recording.packets import states_of
 from linkcore.recording.recorder import Recorder
 from linkcore.recording.table import Table
+from linkcore.recording.topics import Topic
 from linkcore.streaming.policy import block
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
@@ -27,9 +29,8 @@ from ..identity import described_identity
 from ..interfaces.primary.robot_message import RobotMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..kinematics import Arm
-from .mcap_file import McapFile
 from .robot_states import RobotStates
-from .ros_messages import Topic, description_topic, log_topic, topics_of
+from .ros_messages import description_topic, log_topic, topics_of
 
 __all__ = ["McapRecorder", "table_of", "topics_of_states"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,16 @@ import numpy as np
 
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.plotting import Curves, Plot
+from linkcore.progress import Progress, unseen
 from linkcore.recording.columns import PacketColumns, is_continuous
-from linkcore.recording.exporting import Progress, chosen, export
+from linkcore.recording.exporting import chosen, export
 from linkcore.recording.index import Index
+from linkcore.recording.mcap_file import write_stretches
 from linkcore.recording.packets import Channel, Part, read_channel
 from linkcore.recording.records import Kind
 from linkcore.recording.table import Table
 from linkcore.recording.table_files import TABLE_WRITERS
+from linkcore.recording.topics import Topic
 from linkcore.wire.packet import State
 from linkcore.wire.protocol import PacketProtocol
 
@@ -35,25 +38,26 @@ from ..interfaces.rtde.protocol import RtdeProtocol
 from ..interfaces.rtde.recipes import Outputs
 from ..kinematics import Arm
 from ..rtde.outputs import recorded_plan
-from .mcap_file import McapFile
 from .robot_states import RobotStates
-from .ros_messages import Topic, description_topic, log_topic, topics_of
+from .ros_messages import description_topic, log_topic, topics_of
 
 __all__ = ["Recording", "load"]
 
-#: Seconds of a recording of which the messages are made together.
-_STRETCH = 10.0
 
-
-def load(path: str | os.PathLike[str]) -> Recording:
+def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> Recording:
     """A recording as arrays.
 
     What is damaged or unfinished is left out, and `Recording.missing` says so.
 
+    Args:
+        path: of the file.
+        progress: called with the part that is done, 0 to 1, while its records are found, and while the packets of a
+            stream are, when it is first asked for.
+
     Raises:
         BadRecording: no such file, or not a recording of a robot.
     """
-    return Recording(path)
+    return Recording(path, progress=progress)
 
 
 class Recording:
@@ -64,9 +68,10 @@ class Recording:
         channels: what the recorder said of each stream, by its name.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
         self.path = Path(path)
-        self._index = index = Index(path)
+        self._progress = progress or unseen
+        self._index = index = Index(path, self._progress)
         self.channels: dict[str, Mapping[str, Any]] = {}
         self._numbers: dict[str, int] = {}
         for record in np.flatnonzero(index.kind == Kind.CHANNEL).tolist():
@@ -249,26 +254,21 @@ class Recording:
 
     def _write_mcap(self, path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
         tables = {name: table for name, table in tables.items() if len(table)}
-        first = min((table.time[0] for table in tables.values()), default=0.0)
-        last = max((table.time[-1] for table in tables.values()), default=0.0)
-        with path.open("xb") as file:
-            mcap = McapFile(file)
-            arm = self._arm()
-            if tables and arm is not None:
-                mcap.write([description_topic(arm, min(each.wall[0] for each in tables.values()))])
-            # A stretch of time after the other: all messages at once might be more than there is memory.
-            for start in np.arange(first, last + _STRETCH, _STRETCH).tolist():
-                topics: dict[str, Topic] = {}
-                for name, table in tables.items():
-                    for topic in topics_of(name, table.between(start, start + _STRETCH), arm):
-                        topics.setdefault(topic.name, topic)  # of a topic that several streams have, the first
-                    if isinstance(stream := self.tables[name], RobotStates):
-                        said = stream.of(RobotMessage)
-                        begin, end = np.searchsorted(said.time, [start, start + _STRETCH]).tolist()
-                        topics.setdefault("/log", log_topic(stream.robot_messages[begin:end], said.wall[begin:end]))
-                mcap.write(topics.values())
-                progress(min((start - first) / max(last - first, _STRETCH), 1.0))
-            mcap.finish()
+        arm = self._arm() if tables else None
+        described = [] if arm is None else [description_topic(arm, min(each.wall[0] for each in tables.values()))]
+
+        def topics(start: float, stop: float) -> Iterable[Topic]:
+            found: dict[str, Topic] = {}
+            for name, table in tables.items():
+                for topic in topics_of(name, table.between(start, stop), arm):
+                    found.setdefault(topic.name, topic)  # of a topic that several streams have, the first
+                if isinstance(stream := self.tables[name], RobotStates):
+                    said = stream.of(RobotMessage)
+                    begin, end = np.searchsorted(said.time, [start, stop]).tolist()
+                    found.setdefault("/log", log_topic(stream.robot_messages[begin:end], said.wall[begin:end]))
+            return found.values()
+
+        write_stretches(path, tables, topics, progress, described)
 
     def _info(self, name: str) -> Mapping[str, Any]:
         if name not in self.channels:
@@ -280,7 +280,9 @@ class Recording:
         self, name: str, protocol: Callable[[], PacketProtocol], kind: type[State], *, is_uniform: bool = True
     ) -> Channel:
         self._info(name)
-        return read_channel(self._index, self._numbers[name], protocol, kind, is_uniform=is_uniform)
+        return read_channel(
+            self._index, self._numbers[name], protocol, kind, is_uniform=is_uniform, progress=self._progress
+        )
 
     def _robot_states(self, name: str) -> RobotStates:
         channel = self._channel(name, PrimaryProtocol, RobotState, is_uniform=False)

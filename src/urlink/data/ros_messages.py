@@ -9,14 +9,14 @@ are as the controller reports them: in the frame of the base, and wrenches about
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from linkcore.recording.cdr import Message
 from linkcore.recording.table import Table
+from linkcore.recording.topics import HEADER, TIME, Topic, definition, table_topic
 from linkcore.wire.packet import State
 
 from ..interfaces.enums import ReportLevel
@@ -24,14 +24,11 @@ from ..interfaces.primary.robot_message import KeyMessage, PopupMessage, RobotCo
 from ..kinematics import Arm
 from ..poses import rotvec_to_quaternion
 from ..urdf import JOINTS, link_poses, to_urdf
-from .cdr import Message
 
-__all__ = ["Topic", "description_topic", "log_topic", "topics_of"]
+__all__ = ["description_topic", "log_topic", "topics_of"]
 
 _FRAME = "base_link"
 
-_TIME = "builtin_interfaces/Time", "int32 sec\nuint32 nanosec"
-_HEADER = "std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"
 _VECTOR = "geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"
 _POINT = "geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z"
 _QUATERNION = "geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"
@@ -40,36 +37,29 @@ _TWIST = "geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vec
 _WRENCH = "geometry_msgs/Wrench", "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque"
 
 
-def _definition(text: str, *others: tuple[str, str]) -> str:
-    """A definition with those that it is made of, as ROS joins them."""
-    return "\n".join([text, *(f"{'=' * 80}\nMSG: {name}\n{each}" for name, each in others)])
-
-
 _STAMPED = "std_msgs/Header header\n"
 _DEFINITIONS = {
-    "sensor_msgs/msg/JointState": _definition(
-        f"{_STAMPED}string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort", _HEADER, _TIME
+    "sensor_msgs/msg/JointState": definition(
+        f"{_STAMPED}string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort", HEADER, TIME
     ),
-    "geometry_msgs/msg/PoseStamped": _definition(
-        f"{_STAMPED}geometry_msgs/Pose pose", _HEADER, _TIME, _POSE, _POINT, _QUATERNION
+    "geometry_msgs/msg/PoseStamped": definition(
+        f"{_STAMPED}geometry_msgs/Pose pose", HEADER, TIME, _POSE, _POINT, _QUATERNION
     ),
-    "geometry_msgs/msg/TwistStamped": _definition(
-        f"{_STAMPED}geometry_msgs/Twist twist", _HEADER, _TIME, _TWIST, _VECTOR
+    "geometry_msgs/msg/TwistStamped": definition(f"{_STAMPED}geometry_msgs/Twist twist", HEADER, TIME, _TWIST, _VECTOR),
+    "geometry_msgs/msg/WrenchStamped": definition(
+        f"{_STAMPED}geometry_msgs/Wrench wrench", HEADER, TIME, _WRENCH, _VECTOR
     ),
-    "geometry_msgs/msg/WrenchStamped": _definition(
-        f"{_STAMPED}geometry_msgs/Wrench wrench", _HEADER, _TIME, _WRENCH, _VECTOR
-    ),
-    "rcl_interfaces/msg/Log": _definition(
+    "rcl_interfaces/msg/Log": definition(
         "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\nbuiltin_interfaces/Time stamp\n"
         "uint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line",
-        _TIME,
+        TIME,
     ),
     "std_msgs/msg/String": "string data",
-    "tf2_msgs/msg/TFMessage": _definition(
+    "tf2_msgs/msg/TFMessage": definition(
         "geometry_msgs/TransformStamped[] transforms",
         ("geometry_msgs/TransformStamped", f"{_STAMPED}string child_frame_id\ngeometry_msgs/Transform transform"),
-        _HEADER,
-        _TIME,
+        HEADER,
+        TIME,
         ("geometry_msgs/Transform", "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation"),
         _VECTOR,
         _QUATERNION,
@@ -84,9 +74,6 @@ _TCP_POSE, _TCP_SPEED, _TCP_FORCE = (
     ("tcp_force", "actual_TCP_force"),
 )
 
-_NAMES = {"f8": "float64", "i8": "int64", "u8": "uint64", "i4": "int32", "u4": "uint32", "i2": "int16", "u2": "uint16"}
-_NAMES |= {"i1": "int8", "u1": "uint8", "b1": "bool"}
-
 _INFO, _WARN, _ERROR, _FATAL = 20, 30, 40, 50
 _LEVELS = {
     ReportLevel.WARNING: _WARN,
@@ -94,24 +81,6 @@ _LEVELS = {
     ReportLevel.FAULT: _FATAL,
     ReportLevel.CRITICAL: _FATAL,
 }
-
-
-class Topic(NamedTuple):
-    """Messages of one topic.
-
-    Attributes:
-        name: of the topic.
-        type: of the messages.
-        definition: of that type.
-        wall: the stamp of each, (n,) datetime64[ns].
-        messages: in CDR.
-    """
-
-    name: str
-    type: str
-    definition: str
-    wall: NDArray[np.datetime64]
-    messages: list[bytes]
 
 
 def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic]:
@@ -151,7 +120,7 @@ def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic
         if (six := column(names)) is not None:
             yield topic(path, kind, Message(len(table)).header(wall, _FRAME).numbers(six))
     if table.fields:
-        yield _everything(name, table)
+        yield table_topic(name, table, "urlink_msgs")
 
 
 def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -159,20 +128,6 @@ def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     quaternions = rotvec_to_quaternion(np.nan_to_num(poses[:, 3:]))
     quaternions[np.isnan(poses[:, 3:]).any(axis=1)] = np.nan
     return quaternions
-
-
-def _everything(name: str, table: Table) -> Topic:
-    """A message for each packet with all of its fields, by their names in lower case, as ROS demands."""
-    message = Message(len(table)).header(table.wall, "")
-    lines = ["std_msgs/Header header"]
-    for field, array in table.arrays().items():
-        if array.dtype == object:
-            continue
-        count = "" if array.ndim == 1 else f"[{array.shape[1]}]"
-        lines.append(f"{_NAMES[array.dtype.str[1:]]}{count} {re.sub('[^a-z0-9]+', '_', field.lower())}")
-        message.numbers(array)
-    definition = _definition("\n".join(lines), _HEADER, _TIME)
-    return Topic(f"/{name}", f"urlink_msgs/msg/{name.capitalize()}", definition, table.wall, message.encoded())
 
 
 def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:

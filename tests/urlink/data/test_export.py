@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,35 @@ def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urli
         recording.export(tmp_path / "nowhere" / "run.csv")
 
 
+def test_what_takes_long_has_a_bar_on_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("linkcore.cli.progress_bar._PERIOD", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    drive = tmp_path / "drive.urlog"
+    with (
+        rhdlink.Host([Turtle()], port=0, pacing="lockstep") as host,
+        rhdlink.connect(host.address, record=drive) as robot,
+    ):
+        robot.sync()
+        recorded = ["record", host.address, str(tmp_path / "again.urlog"), "--count", "9", "--duration", "20"]
+        # In lockstep, the other client has to sync as well.
+        with robot.background():
+            assert rhdlink.cli.main(recorded) == 0
+    assert "recording [" in capsys.readouterr().err
+    commands = (
+        (urlink.cli.main, ["replay", str(CAPTURE)], ("reading",)),
+        (urlink.cli.main, ["export", str(CAPTURE), str(tmp_path / "run.csv"), "tcp_force"], ("reading", "writing")),
+        (rhdlink.cli.main, ["replay", str(drive)], ("reading",)),
+        (rhdlink.cli.main, ["export", str(drive), str(tmp_path / "drive.csv")], ("reading", "writing")),
+    )
+    for main, words, bars in commands:
+        assert main(words) == 0
+        assert {bar.split()[0] for bar in capsys.readouterr().err.split("\r") if " [" in bar} == set(bars)
+        assert main([*words[:1], "--quiet", *words[1:]]) == 0
+        assert capsys.readouterr().err == ""
+
+
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.csv"
     assert urlink.cli.main(["export", str(CAPTURE), str(path), "--rate", "20", "tcp_force"]) == 0
@@ -171,3 +201,10 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert rhdlink.cli.main(["export", str(tmp_path / "drive.urlog"), str(drive)]) == 0
     assert "2 batches" in capsys.readouterr().out
     assert len(drive.read_text().splitlines()) == 3
+    assert rhdlink.cli.main(["export", str(tmp_path / "drive.urlog"), str(tmp_path / "drive.mcap")]) == 0
+    table = rhdlink.load(tmp_path / "drive.urlog")
+    batches = read_mcap(tmp_path / "drive.mcap")["/rhd"]
+    assert [batch.schema.name for batch in batches] == ["recorded_msgs/msg/Rhd"] * 2
+    assert [batch.message.log_time for batch in batches] == table.wall.astype(int).tolist()
+    assert [batch.decoded_message.transpos for batch in batches] == table["transpos"].tolist()
+    assert table.export(drive, ["transpos"]).read_text().startswith("t,wall,transpos\n")

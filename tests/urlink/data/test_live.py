@@ -13,8 +13,8 @@ import pytest
 
 import urlink
 import urlink.cli
+from linkcore.recording.mcap_file import McapFile
 from tests.waiting import until
-from urlink.data.mcap_file import McapFile
 
 CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.urlog"
 

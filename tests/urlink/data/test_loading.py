@@ -260,6 +260,22 @@ def test_frames_of_pandas_and_the_error_without_it(monkeypatch: pytest.MonkeyPat
     assert frame.index.name == "t"
 
 
+def test_frames_of_polars() -> None:
+    table = load([packet(number) for number in range(5)]).realtime
+    polars = pytest.importorskip("polars", reason="polars is not installed; the session `data` of nox has it")
+    frame = table.to_frame("q_actual", "robot_mode", library="polars")
+    assert isinstance(frame, polars.DataFrame)
+    assert frame.columns == ["t", "wall", *(f"q_actual_{number}" for number in range(6)), "robot_mode"]
+    assert frame["q_actual_3"].to_list() == [3, 4, 5, 6, 7]
+    assert frame["t"].to_list() == table.time.tolist()
+    assert frame["wall"].dtype == polars.Datetime("ns")
+    assert frame["robot_mode"].dtype == polars.Int64
+    whole = table.to_frame(library="polars")
+    assert whole.height == 5
+    assert whole.width == 2 + sum(column.width or 1 for column in table.fields.values())
+    assert whole["digital_input_bits"].dtype == polars.UInt64
+
+
 @pytest.mark.parametrize("path", [CAPTURES / f"simulator-{version}.urlog" for version in ("1.8", "3.15", "5.25")])
 def test_recordings_of_the_simulator(path: Path) -> None:
     run = urlink.load(path)

@@ -11,7 +11,7 @@ import pytest
 import urlink
 import urlink.cli
 from linkcore import plotting
-from linkcore.cli.progress import ProgressBar
+from linkcore.cli.progress_bar import ProgressBar
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
 from urlink import RealtimeState, Stamp
@@ -119,12 +119,12 @@ def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
 def test_a_bar_on_a_terminal_and_nothing_elsewhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for is_terminal in (False, True):
+    monkeypatch.setattr("linkcore.cli.progress_bar._PERIOD", 0.0)
+    for is_terminal, quiet in ((False, False), (True, True), (True, False)):
         monkeypatch.setattr(sys.stderr, "isatty", lambda is_terminal=is_terminal: is_terminal)
-        monkeypatch.setattr("linkcore.cli.progress._PERIOD", 0.0)
-        with ProgressBar("writing") as progress:
+        with ProgressBar("writing", quiet) as progress:
             progress(0.0)
             progress(0.5)
         out, err = capsys.readouterr()
         assert out == ""
-        assert err == ("" if not is_terminal else f"\rwriting [{'=' * 15}{' ' * 15}]  50%\r\x1b[K")
+        assert err == ("" if quiet or not is_terminal else f"\rwriting [{'=' * 15}{' ' * 15}]  50%\x1b[K\r\x1b[K")

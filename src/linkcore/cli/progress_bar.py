@@ -6,6 +6,8 @@ import sys
 import time
 from types import TracebackType
 
+from ..text import printable
+
 __all__ = ["ProgressBar"]
 
 #: Characters of a bar.
@@ -19,22 +21,25 @@ class ProgressBar:
 
     Args:
         text: what is going on.
+        quiet: draw nothing on a terminal either.
     """
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, quiet: bool = False) -> None:
         self._text = text
-        self._is_terminal = sys.stderr.isatty()
+        self._is_shown = sys.stderr.isatty() and not quiet
         self._next = time.monotonic() + _PERIOD
         self._is_drawn = False
 
     def __call__(self, part: float) -> None:
         """Draw it, if it is time to."""
         now = time.monotonic()
-        if not self._is_terminal or now < self._next or part <= 0.0:  # what has no end in sight has no bar
+        if not self._is_shown or now < self._next or part <= 0.0:  # what has no end in sight has no bar
             return
         self._next = now + _PERIOD
         done = round(min(max(part, 0.0), 1.0) * _WIDTH)
-        print(f"\r{self._text} [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}", end="", file=sys.stderr, flush=True)
+        # The rest of the line is erased: a longer bar may have been there.
+        bar = f"\r{printable(self._text)} [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}\x1b[K"
+        print(bar, end="", file=sys.stderr, flush=True)
         self._is_drawn = True
 
     def __enter__(self) -> ProgressBar:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import IO
 
 import numpy as np
 
-from linkcore.extras import needs
+from ..extras import needs
+from ..progress import Progress
+from .table import Table
+from .topics import Topic, table_topic
 
-from .ros_messages import Topic
+__all__ = ["McapFile", "write_mcap", "write_stretches"]
 
-__all__ = ["McapFile"]
+#: Seconds of a recording of which the messages are made together: all at once might be more than there is memory.
+_STRETCH = 10.0
 
 
 class McapFile:
@@ -61,3 +66,37 @@ class McapFile:
     def finish(self) -> None:
         """Write the index; nothing can be added after it."""
         self._writer.finish()
+
+
+def write_mcap(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
+    """A topic for each table, with a message for each row, of a type of the table's own."""
+
+    def topics(start: float, stop: float) -> list[Topic]:
+        return [table_topic(name, table.between(start, stop), "recorded_msgs") for name, table in tables.items()]
+
+    write_stretches(path, tables, topics, progress)
+
+
+def write_stretches(
+    path: Path,
+    tables: Mapping[str, Table],
+    topics: Callable[[float, float], Iterable[Topic]],
+    progress: Progress,
+    begin: Iterable[Topic] = (),
+) -> None:
+    """A file of the messages of tables, one stretch of time after the other.
+
+    Args:
+        topics: makes the messages from one second of the recording to another.
+        begin: what is said once, before everything else.
+    """
+    filled = [table for table in tables.values() if len(table)]
+    first = min((table.time[0] for table in filled), default=0.0)
+    last = max((table.time[-1] for table in filled), default=0.0)
+    with path.open("xb") as file:
+        mcap = McapFile(file)
+        mcap.write(begin)
+        for start in np.arange(first, last + _STRETCH, _STRETCH).tolist():
+            mcap.write(topics(start, start + _STRETCH))
+            progress(min((start - first) / max(last - first, _STRETCH), 1.0))
+        mcap.finish()
