@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,6 @@ from hypothesis import strategies as st
 from linkcore.errors import LocalError
 from rhdlink import Host, Limits
 from rhdlink.host.config import (
-    DEEPEST,
-    LARGEST,
-    MOST_ELEMENTS,
     BadConfiguration,
     Configuration,
     Element,
@@ -23,6 +21,9 @@ from rhdlink.host.config import (
 )
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
+
+#: Bytes of a file, levels and elements in it, that are read.
+LARGEST, DEEPEST, MOST_ELEMENTS = 1_048_576, 32, 10_000
 
 WHOLE = """<?xml version="1.0"?>
 <rhd>
@@ -52,9 +53,14 @@ def test_every_element_of_the_original_is_read(scheduler: str) -> None:
     assert second.config.integer("speed", 0) == 7
 
 
-def test_what_is_left_out_has_values_that_work() -> None:
-    assert parse_config("<rhd/>") == Configuration()
-    assert Configuration().port == 24902
+def test_what_is_left_out_is_as_the_host_has_it() -> None:
+    found = parse_config("<rhd/>")
+    assert found == Configuration()
+    assert Host.from_config(found).period == Host().period == 0.01
+    arguments = inspect.signature(Host).parameters
+    for name in set(arguments) - {"plugins", "limits"}:
+        assert getattr(found, name) == arguments[name].default, name
+    assert (found.plugins, found.limits, found.realtime_priority) == ((), Limits(), False)
 
 
 @pytest.mark.parametrize(
@@ -122,15 +128,52 @@ def test_numbers_at_their_bounds() -> None:
     for text in ("-1.1", "2.1", "nan", "inf", "x"):
         with pytest.raises(BadConfiguration, match="is not a number from -1 to 2"):
             of(text).number("value", 0.0, least=-1.0, most=2.0)
+    for bounds, said in (({"least": 1.0}, "from 1"), ({"most": -1.0}, "to -1")):
+        with pytest.raises(BadConfiguration, match=f"value='0' is not a number {said}$"):
+            of("0").number("value", 0.0, **bounds)
     # Without a place in a file none is named.
-    with pytest.raises(BadConfiguration, match=r"^<x>: no good$"):
-        Element("x").reject("no good")
+    with pytest.raises(BadConfiguration, match=r"^robot\.xml: <x>: no good$"):
+        Element("x", source="robot.xml").reject("no good")
+    for element in (Element("x"), Element("x", line=3)):
+        with pytest.raises(BadConfiguration, match=r"^<x>: no good$"):
+            element.reject("no good")
+
+
+@pytest.mark.parametrize(
+    ("text", "least", "most"),
+    [
+        ("<server><clients number='{}'/></server>", 1, 10_000),
+        ("<server><clients timeout='{}'/></server>", 0.001, 3600.0),
+        ("<server><clients inactivity='{}'/></server>", 0.0, 1e9),
+        ("<server><port value='{}'/></server>", 0, 65535),
+        ("<server><limits words='{}'/></server>", 1, 2**31 - 1),
+        ("<scheduler><period value='{}'/></scheduler>", 100, 2**31 - 1),
+        ("<plugins><x safety='{}'/></plugins>", 0, 127),
+    ],
+)
+def test_settings_at_their_bounds(text: str, least: float, most: float) -> None:
+    text = f"<rhd>{text}</rhd>"
+    step = 1 if isinstance(least, int) else 1e-4
+    for within in (least, most):
+        parse_config(text.format(within))
+    for beyond in (least - step, most + step):
+        with pytest.raises(BadConfiguration, match=rf"is not a (whole )?number from {least:.10g} to {most:.10g}$"):
+            parse_config(text.format(beyond))
 
 
 def test_limits_are_not_one_too_low() -> None:
     parse_config("<rhd>" * DEEPEST + "</rhd>" * DEEPEST)
     parse_config("<rhd>" + "<a/>" * (MOST_ELEMENTS - 1) + "</rhd>")
     parse_config("<rhd>" + " " * (LARGEST - 11) + "</rhd>")
+
+
+def test_a_file_is_as_large_as_a_text_may_be(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text("<rhd>" + " " * (LARGEST - 11) + "</rhd>")
+    assert read_config(path) == Configuration()
+    path.write_text(path.read_text() + " ")
+    with pytest.raises(BadConfiguration, match=r"^robot\.xml is larger than 1048576 bytes$"):
+        read_config(path)
 
 
 def test_the_message_names_file_and_line(tmp_path: Path) -> None:
@@ -144,6 +187,15 @@ def test_the_message_names_file_and_line(tmp_path: Path) -> None:
         read_config(tmp_path)
     with pytest.raises(BadConfiguration, match="cannot read 0: expected the path"):
         read_config(0)  # type: ignore[arg-type]
+    # The child where there is one, or else the element that has the attribute.
+    for text, place in (
+        ("<scheduler>\n<type value='cron'/>\n</scheduler>", "2: <type>"),
+        ("<scheduler type='cron'>\n</scheduler>", "1: <scheduler>"),
+        ("<server>\n<resend value='never'/>\n</server>", "2: <resend>"),
+        ("<server resend='never'>\n</server>", "1: <server>"),
+    ):
+        with pytest.raises(BadConfiguration, match=f"rhdconfig.xml:{place}: value='(cron|never)' is none of"):
+            parse_config(f"<rhd>{text}</rhd>")
 
 
 def test_what_clients_are_told_and_may_ask_for() -> None:
@@ -227,6 +279,12 @@ def test_settings_of_a_plugin_in_both_styles() -> None:
             Element("x", {name: text}).number("a", 0.0)
     with pytest.raises(BadConfiguration, match="from 0 to 1"):
         Element("x", {"a": "1.5"}).number("a", 0.0, least=0.0, most=1.0)
+
+
+def test_an_element_has_the_text_in_it_without_that_of_its_children() -> None:
+    (entry,) = parse_config("<rhd><plugins><x> a <y>\nb &amp; c</y> d </x></plugins></rhd>").plugins
+    (child,) = entry.config.children
+    assert (entry.config.text, child.text) == ("a  d", "b & c")
 
 
 @pytest.mark.property

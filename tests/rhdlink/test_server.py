@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -189,6 +191,20 @@ def test_handshakes_that_are_begun_are_bounded_and_the_oldest_goes(stand: Stand)
     new[2].greeting()
 
 
+def test_a_newcomer_gets_an_idle_slot_also_beside_all_the_handshakes_there_may_be(stand: Stand) -> None:
+    idle, busy = stand.join(), stand.join()
+    stand.sleep(INACTIVITY)
+    stand.sync(busy)
+    for number in range(MOST_NEW):
+        stand.connect()
+        stand.serve(lambda number=number: len(stand.server._handlers) == number + 3)  # type: ignore[misc]
+    stand.join()  # of the handshakes the oldest goes for it, and then no slot is free
+    assert stand.is_open(idle)
+    stand.join()
+    assert not stand.is_open(idle)
+    assert (stand.service.refused_clients, stand.server.evicted) == (0, 1)
+
+
 # -- back-pressure -----------------------------------------------------------------------------
 
 
@@ -241,6 +257,19 @@ def test_a_client_that_does_not_read_in_time_is_closed(stand: Stand) -> None:
     assert not stand.service.clients
 
 
+def test_a_client_that_has_read_all_in_time_is_given_no_deadline(stand: Stand) -> None:
+    client = deaf(stand)
+    stand.sleep(TIMEOUT - 0.1)
+    client.socket.setblocking(False)
+    while not stand.is_reading(client):
+        with contextlib.suppress(BlockingIOError):
+            client.socket.recv(1 << 16)
+        stand.serve()
+    # No tick comes, as in lockstep where nobody asks.
+    stand.sleep(1e6)
+    assert len(stand.service.clients) == 1
+
+
 def test_in_lockstep_who_does_not_read_is_not_waited_for(stand: Stand) -> None:
     client = deaf(stand)
     stand.say(client, b"rree")
@@ -281,8 +310,12 @@ def test_who_is_thrown_out_is_a_warning_and_who_leaves_is_not(stand: Stand, capl
     caplog.set_level(logging.INFO)
     stand.join().close()
     stand.serve(lambda: not stand.service.clients)
-    stand.join().send(b"nonsense")
+    client = stand.join()
+    client.send(b"nonsense")
     stand.serve(lambda: not stand.service.clients)
+    # Reset, so that nothing that it does not read is kept for it.
+    with pytest.raises(ConnectionResetError):
+        client.batch()
     levels = [record.levelname for record in caplog.records if record.name == "rhdlink.host.server"]
     assert levels == ["INFO", "WARNING"]
     assert "'no' cannot begin a package here" in caplog.text
@@ -318,6 +351,22 @@ def test_the_end_of_the_server_is_seen_by_all_and_is_no_warning(stand: Stand, ca
     assert not [record for record in caplog.records if record.levelname == "WARNING"]
     stand.server.close()
     stand.server.wake()
+
+
+def test_a_wait_ends_when_the_server_is_woken_and_it_is_enough(stand: Stand) -> None:
+    asked, is_enough = threading.Event(), threading.Event()
+
+    def look() -> bool:
+        asked.set()
+        return is_enough.is_set()
+
+    waiting = threading.Thread(target=stand.server.serve, args=(None, look), daemon=True)
+    waiting.start()
+    assert asked.wait(10.0)
+    is_enough.set()
+    stand.server.wake()
+    waiting.join(10.0)
+    assert not waiting.is_alive()
 
 
 # -- slots -------------------------------------------------------------------------------------
@@ -368,6 +417,8 @@ def test_the_first_request_and_the_handshake_count_like_any_request(stand: Stand
     assert stand.is_open(second)
     slow.greeting()
     assert not stand.is_open(slow)
+    # Nobody else has been idle for so long: their first requests count.
+    assert refused_by(stand, stand.connect(b"ar"))
 
 
 def test_only_complete_requests_keep_a_slot(stand: Stand) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from linkcore.errors import BadValue, LocalError
+from rhdlink.host import service as service_module
 from rhdlink.host.service import Client, Service
 from rhdlink.variables.database import Database
 from rhdlink.wire.decoder import Limits, ServerDecoder
-from rhdlink.wire.messages import Row
+from rhdlink.wire.messages import Row, encode_data
 
 READ = {"tick": 1, "encoders": 2, "scan": 5, "once": 1}
 WRITE = {"speed": 1, "arm": 3, "lamp": 1}
@@ -255,6 +258,108 @@ def granted(served: Service, access: bytes = b"ar") -> Client:
     assert client is not None
     assert served.receive(client, access)
     return client
+
+
+def asked(served: Service, *clients: Client) -> list[bytes]:
+    """The replies of a round in which these clients ask."""
+    for client in clients:
+        assert served.receive(client, b"rree") == b""
+    replies = dict(served.sync())
+    return [replies.pop(client) for client in clients]
+
+
+def speed(value: int) -> bytes:
+    """A request that sets the first write variable."""
+    return b"rwdw" + int32(1, 0, 7, 7, value) + b"ee"
+
+
+def test_each_client_is_told_what_it_does_not_know() -> None:
+    served, database = service()
+
+    def package(direction: str, *ids: int) -> bytes:
+        return database.table(direction).encode(np.array(ids, np.int64), 2)
+
+    master, often, seldom = granted(served, b"aw"), granted(served), granted(served)
+    database.read.set(0, 1)
+    assert asked(served, often) == [package("w") + package("r", 0) + b"ee"]
+    database.read.set(1, [2, 3])
+    newcomer = granted(served)  # told of all that by its handshake
+    clients = (master, often, seldom, newcomer)
+    news = [package("r", *ids) + b"ee" for ids in ((0, 1), (1,), (0, 1), ())]
+    assert asked(served, *clients) == [news[0], *(package("w") + each for each in news[1:])]
+    served.receive(master, speed(5))
+    served.receive(often, b"rree")
+    nothing = package("r") + b"ee"
+    # The sole writer knows what it wrote.
+    assert dict(served.sync()) == {master: nothing, often: package("w", 0) + nothing}
+    assert asked(served, often, seldom) == [package("w") + nothing, package("w", 0) + nothing]
+
+
+def test_what_several_are_told_is_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    served, database = service()
+    readers = [granted(served) for _ in range(5)]
+    database.read.set(0, 1)
+    encoded: list[str] = []
+
+    def encode(direction: str, *rest: Any) -> bytes:
+        encoded.append(direction)
+        return encode_data(direction, *rest)
+
+    monkeypatch.setattr(service_module, "encode_data", encode)
+    assert len(set(asked(served, *readers))) == 1
+    assert encoded == ["w", "r"]
+
+
+def test_a_reader_s_values_are_counted_and_not_taken(caplog: pytest.LogCaptureFixture) -> None:
+    served, database = service()
+    assert (served.refused_writes, served.refused_clients, served.bad_clients) == (0, 0, 0)
+    reader = granted(served)
+    two = b"rrdw" + int32(2, 0, 7, 7, 5, 2, 7, 7, 6) + b"ee"
+    for number in (1, 2):
+        served.receive(reader, two)
+        assert reader.requests == number
+        assert reader in dict(served.sync())
+    assert (served.refused_writes, reader.refused_writes) == (4, 4)
+    assert not database.write.updated.any()
+    assert database.write.value(0)[0] == 0
+    assert caplog.text.count("may only read") == 1
+    # To ask as a writer is another thing: it would wait for what it is never sent.
+    served.receive(reader, b"rwee")
+    assert reader.failure == "asks as a writer without being one"
+    assert served.bad_clients == 1
+
+
+def test_what_comes_with_the_access_request_is_a_request() -> None:
+    served, _ = service()
+    assert granted(served, b"arrree").is_asking
+
+
+def test_the_last_words_of_a_writer_count_once_up_to_what_is_none() -> None:
+    served, database = service()
+    writer = granted(served, b"aw" + speed(5) + speed(6) + b"xx")
+    served.disconnect(writer)
+    assert served.sync() == []
+    assert (database.write.value(0)[0], database.write.updated[0]) == (6, True)
+    assert served.sync() == []
+    assert not database.write.updated[0]
+
+
+def test_four_kilobytes_are_read_ahead_of_the_reply() -> None:
+    served, _ = service()
+    client = granted(served, b"arrree")
+    served.receive(client, bytes(4096))
+    assert client.may_send
+    served.receive(client, b"r")
+    assert not client.may_send
+
+
+def test_a_service_has_its_slots_and_variables_for_good() -> None:
+    database = Database([Row("tick", 1)])
+    assert Service(database, clients=10_000).slots == 10_000
+    with pytest.raises(BadValue, match="clients"):
+        Service(Database(), clients=10_001)
+    with pytest.raises(LocalError):
+        database.read.add("late")
 
 
 def test_a_client_that_is_gone_gives_its_slot_back_once() -> None:

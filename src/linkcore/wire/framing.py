@@ -22,7 +22,8 @@ class FrameBoundary(Protocol):
 
     Two rules make resynchronisation linear and independent of how the bytes are cut into chunks:
 
-    - Each call does a bounded amount of work, plus what is proportional to the bytes that `search` passes over.
+    - Each call does a bounded amount of work, plus what is proportional to the bytes that `search` passes over. It is
+      asked about places where a byte is.
     - An answer depends on nothing but the bytes up to `need`, so more bytes never change it.
     """
 
@@ -75,7 +76,7 @@ class Framer:
         self._limit = limit
         # Appending is amortised, and so is taking from the front: no byte is copied again for each chunk that comes.
         self._kept = bytearray()
-        self._need = 0  # bytes that have to be kept before anything can change
+        self._need: int  # bytes that have to be kept before anything can change; known whenever some are kept
         self._is_lost = False
         self._has_framed = False
         self.skipped = 0

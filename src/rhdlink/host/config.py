@@ -127,11 +127,14 @@ class Element:
 
 
 def _between(least: float, most: float) -> str:
-    return f" from {least:g} to {most:g}" if math.isfinite(least) and math.isfinite(most) else ""
+    bounds = (("from", least), ("to", most))
+    return "".join(f" {word} {bound:.10g}" for word, bound in bounds if math.isfinite(bound))
 
 
 def _place(source: str, line: int) -> str:
-    return f"{source}:{line}: " if source and line else f"{source}: " if source else ""
+    if not source:
+        return ""
+    return f"{source}:{line}: " if line else f"{source}: "
 
 
 @dataclass(frozen=True)
@@ -266,9 +269,10 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
     nothing = Element("rhd")
     scheduler = root.find("scheduler") or root.find("sheduler") or nothing
     server = root.find("server") or nothing
+    default = Configuration()
     # 2**31 us is 36 minutes; the original has an int.
     period = scheduler.find("period") or nothing
-    kind = scheduler.get("type", "usleep")
+    kind = scheduler.get("type", default.scheduler)
     if kind not in _TYPES:
         (scheduler.find("type") or scheduler).reject(f"value={kind!r} is none of {', '.join(_TYPES)}")
     clients = server.find("clients") or nothing
@@ -276,24 +280,24 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
     if mode not in (None, "normal", "synchronized"):
         server.reject(f"mode {mode!r} is neither normal nor synchronized")
     width = server.find("width") or nothing
-    if width.integer("value", 2) not in WIDTHS:
+    words = width.integer("value", default.width)
+    if words not in WIDTHS:
         width.reject("a time stamp has 2 or 4 words")
-    resend = server.get("resend", "changed")
+    resend = server.get("resend", default.resend)
     if resend not in get_args(Resend):
         (server.find("resend") or server).reject(f"value={resend!r} is none of {', '.join(get_args(Resend))}")
     plugins = root.find("plugins") or nothing
     priority = scheduler.find("realtimepriority")
-    default = Configuration()
     return Configuration(
         period=period.integer("value", 10000, least=100) / 1e6,
-        scheduler=kind or default.scheduler,
+        scheduler=kind,
         realtime_priority=priority is not None and priority.attributes.get("enable") == "true",
         port=(server.find("port") or nothing).integer("value", default.port, least=0, most=65535),
         address=(server.find("address") or nothing).attributes.get("value", default.address),
         clients=clients.integer("number", default.clients, least=1, most=10_000),
         allwriters=clients.integer("allwriters", 0) != 0,
         synchronized=mode == "synchronized",
-        width=width.integer("value", default.width),
+        width=words,
         resend=cast("Resend", resend),
         limits=_limits(server.find("limits") or nothing),
         client_timeout=clients.number("timeout", default.client_timeout, least=0.001, most=3600.0),
@@ -318,7 +322,7 @@ def parse_xml(data: bytes | str, source: str) -> Element:
 def _limits(element: Element) -> Limits:
     default = Limits()
     names = [each.name for each in fields(Limits)]
-    return Limits(**{name: element.integer(name, getattr(default, name), least=1, most=2**31 - 1) for name in names})
+    return Limits(**{name: element.integer(name, getattr(default, name), least=1) for name in names})
 
 
 def _entry(element: Element) -> PluginEntry:
@@ -342,8 +346,7 @@ def _entry(element: Element) -> PluginEntry:
 class _Open:
     """An element whose end has not come."""
 
-    def __init__(self, tag: str, attributes: dict[str, str], line: int) -> None:
-        self.tag = tag
+    def __init__(self, attributes: dict[str, str], line: int) -> None:
         self.attributes = attributes
         self.line = line
         self.children: list[Element] = []
@@ -355,17 +358,15 @@ class _Tree:
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self._open: list[_Open] = [_Open("", {}, 0)]
+        self._root: Element
+        self._open: list[_Open] = []
         self._elements = 0
         self._parser = parser = expat.ParserCreate()
-        parser.buffer_text = True
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
         parser.CharacterDataHandler = self._data
         # Refusing the document type refuses every entity, since they are declared in it: no bombs, nothing fetched.
         parser.StartDoctypeDeclHandler = self._refuse
-        parser.EntityDeclHandler = self._refuse
-        parser.ExternalEntityRefHandler = self._refuse
 
     def parse(self, data: bytes) -> Element:
         if len(data) > LARGEST:
@@ -379,34 +380,36 @@ class _Tree:
             if isinstance(error, BadConfiguration):
                 raise
             self._fail(f"an encoding that nobody knows: {error}")
-        return self._open[0].children[0]
+        return self._root
 
     def _fail(self, reason: str) -> NoReturn:
         raise BadConfiguration(f"{_place(self._source, self._parser.CurrentLineNumber)}{reason}")
 
     def _refuse(self, *_: object) -> NoReturn:
-        self._fail("a document type or an entity is not accepted here")
+        self._fail("a document type is not accepted here")
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._elements += 1
         if self._elements > MOST_ELEMENTS:
             self._fail(f"more than {MOST_ELEMENTS} elements")
-        if len(self._open) > DEEPEST:
+        if len(self._open) >= DEEPEST:
             self._fail(f"elements in more than {DEEPEST} levels")
-        self._open.append(_Open(tag, attributes, self._parser.CurrentLineNumber))
+        self._open.append(_Open(attributes, self._parser.CurrentLineNumber))
 
     def _end(self, tag: str) -> None:
         done = self._open.pop()
-        self._open[-1].children.append(
-            Element(
-                tag,
-                MappingProxyType(done.attributes),
-                tuple(done.children),
-                "".join(done.text).strip(),
-                done.line,
-                self._source,
-            )
+        element = Element(
+            tag,
+            MappingProxyType(done.attributes),
+            tuple(done.children),
+            "".join(done.text).strip(),
+            done.line,
+            self._source,
         )
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self._root = element
 
     def _data(self, text: str) -> None:
         self._open[-1].text.append(text)

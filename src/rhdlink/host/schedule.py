@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections import deque
 
 import numpy as np
@@ -61,12 +60,8 @@ class Schedule:
 
     def lateness(self) -> tuple[float, float]:
         """Seconds, of the last 4096 ticks: the median, and what one in a hundred exceeds. From any thread."""
-        late: list[float] = []
-        for _ in range(10):
-            # The host's thread may be adding to it; a copy that fails because of that is taken again.
-            with contextlib.suppress(RuntimeError):
-                late = list(self._late)
-                break
+        # The host's thread may be adding to it. A deque is copied in one go, where going through it would fail then.
+        late = list(self._late.copy())
         if not late:
             return 0.0, 0.0
         median, p99 = np.percentile(late, (50, 99)).tolist()

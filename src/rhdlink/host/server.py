@@ -1,7 +1,7 @@
 """The connections of a host: what `service` decides, over linkcore's selector loop, between two ticks and never longer.
 
-Nothing here waits for a client. What a client has not read waits in memory, one handshake and one batch at most, since
-it is asked for no more until it has read that. A client has `client_timeout` seconds to complete what it has begun to
+Nothing here waits for a client. What a client has not read waits in memory, its handshake or one batch, since it is
+asked for no more until it has read that. A client has `client_timeout` seconds to complete what it has begun to
 send, and to read what was sent to it; more bytes of the same request do not buy it more time.
 """
 
@@ -51,13 +51,14 @@ class Server:
         self._inactivity_timeout = inactivity_timeout
         self._handlers: dict[Client, _ClientHandler] = {}
         self._loop = SelectorLoop()
-        # The service knows its slots, and who is idle; the loop only bounds connections, with their handshakes.
+        # The service knows its slots, and who is idle. `_accept` lets nobody in without a free slot, and at most
+        # MOST_NEW be in their handshake: so there are fewer connections than the limit, and the loop refuses nobody.
         try:
             listening = self._loop.listen(
                 host,
                 port,
                 self._accept,
-                limit=service.slots + MOST_NEW + 1,
+                limit=service.slots + MOST_NEW,
                 idle=math.inf,
                 output_limit=service.most_output,
             )
@@ -81,13 +82,15 @@ class Server:
             self._loop.serve_once(until)
 
     def send(self, client: Client, data: bytes) -> None:
-        """Send a reply, now what the connection takes, and later what it does not."""
+        """Send a reply, now what the connection takes, and later what it does not; `resume` has to follow."""
         handler = self._handlers.get(client)
         if handler is not None:
             handler.send(data)
 
     def resume(self) -> None:
-        """After a sync: read again from those who had sent ahead, and close those who sent what cannot be."""
+        """After a sync and its replies: read again from those who had sent ahead, give those time who did not read, and
+        close those who sent what cannot be.
+        """
         for handler in list(self._handlers.values()):
             handler.update()
 
@@ -124,18 +127,18 @@ class _ClientHandler(Handler):
     """One connection.
 
     Attributes:
-        asked: when its newest request, or its handshake, was complete, on the loop's clock.
+        asked: when its newest request, or its handshake, was complete, on the loop's clock; not before its handshake.
     """
+
+    asked: float
 
     def __init__(self, server: Server, connection: Connection, client: Client) -> None:
         self.connection = connection
         self.client = client
         self._server = server
         self._time = server._loop.time
-        self.asked = self._time()
-        self._requests = 0
+        self._requests = client.requests
         self._lacking = ""
-        self._is_read_from = True
         server._handlers[client] = self
         self.update()
 
@@ -157,11 +160,8 @@ class _ClientHandler(Handler):
 
     def send(self, data: bytes) -> None:
         self.connection.write(data)
-        if not self.connection.is_open:
-            self.leave()  # now, and not when the loop tells it: in lockstep nothing else may happen before that
-        elif self.connection.pending:
+        if self.connection.pending:
             self.client.is_reading = False  # the service asks for no more while this waits
-            self.update()
 
     def update(self) -> None:
         """Do what the client's state asks for: close it, read from it or not, let its time run or not."""
@@ -171,9 +171,7 @@ class _ClientHandler(Handler):
         if client.failure is not None:
             self.close(client.failure)
             return
-        if client.may_send != self._is_read_from:
-            self._is_read_from = client.may_send
-            (connection.resume_reading if self._is_read_from else connection.pause_reading)()
+        (connection.resume_reading if client.may_send else connection.pause_reading)()
         if client.requests != self._requests:
             self._requests, self.asked = client.requests, self._time()
         lacking = (

@@ -20,6 +20,7 @@ from ..variables.dirty_set import DirtySet
 from ..wire.data import DataPackage, Ids
 from ..wire.decoder import ClientDecoder, Limits
 from ..wire.messages import END, Request, encode_data
+from ..wire.schema import WORD
 
 __all__ = ["Client", "Resend", "Service"]
 
@@ -45,7 +46,7 @@ class Client:
         refused_writes: values that it sent without the right to.
         failure: why its connection is to be closed, or None.
         is_reading: whether it has taken all that was sent to it; until then it gets no more.
-        dirty_read: the read variables that it has not been told of yet.
+        dirty_read: the read variables that it has not been told of yet; there once access has been granted.
         dirty_write: likewise the write variables, set by others.
     """
 
@@ -63,6 +64,9 @@ class Client:
         "slot",
     )
 
+    dirty_read: DirtySet
+    dirty_write: DirtySet
+
     def __init__(self, name: str, decoder: ClientDecoder) -> None:
         self.name = name
         self.decoder = decoder
@@ -73,8 +77,6 @@ class Client:
         self.refused_writes = 0
         self.failure: str | None = None
         self.is_reading = True
-        self.dirty_read = DirtySet(0)
-        self.dirty_write = DirtySet(0)
 
     @property
     def is_incomplete(self) -> bool:
@@ -131,9 +133,9 @@ class Service:
         self._allwriters = allwriters
         self._resend = resend
         self._width = width
-        # All variables once, and room for empty packages: nobody needs more, and it is the longest that is parsed.
+        # All variables once, and a kilobyte of empty packages: nobody needs more, and it is the longest that is parsed.
         layout = database.write.layout
-        self._limits = limits or Limits(batch=1024 + 4 * (layout.words + layout.count * (1 + width)))
+        self._limits = limits or Limits(batch=WORD * (256 + layout.words + layout.count * (1 + width)))
         ClientDecoder(layout, width=width, limits=self._limits)
         self._slots: list[Client | None] = [None] * clients
         self._sole_writer: Client | None = None
@@ -159,8 +161,8 @@ class Service:
 
     @property
     def most_output(self) -> int:
-        """Bytes that can wait for one client: a handshake and one batch, which is no longer."""
-        return 2 * len(self._database.encode_handshake("r", self._width))
+        """Bytes that can wait for one client: a handshake. No batch is longer, and none is made before it has gone."""
+        return len(self._database.encode_handshake("r", self._width))
 
     @property
     def writers(self) -> int:
@@ -211,12 +213,10 @@ class Service:
         self._find_sole_writer()
         while client.failure is None and client.access == "w" and client.request is not None:
             self._final_writes += client.request.data
-            client.request = None
             try:
                 self._take_request(client)
             except PacketError:
                 break
-        client.request = None
 
     def _grant(self, client: Client, wanted: str) -> bytes:
         if self.is_full:
@@ -226,14 +226,13 @@ class Service:
         # A second writer becomes a reader and is told so; the original leaves the answer out (docs/protocols/rhd.md,
         # Defects, 7).
         client.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
+        # What was set before now is news to the others only: this client is told of all that by its handshake.
+        self._spread_dirty()
         # The lowest free one, as in the original: replies of a round go out in the order of slots.
         client.slot = self._slots.index(None)
         self._slots[client.slot] = client
         self._find_sole_writer()
         database = self._database
-        # What was set before now goes into the dirty sets of the others before this client has one: it is told of all
-        # that by its handshake.
-        self._spread_dirty()
         client.dirty_read, client.dirty_write = DirtySet(len(database.read)), DirtySet(len(database.write))
         self._take_request(client)
         return database.encode_handshake(client.access, self._width)
@@ -312,20 +311,20 @@ class Service:
     def _spread_dirty(self) -> None:
         """What the robot has set is news to every client."""
         dirty = self._database.read.dirty.take()
-        if len(dirty) and self._resend == "changed":
-            for client in self._slots:
-                if client is not None:
-                    client.dirty_read.add_many(dirty, ordered=True)
+        for client in self._slots:
+            if client is not None:
+                client.dirty_read.add_many(dirty, ordered=True)
 
     def _replies(self, ready: list[Client]) -> list[tuple[Client, bytes]]:
         read, write = self._database.read, self._database.write
         packages = _Packages(self._width)
-        all_read = np.flatnonzero(read.updated) if self._resend == "original" and ready else None
+        ever_set = np.flatnonzero(read.updated) if self._resend == "original" else None
         replies = []
         for client in ready:
             # What others had written before it became the sole writer waits until it is not the only one.
             own = b"" if client is self._sole_writer else packages.of(write, client.dirty_write.take())
-            ids = client.dirty_read.take() if all_read is None else all_read
+            news = client.dirty_read.take()
+            ids = news if ever_set is None else ever_set
             replies.append((client, own + packages.of(read, ids) + END))
         return replies
 
@@ -339,7 +338,7 @@ class _Packages:
 
     def of(self, table: Table, ids: Ids) -> bytes:
         for known, known_ids, data in self._made:
-            if known is table and (known_ids is ids or np.array_equal(known_ids, ids)):
+            if known is table and np.array_equal(known_ids, ids):
                 return data
         data = encode_data(table.direction, table.select(ids, self._width), table.values, table.stamps)
         self._made.append((table, ids, data))

@@ -25,6 +25,7 @@ class HashBoundary:
         return []
 
     def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
+        assert at < len(buffer), "asked where nothing is"
         there = len(buffer) - at
         if there < 3:
             return 0, 3
@@ -49,19 +50,31 @@ class HashBoundary:
         return "a dog" if buffer.startswith(b"wau") else None
 
 
+class WholeBoundary(HashBoundary):
+    """Cuts whole packets in one go, as those of the robot's interfaces do."""
+
+    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
+        found: list[bytes] = []
+        at = 0
+        while (size := self.declared(buffer, at)) and buffer[at + size - 1 : at + size] == b".":
+            found.append(bytes(buffer[at : at + size]))
+            at += size
+        return found
+
+
 def packet(payload: bytes) -> bytes:
     return b"#%02d%b." % (len(payload) + 4, payload)
 
 
-def fed(*pieces: bytes) -> tuple[list[bytes], Framer]:
-    framer = Framer(HashBoundary())
+def fed(*pieces: bytes, boundary: type[HashBoundary] = HashBoundary) -> tuple[list[bytes], Framer]:
+    framer = Framer(boundary())
     total = 0
     frames = []
     for piece in pieces:
         frames += framer.feed(piece)
         total += len(piece)
         assert framer.skipped + sum(map(len, frames)) + len(framer.rest) == total
-        assert len(framer.rest) < HashBoundary.largest + HashBoundary.pace
+        assert len(framer.rest) < boundary.largest + boundary.pace
     return frames, framer
 
 
@@ -86,10 +99,19 @@ def test_an_unfinished_packet_waits() -> None:
     assert framer.rest == b""
 
 
-def test_nothing_is_nothing() -> None:
-    frames, framer = fed(b"", ONE[:2], b"", ONE[2:], b"")
-    assert frames == [ONE]
+@pytest.mark.parametrize("boundary", [HashBoundary, WholeBoundary])
+def test_nothing_is_nothing(boundary: type[HashBoundary]) -> None:
+    frames, framer = fed(b"", ONE[:2], b"", ONE[2:], b"", TWO, boundary=boundary)
+    assert frames == [ONE, TWO]
     assert framer.rest == b""
+
+
+def test_whether_a_packet_may_begin_with_the_next_byte() -> None:
+    framer = Framer(HashBoundary())
+    assert framer.is_between_packets
+    for piece, is_between in ((ONE[:1], False), (ONE[1:], True), (b"x", False), (TWO[:-1], False), (TWO[-1:], True)):
+        framer.feed(piece)
+        assert framer.is_between_packets == is_between
 
 
 @pytest.mark.parametrize("garbage", [b"x", b"##", b"#0", b"#00", b"#xx", b"long and without end"])
@@ -148,18 +170,11 @@ def test_exactly_as_much_as_the_limit_is_forgiven() -> None:
     assert framer.skipped == 1000
     with pytest.raises(WrongPeer, match="1002 bytes came"):
         framer.feed(b"xx")
-
-
-class WholeBoundary(HashBoundary):
-    """Cuts whole packets in one go, as those of the robot's interfaces do."""
-
-    def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        found: list[bytes] = []
-        at = 0
-        while (size := self.declared(buffer, at)) and buffer[at + size - 1 : at + size] == b".":
-            found.append(bytes(buffer[at : at + size]))
-            at += size
-        return found
+    # By default it is 64 KiB.
+    framer = Framer(HashBoundary())
+    framer.feed(b"x" * (65536 + 2))
+    with pytest.raises(WrongPeer, match="65538 bytes came"):
+        framer.feed(b"xx")
 
 
 def test_packets_that_were_cut_in_one_go_prove_the_peer_as_well() -> None:
@@ -195,26 +210,30 @@ def test_out_of_step_it_does_not_look_again_for_each_byte() -> None:
         ),
         max_size=12,
     ).map(b"".join),
+    st.sampled_from([HashBoundary, WholeBoundary]),
     st.data(),
 )
-@example(b"#30abc.#04.#08abcd.#09", None)
-def test_it_does_not_matter_how_the_bytes_are_cut(stream: bytes, data: st.DataObject | None) -> None:
+@example(b"#30abc.#04.#08abcd.#09", HashBoundary, None)
+@example(b"#04.xxx#04.#04.", WholeBoundary, None)
+def test_it_does_not_matter_how_the_bytes_are_cut(
+    stream: bytes, boundary: type[HashBoundary], data: st.DataObject | None
+) -> None:
     if HashBoundary().peer(stream):
         return
-    whole, framer = fed(stream)
+    whole, framer = fed(stream, boundary=boundary)
     # What is undecided yet is decided with these.
     more = b"x" * 99
-    in_the_end, _ = fed(stream + more)
+    in_the_end, _ = fed(stream + more, boundary=boundary)
     ways = [bytewise(stream)]
     if data is not None:
         cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=5)))
         ways.append([stream[start:end] for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True)])
     for pieces in ways:
-        frames, other = fed(*pieces)
+        frames, other = fed(*pieces, boundary=boundary)
         assert frames == whole[: len(frames)]
         if frames == whole:
             assert other.skipped + len(other.rest) == framer.skipped + len(framer.rest)
             assert other.resyncs == framer.resyncs
-        frames, _ = fed(*pieces, *bytewise(more))
+        frames, _ = fed(*pieces, *bytewise(more), boundary=boundary)
         assert frames[: len(whole)] == whole
         assert frames == in_the_end[: len(frames)]
