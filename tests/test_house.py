@@ -72,7 +72,7 @@ BELOW: dict[str, dict[str, set[str]]] = {
         "connection": {"wire", "errors"},
         "recording": {"recording", "connection", "variables", "wire"},
         "replica": {"variables", "wire", "errors"},
-        "host": {"host", "variables", "wire", "errors"},
+        "host": {"host", "variables", "wire", "errors", "address"},
         "plugins": {"plugins", "host", "variables", "wire", "recording", "world", "errors"},
         "scene": {"scene", "host"},
         "world": {"world", "scene"},

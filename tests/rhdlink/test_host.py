@@ -9,17 +9,20 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import ExitStack
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linkcore.errors import BadAddress, BadValue, Closed, LocalError
-from rhdlink.address import PORT
+from linkcore.errors import BadAddress, BadValue, Closed, LinkTimeout, LocalError
+from rhdlink.address import PORT, parse_address
+from rhdlink.host import host as host_module
 from rhdlink.host.config import BadConfiguration, Element, parse_config
-from rhdlink.host.host import Host, HostFailed, PluginFailed
+from rhdlink.host.host import Host, HostFailed, HostStatistics, PluginFailed
 from rhdlink.host.plugin import Plugin
 from rhdlink.host.schedule import Schedule
 from rhdlink.variables.declarations import Read, Write
@@ -120,6 +123,7 @@ def test_in_a_thread_the_failure_is_kept_for_who_asks() -> None:
         with pytest.raises(PluginFailed):
             host.wait(10.0)
         assert isinstance(host.failure, PluginFailed)
+        assert isinstance(host.failure.__cause__, RuntimeError)
 
 
 class Boom(BaseException):
@@ -135,7 +139,6 @@ def test_what_nobody_foresaw_is_kept_for_who_asks(error: BaseException, caplog: 
         def boom() -> list[Any]:
             raise error
 
-        assert host._service is not None
         host._service.sync = boom  # type: ignore[method-assign]
         client.send(b"rree")
         with pytest.raises(HostFailed, match=f"the host ended by {type(error).__name__}") as caught:
@@ -200,6 +203,39 @@ def test_ctrl_c_in_a_plugin_ends_a_host_in_the_foreground_in_order() -> None:
     assert host.stats.failed_plugins == ()
     with pytest.raises(HostFailed, match="ended by KeyboardInterrupt"):
         host.wait(0.0)
+
+
+def test_a_plugin_that_does_not_come_back_is_named_by_close() -> None:
+    class Hangs(Plugin):
+        released = threading.Event()
+
+        def periodic(self, tick: int) -> None:
+            self.released.wait(60.0)
+
+    host = Host([Hangs()], port=0).start()
+    assert host._thread is not None
+    waited: list[float | None] = []
+    host._thread.join = waited.append  # type: ignore[assignment]
+    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not answer"):
+        host.close()
+    assert waited == [10.0]
+    Hangs.released.set()
+    assert host.wait(10.0)
+
+
+def test_a_host_that_has_not_run_has_counted_nothing_and_can_be_stopped() -> None:
+    host = Host([Echo()])
+    assert host.stats == HostStatistics(0, 0, 0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, ())
+    assert host.writers == 0
+    host.stop()
+    host.close()
+
+
+def test_a_host_is_reached_at_its_address() -> None:
+    """Also one that listens on all addresses, which is none to connect to."""
+    for listening, reached in (("127.0.0.1", "127.0.0.1"), ("", "127.0.0.1"), ("localhost", "localhost")):
+        with Host([Echo()], port=0, address=listening) as host:
+            assert parse_address(host.address) == (reached, host.port)
 
 
 def test_without_a_thread_left_it_says_so_and_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -318,6 +354,29 @@ def test_in_lockstep_requests_sent_ahead_make_a_tick_each() -> None:
         for tick in (1, 2, 3):
             master.batch()
             assert master.value("tick") == tick
+
+
+def test_in_lockstep_nonsense_sent_ahead_ends_the_connection_after_the_reply() -> None:
+    with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
+        reader.greeting()
+        reader.send(b"rreexx")
+        assert reader.is_closed()
+        assert host.tick == 1
+
+
+def test_a_tick_wraps_as_a_number_of_32_bits() -> None:
+    host = Host([Echo()], port=0, period=0.25, pacing="lockstep")
+    host.tick = 2**31 - 2
+    with host, RawClient(host.port) as reader:
+        reader.greeting()
+        ticks = []
+        for _ in range(3):
+            reader.sync()
+            ticks.append(reader.value("tick"))
+        assert ticks == [2**31 - 1, -(2**31), -(2**31) + 1]
+        # The host's own goes on, and the time with it.
+        assert host.tick == 2**31 + 1
+        assert reader.tables.read.stamp(0) == (2**29, 250_000)
 
 
 def test_in_lockstep_readers_go_on_when_the_master_is_gone() -> None:
@@ -506,6 +565,60 @@ def test_with_allwriters_all_may_write() -> None:
             assert clients[0].value("order") == 10 + number
 
 
+class Waits:
+    """A server on a clock of its own: notes until when the host waits, and lets time pass until it is enough."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        self.until: list[float | None] = []
+        #: called when a wait begins, for what happens in it
+        self.happens: Callable[[], None] = lambda: None
+        monkeypatch.setattr(host_module, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+    def serve(self, until: float | None, is_enough: Callable[[], bool]) -> None:
+        self.until.append(until)
+        self.happens()
+        if not is_enough() and until is not None:
+            self.now = max(self.now, until)
+
+
+@pytest.mark.parametrize(
+    ("writers", "is_asked", "synchronized", "until"),
+    [
+        (1, False, True, [101.0, 102.0, 103.0, 104.0]),  # the one writer has a period beside that of the tick
+        (1, True, True, [101.0, 102.0, 102.0, 103.0]),
+        (0, False, True, [101.0, 102.0, 102.0, 103.0]),
+        (2, False, True, [101.0, 102.0, 102.0, 103.0]),
+        (1, False, False, [101.0, 102.0]),
+    ],
+)
+def test_who_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, writers: int, is_asked: bool, synchronized: bool, until: list[float]
+) -> None:
+    waits = Waits(monkeypatch)
+    host = Host(period=1.0, synchronized=synchronized)
+    service: Any = SimpleNamespace(writers=writers, is_asked=is_asked)
+    for _ in range(2):
+        host._wait_for_tick(service, waits)  # type: ignore[arg-type]
+    assert waits.until == until
+    # To wait for the writer is not to be late.
+    assert (host.stats.late_worst, host.stats.overruns) == (0.0, 0)
+
+
+def test_a_host_that_is_stopped_in_a_wait_waits_for_no_writer(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits = Waits(monkeypatch)
+    host = Host(period=1.0, synchronized=True)
+    service: Any = SimpleNamespace(writers=1, is_asked=False)
+    waits.happens = host.stop
+    host._wait_for_tick(service, waits)  # type: ignore[arg-type]
+    assert (waits.until, waits.now) == ([101.0], 100.0)
+    # Nor on, when it is stopped while it waits for one.
+    host = Host(period=1.0, synchronized=True)
+    waits.happens = lambda: host.stop() if len(waits.until) == 3 else None
+    host._wait_for_tick(service, waits)  # type: ignore[arg-type]
+    assert (waits.until, waits.now) == ([101.0, 101.0, 102.0], 101.0)
+
+
 def test_a_master_that_is_slower_than_the_period_is_waited_for() -> None:
     with Host([Echo()], port=0, period=0.2, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -681,6 +794,13 @@ def test_a_host_from_a_file() -> None:
         assert client.value("gain") == 14
 
 
+def test_real_time_priority_is_not_had_and_that_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    Host.from_config(parse_config("<rhd/>"))
+    assert caplog.text == ""
+    Host.from_config(parse_config("<rhd><scheduler><realtimepriority enable='true'/></scheduler></rhd>"))
+    assert "real-time priority is asked for; this host runs without it" in caplog.text
+
+
 def test_arguments_have_the_last_word_over_the_file() -> None:
     host = Host.from_config(parse_config(CONFIG), period=0.5, clients=1)
     assert host.period == 0.5
@@ -699,6 +819,7 @@ def test_a_class_that_is_no_plugin_is_refused() -> None:
     [
         {"period": 0.0},
         {"period": float("nan")},
+        {"period": float("inf")},
         {"port": 65536},
         {"port": -1},
         {"clients": 0},

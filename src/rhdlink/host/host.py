@@ -16,10 +16,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from linkcore.arguments import check_choice, check_seconds, check_whole
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.runnable import Runnable
 
+from ..address import Address
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..wire.decoder import Limits
@@ -173,8 +176,9 @@ class Host(Runnable):
             "width": width,
             "limits": limits,
         }
-        # What cannot be served fails here; later a service can fail only because of what plugins declare.
-        Service(Database(), **self._service_options)  # type: ignore[arg-type]
+        # What cannot be served fails here; later a service can fail only because of what plugins declare. Until the
+        # host runs, this one says that there are no clients.
+        self._service = Service(Database(), **self._service_options)  # type: ignore[arg-type]
         self._place = (address, port)
         self._client_timeout, self._inactivity_timeout = client_timeout, inactivity_timeout
         self._pacing = pacing
@@ -184,9 +188,8 @@ class Host(Runnable):
         self._running: list[Plugin] = []
         self._begun: list[Plugin] = []
         self._failed: list[str] = []
-        self._service: Service | None = None
         self._server: Server | None = None
-        self._schedule = Schedule(period, 0.0)
+        self._schedule = Schedule(period, time.monotonic())
 
     @classmethod
     def from_config(cls, config: Configuration | str | os.PathLike[str], **options: object) -> Self:
@@ -201,7 +204,7 @@ class Host(Runnable):
         """
         if not isinstance(config, Configuration):
             config = read_config(config)
-        plugins, elements = [], []
+        plugins, elements = [], {}
         for entry in config.plugins:
             if not entry.is_enabled:
                 continue
@@ -210,7 +213,7 @@ class Host(Runnable):
                 entry.config.reject(f"{entry.lib} is no rhdlink.Plugin")
             plugin.name, plugin.is_critical, plugin.safety = entry.name, entry.is_critical, entry.safety
             plugins.append(plugin)
-            elements.append(entry.config)
+            elements[id(plugin)] = entry.config
         if config.realtime_priority:
             _log.warning("real-time priority is asked for; this host runs without it")
         from_file: dict[str, object] = {
@@ -228,7 +231,7 @@ class Host(Runnable):
             "inactivity_timeout": config.inactivity_timeout,
         }
         host = cls(plugins, **{**from_file, **options})  # type: ignore[arg-type]
-        host._configs = {id(plugin): element for plugin, element in zip(plugins, elements, strict=True)}
+        host._configs = elements
         return host
 
     # -- what it is -----------------------------------------------------------------------------------
@@ -251,14 +254,15 @@ class Host(Runnable):
 
     @property
     def address(self) -> str:
-        """Where it listens, as `rhdlink.connect` takes it; raises `Closed` if it does not run."""
-        host = self._place[0]
-        return f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+        """Where a program on this computer reaches it, as `rhdlink.connect` takes it; raises `Closed` if it does not
+        run.
+        """
+        return str(Address(self._place[0] or "127.0.0.1", self.port))
 
     @property
     def writers(self) -> int:
         """How many clients may write: 0 when the robot has lost its master."""
-        return 0 if self._service is None else self._service.writers
+        return self._service.writers
 
     @property
     def stats(self) -> HostStatistics:
@@ -272,12 +276,12 @@ class Host(Runnable):
             late_median=median,
             late_p99=p99,
             late_worst=schedule.worst,
-            clients=0 if service is None else len(service.clients),
+            clients=len(service.clients),
             writers=self.writers,
-            refused_clients=0 if service is None else service.refused_clients,
+            refused_clients=service.refused_clients,
             evicted_clients=0 if self._server is None else self._server.evicted,
-            refused_writes=0 if service is None else service.refused_writes,
-            bad_clients=0 if service is None else service.bad_clients,
+            refused_writes=service.refused_writes,
+            bad_clients=service.bad_clients,
             failed_plugins=tuple(self._failed),
         )
 
@@ -288,7 +292,7 @@ class Host(Runnable):
         elif self._ended.is_set():
             state = "ended" if self.failure is None else f"ended: {self.failure}"
         else:
-            clients = 0 if self._service is None else len(self._service.clients)
+            clients = len(self._service.clients)
             state = f"at {self.address}, tick {self.tick}, {clients} client{'' if clients == 1 else 's'}"
         return f"<{type(self).__name__} of {names}, {state}>"
 
@@ -348,7 +352,6 @@ class Host(Runnable):
                 _log.exception("plugin %s failed in terminate", plugin.name)
                 if not isinstance(error, Exception):
                     interrupted = error
-        self._begun.clear()
         if self._server is not None:
             self._server.close()
         if interrupted is not None and self._thread is None:
@@ -358,7 +361,6 @@ class Host(Runnable):
 
     def _serve(self) -> None:
         service, server = self._service, self._server
-        assert service is not None
         assert server is not None
         try:
             while True:
@@ -427,8 +429,7 @@ class Host(Runnable):
 
     def _simulated_time(self) -> TimeStamp:
         """The time in lockstep: that of the ticks."""
-        micros = round(self.tick * self.period * 1e6)
-        return TimeStamp(micros // 1_000_000, micros % 1_000_000)
+        return TimeStamp(*divmod(round(self.tick * self.period * 1e6), 1_000_000))
 
 
 def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
@@ -449,4 +450,4 @@ def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
 
 def _wrapped(tick: int) -> int:
     """A tick as the 32-bit counter that clients are told, which wraps after 248 days at 10 ms."""
-    return (tick + (1 << 31)) % (1 << 32) - (1 << 31)
+    return int(np.int64(tick).astype(np.int32))
