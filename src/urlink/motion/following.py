@@ -5,6 +5,7 @@ Nothing in here does input or output, and time is told to it: see `urlink.motion
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ class ControllerClock:
         self._cycle = cycle
         self._last: tuple[float, float] | None = None
         #: s from the time of a state to its arrival, each on its own clock: of the quickest
-        self._quickest = 0.0
+        self._quickest = math.inf
 
     def passed(self, time: float, now: float) -> float:
         """Seconds since the last state; 0 for the first.

@@ -7,7 +7,6 @@ interlock closes after a second, which ends every motion; the program on the rob
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol
@@ -114,7 +113,6 @@ class LinkedProgram:
         self._clock = context.clock
         self._link: Link | None = None
         self._subscription: Subscription | None = None
-        self._sent = math.nan
         self._lost: tuple[LinkError, float] | None = None
         self._concluded: float | None = None
         self._has_ended = False  # by itself, with something left to say
@@ -132,8 +130,8 @@ class LinkedProgram:
         try:
             context.channel.check()
             self._link = link = self._open_link()
-            self._sent = self._clock()
-            self._subscription = context.realtime.subscribe(partial(self._on_state, link), policy=latest)
+            on_state = partial(self._on_state, link, self._clock())
+            self._subscription = context.realtime.subscribe(on_state, policy=latest)
             life.on_end(self._release)
             context.programs.start(
                 # It asks for no permission: once its life is over, nobody takes its connection or writes its token.
@@ -190,11 +188,11 @@ class LinkedProgram:
 
     # -- what happens --------------------------------------------------------------------------------
 
-    def _on_state(self, link: Link, state: RealtimeState) -> None:
+    def _on_state(self, link: Link, sent: float, state: RealtimeState) -> None:
         if self._life.is_over:
             return
         try:
-            self._look(link, state)
+            self._look(link, sent, state)
         except LinkError as error:
             self._life.fail(error, brake=True)
         except Exception as error:
@@ -202,7 +200,7 @@ class LinkedProgram:
             self._life.fail(error, brake=True)
             raise
 
-    def _look(self, link: Link, state: RealtimeState) -> None:
+    def _look(self, link: Link, sent: float, state: RealtimeState) -> None:
         now = self._clock()
         if self._has_ended:
             self._dialogue.step(b"", state, now)
@@ -216,7 +214,7 @@ class LinkedProgram:
                 self._life.finish()
         elif link.is_up or link.poll(self._life.phase is Phase.RUNNING):
             self._talk(link, state, now)
-        elif now - self._sent > CONNECT_TIMEOUT:
+        elif now - sent > CONNECT_TIMEOUT:
             self._life.fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
 
     def _talk(self, link: Link, state: RealtimeState, now: float) -> None:

@@ -13,15 +13,15 @@ from linkcore.handle import Motion
 from linkcore.realtime import urgent
 
 from .context import MotionContext
-from .linked import CONNECT_TIMEOUT, Dialogue, Link, LinkedProgram
+from .linked import Dialogue, Link, LinkedProgram
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 __all__ = ["LinkedBlock"]
 
-#: Seconds that the program has to connect, where no states come that would say so before.
-_LONGEST = CONNECT_TIMEOUT + 1.0
+#: Seconds that the program has to connect, where no states come by which that is said before, after `CONNECT_TIMEOUT`.
+_LONGEST = 6.0
 #: Seconds that the reason of a lost connection has to arrive.
 _REASON = 1.5
 #: Seconds that the program has to end when the block is left.

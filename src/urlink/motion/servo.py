@@ -125,7 +125,8 @@ class Servo(LinkedBlock):
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
-        self._began = self._sent_at = math.nan
+        self._began: float  # when the first was sent, and the last
+        self._sent_at: float
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
         self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()

@@ -147,9 +147,6 @@ class Schedule:
 
 def _curve(times: np.ndarray, places: np.ndarray, qd: Sequence[float]) -> Trajectory:
     """Through places at times, with speeds `qd` at first and rest at the end."""
-    chosen = Trajectory.from_arrays(times, places)
-    if not any(qd):
-        return chosen
-    speeds = chosen.qd.copy()
+    speeds = Trajectory.from_arrays(times, places).qd.copy()
     speeds[0] = qd
     return Trajectory.from_arrays(times, places, speeds)

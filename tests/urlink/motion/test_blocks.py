@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -31,7 +32,7 @@ B = TypeVar("B", bound=LinkedBlock)
 def entered(robot: Rehearsal, block: B) -> Iterator[B]:
     """A block that has connected; it is cancelled at the end."""
     with Beside(robot):
-        block.__enter__()
+        assert block.__enter__() is block
     yield block
     block.cancel()
 
@@ -64,6 +65,7 @@ def test_force_mode_tells_its_wrench_with_every_state_and_the_rest_once(led: Reh
             assert part in led.uploaded
         for _ in range(3):
             assert told(led) == DOWN
+            assert led.speeds == [0.0] * 6
         assert pressing.wrench.tolist() == DOWN
         with pytest.raises(BadValue, match=r"wrench\[z\]"):
             pressing.set_wrench([0, 0, -2000, 0, 0, 0])
@@ -130,6 +132,8 @@ def test_torques_are_those_of_the_loop_and_nothing_else(
 
 def test_torques_within_limits_of_ones_own(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("5.25", "UR5e")
+    with pytest.raises(LocalError, match="within its block"):
+        robot.motion.torque().send([0.0] * 6)
     with entered(robot, robot.motion.torque(limits=[10, 10, 10, 5, 0, 5])) as torque:
         torque.send([10, -10, 10, 5, 0, -5])
         for values in ([11, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0.1, 0], [0, 0, 0, -6, 0, 0]):
@@ -184,9 +188,16 @@ def test_a_block_that_is_left_is_told_nothing_more(robot: Rehearsal) -> None:
 
 
 def test_a_program_that_does_not_end_when_its_block_is_left(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("urlink.motion.linked_block._END_TIMEOUT", 0.05)
+    waited: list[float] = []
+
+    def wait(seconds: float) -> None:
+        waited.append(seconds)
+        raise LinkTimeout("it goes on")
+
     with entered(robot, robot.motion.jog()) as jog:
+        monkeypatch.setattr(jog, "wait", wait)
         jog.__exit__()
+        assert waited == [2.0]
         assert jog.phase is Phase.CANCELLED
 
 
@@ -208,12 +219,31 @@ def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch
         assert seen == ["begins", "ends"]
 
 
-def test_a_block_whose_program_never_comes(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor do states, by which it would be told that it has not."""
-    monkeypatch.setattr("urlink.motion.linked_block._LONGEST", 0.05)
+def test_a_block_whose_beginning_is_interrupted(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(seconds: float) -> None:
+        raise KeyboardInterrupt
+
     jog = robot.motion.jog()
-    with pytest.raises(LinkTimeout, match=r"jog: no connection within 0\.05 s"):
+    monkeypatch.setattr(jog._linked, "result", interrupt)
+    with pytest.raises(KeyboardInterrupt):
         jog.__enter__()
+    assert jog.phase is Phase.CANCELLED
+    assert "stopj" in robot.sent[-1]
+
+
+def test_a_block_whose_program_never_comes(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor do states, by which it would be told that it has not after five seconds."""
+    waited: list[float] = []
+
+    def result(seconds: float) -> None:
+        waited.append(seconds)
+        raise FutureTimeout
+
+    jog = robot.motion.jog()
+    monkeypatch.setattr(jog._linked, "result", result)
+    with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
+        jog.__enter__()
+    assert waited == [6.0]
     assert jog.phase is Phase.CANCELLED
     assert "stopj" in robot.sent[-1]
 

@@ -252,6 +252,13 @@ def test_the_program_is_stopped_at_the_pendant(led: Rehearsal) -> None:
         motion.wait(TIMEOUT)
 
 
+def test_the_program_comes_to_its_end_too_early(led: Rehearsal) -> None:
+    motion = begun(led)
+    led.finish()
+    with pytest.raises(ProgramStopped, match="the program of follow ended before its time"):
+        motion.wait(TIMEOUT)
+
+
 def test_no_states_come(led: Rehearsal) -> None:
     motion = begun(led)
     led.fast.put(ConnectionLost("pulled"))

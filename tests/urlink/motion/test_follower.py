@@ -20,8 +20,8 @@ from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.models import Model, model
 from urlink.motion.follower import Follower
-from urlink.motion.following import ControllerClock, Tolerances
-from urlink.motion.setpoints import WORD_SIZE, Servoing
+from urlink.motion.following import ControllerClock, Tolerances, stands
+from urlink.motion.setpoints import WORD_SIZE, Servoing, setpoint
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
 from urlink.urscript.programs import ReverseSocket, missable
@@ -232,10 +232,19 @@ def test_waits_for_the_arm_to_stand() -> None:
     led = follower()
     moving = state(1.0, turned(0), 0.5)
     assert word(led.step(b"", moving, 10.0))[1] == WAIT
-    assert word(led.step(b"", moving, 11.4))[1] == WAIT
-    with pytest.raises(LinkTimeout, match="did not come to rest"):
-        led.step(b"", moving, 11.6)
-    assert led.began is None
+    assert word(led.step(b"", moving, 11.5))[1] == WAIT
+    with pytest.raises(LinkTimeout, match=r"did not come to rest within 1\.5 s, so the trajectory did not begin"):
+        led.step(b"", moving, 11.51)
+    assert (led.began, led.progress, led.is_over) == (None, 0.0, False)
+
+
+def test_an_arm_stands_below_two_hundredths_of_a_radian_a_second() -> None:
+    for joint in range(6):
+        for direction in (1.0, -1.0):
+            speeds = np.zeros(6)
+            speeds[joint] = direction * 0.02
+            assert not stands(speeds)
+            assert stands(0.999 * speeds)
 
 
 def test_begins_nowhere_else() -> None:
@@ -274,6 +283,33 @@ def test_off_its_path_and_off_its_goal() -> None:
     with pytest.raises(ToleranceExceeded, match=r"0\.1 s after the end of its path; the tolerance is 0\.01"):
         hold()
     assert feeding.time - 50.0 == pytest.approx(2.1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("t", "off", "speed", "what"),
+    [
+        (0.0, 0.05, 0.5, "goes on"),
+        (0.0, math.nextafter(0.05, 1.0), 0.5, "0.000 s into its path; the tolerance is 0.05"),
+        (2.0, 0.0, 0.0, "is over"),
+        (2.0, -0.01, 0.0, "is over"),
+        (2.0, 0.01, 0.5, "goes on"),
+        (2.0, math.nextafter(0.01, 1.0), 0.0, "goes on"),
+        (2.5, 0.0, 0.5, "goes on"),
+        (2.5, 1.0, 0.0, "goes on"),
+        (2.51, 0.01, 0.5, "is over"),
+        (2.51, -math.nextafter(0.01, 1.0), 0.0, "0.5 s after the end of its path; the tolerance is 0.01"),
+    ],
+)
+def test_where_the_arm_has_to_be_when(t: float, off: float, speed: float, what: str) -> None:
+    """At the end the arm stands at the goal, or is there, moving yet, when its time is up."""
+    led = follower(tolerances=Tolerances(path=0.05, goal=0.01, goal_time=0.5, start=0.05))
+    seen = state(50.0 + t, turned(off), speed)
+    if what in ("goes on", "is over"):
+        led._compare(seen, t)
+        assert (led.is_over, led.progress, led.began) == (what == "is over", t / 2.0, 50.0)
+    else:
+        with pytest.raises(ToleranceExceeded, match=what):
+            led._compare(seen, t)
 
 
 def test_feedback_is_told_where_the_trajectory_is() -> None:
@@ -350,6 +386,34 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
     assert len(targets) > 24 + missable(0.1, firmware.rate)
     assert modelled.is_over
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
+@pytest.mark.parametrize("watchdog", [0.05, 5.0])
+def test_what_is_known_here_of_a_program_that_goes_on_by_itself(firmware: Firmware, watchdog: float) -> None:
+    """How far it goes in so many cycles without a set-point, and how fast it is in the last of them."""
+    how = servoing(firmware, watchdog)
+    bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
+    targets: list[list[float]] = []
+    bench.watch_servoj(targets.append)
+    bench.run(2)
+    bench.sockets.waiting.extend(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
+    most = missable(min(watchdog, 0.1), firmware.rate)
+    bench.run(most + 5)
+    way = [q[5] for q in targets]
+    step = 0.5 / firmware.rate
+    for missed in range(min(most + 5, len(way) - 1)):
+        assert way[missed] == pytest.approx(how.coasting(missed) * step, abs=1e-9)
+        assert way[missed + 1] - way[missed] == pytest.approx(how.share(missed + 1) * step, abs=1e-9)
+    assert how.coastable == most
+    assert how.late == pytest.approx(most / firmware.rate)
+    assert len(way) > most
+
+
+def test_a_slow_loop_is_waited_for_three_of_its_periods() -> None:
+    speeds = largest_speeds(arm(NEWEST))
+    for period, watchdog, seconds in ((0.02, 1.0, 0.1), (0.1, 1.0, 0.3), (0.5, 1.0, 1.0)):
+        assert Servoing(NEWEST, speeds, watchdog, 0.03, 300.0, period).late == pytest.approx(seconds, abs=0.004)
 
 
 @pytest.mark.parametrize("late", [0.012, 0.06, 0.4], ids=lambda each: f"{1000 * each:.0f} ms")

@@ -18,8 +18,9 @@ from urlink.errors import SafetyStop
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import SafetyMode
 from urlink.kinematics import Arm
+from urlink.models import model
 from urlink.motion import Jog
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word, setpoint
 from urlink.poses import rotvec_to_matrix
 from urlink.urscript.jogging import jogging
 from urlink.urscript.programs import LINK_ENDED, STARVED, ReverseSocket
@@ -81,6 +82,41 @@ class TestWhatIsSaid:
             assert next(answers(robot)) == pytest.approx([*(turned @ along), *(turned @ about)], abs=1e-6)
             with pytest.raises(BadValue, match=r"speeds\[2\] \(z\)"):
                 jog.move([0, 0, 50, 0, 0, 0])
+
+    @pytest.mark.parametrize(
+        ("frame", "arm", "most", "call"),
+        [
+            ("joints", "UR10e", model("UR10e").max_speed.tolist(), "speedj("),
+            ("joints", "UR9000", [10.0] * 6, "speedj("),
+            ("base", "UR10e", [5.0] * 3 + [10.0] * 3, "speedl("),
+            ("tool", "UR10e", [5.0] * 3 + [10.0] * 3, "speedl("),
+        ],
+    )
+    def test_how_fast_it_may_be(
+        self, rehearsal: Callable[..., Rehearsal], frame: str, arm: str, most: list[float], call: str
+    ) -> None:
+        robot = rehearsal(model=arm)
+        with opened(robot, frame, timeout=0.25) as jog:
+            assert (jog.frame, jog.timeout) == (frame, 0.25)
+            assert call in robot.uploaded
+            # Until it is told a speed, it is told that somebody is there.
+            robot.tick()
+            assert robot.word() == (_REST, WAIT)
+            jog.move(most)
+            jog.move([-each for each in most])
+            for axis in range(6):
+                for way in (1.0, -1.0):
+                    speeds = list(_REST)
+                    speeds[axis] = way * np.nextafter(most[axis], 20.0)
+                    with pytest.raises(BadValue, match=rf"speeds\[{axis}\]"):
+                        jog.move(speeds)
+
+    def test_a_speed_holds_for_its_time_and_no_longer(self, robot: Rehearsal) -> None:
+        with opened(robot, timeout=0.25) as jog:
+            jog.move([0.1] * 6)
+            told, state = jog._context.clock(), jog._context.state()
+            for now, speeds in ((told, [0.1] * 6), (told + 0.25, [0.1] * 6), (np.nextafter(told + 0.25, 999), _REST)):
+                assert read_word(jog._dialogue.step(b"", state, now))[0] == pytest.approx(speeds)
 
     def test_what_is_refused(self, robot: Rehearsal) -> None:
         with pytest.raises(BadValue, match="frame='world'"):

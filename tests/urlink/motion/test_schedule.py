@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from linkcore.errors import BadValue, LinkError, LocalError
 from tests.urlink.motion.bench import Led
 from tests.urlink.motion.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_servo import opened
-from urlink import Joint, Linear
+from urlink import Circular, Joint, Linear
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm, Unreachable
@@ -22,7 +23,7 @@ from urlink.models import model
 from urlink.motion.follower import Follower
 from urlink.motion.following import Tolerances
 from urlink.motion.servo_delay import measure
-from urlink.motion.setpoints import setpoint
+from urlink.motion.setpoints import read_word, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.motion.waypoint_schedule import Schedule
 from urlink.poses import compose, invert
@@ -142,6 +143,70 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
     assert seen[1] < 0.1 * seen[0]
 
 
+def schedule(delay: float = 0.0) -> Schedule:
+    return Schedule(model("UR5"), 1 / 128, delay, nullcontext())
+
+
+def is_possible(times: list[float], way: list[float]) -> bool:
+    try:
+        Trajectory.from_arrays(times, [turned(each) for each in way]).check(model("UR5"))
+    except BadValue:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("way", [0.1, 0.5, 6.0])
+def test_what_is_too_soon_is_put_off_no_further_than_need_be(way: float) -> None:
+    """The time that there is for it, from the waypoint before, is never half as long again as it has to be."""
+    made = schedule()
+    reached = made.add(turned(way), 50.02, 50.0, HOME)
+    assert reached is not None
+    assert is_possible([0.0, reached - 50.0], [0.0, way])
+    assert not is_possible([0.0, (reached - 50.0) / 1.5], [0.0, way])
+    made = schedule()
+    made.add(turned(0.1), 52.0, 50.0, HOME)
+    reached = made.add(turned(0.1 + way), 52.02, 50.0, HOME)
+    assert reached is not None
+    assert is_possible([0.0, 2.0, reached - 50.0], [0.0, 0.1, 0.1 + way])
+    assert not is_possible([0.0, 2.0, 2.0 + (reached - 52.0) / 1.5], [0.0, 0.1, 0.1 + way])
+
+
+def test_a_waypoint_is_over_when_the_set_point_for_it_was_sent() -> None:
+    """The set-point that answers a state is for `delay` later, and takes a cycle at least to be followed by another."""
+    for delay in (0.0, 0.125):
+        made = schedule(delay)
+        assert [made.has_targets, made.last] == [False, None]
+        assert made.add(list(HOME), math.nextafter(50.0 + delay + 1 / 128, 0.0), 50.0, HOME) is None
+        assert not made.has_targets
+        # An arm that stands has nothing to brake from.
+        assert made.add(list(HOME), 50.0 + delay + 1 / 128, 50.0, HOME) == 50.0 + delay + 1 / 128
+        assert made.last == list(HOME)
+        made.begin(51.0, HOME)
+        assert made.add(turned(0.1), 51.5 + delay, 60.0, turned(9.0)) == 51.5 + delay
+        made.accept(51.25)
+        assert made.add(turned(0.1), 51.25 + delay, 51.0, HOME) is None
+        for time, q in ((51.1, 0.0), (51.3, 0.05), (51.5, 0.1), (60.0, 0.1)):
+            assert made.at(time)[0] == pytest.approx(turned(q))
+        assert made.skip(51.25 + 1 / 128, 0.2)[0] == made.at(51.25)[0]
+
+
+def test_it_goes_on_from_where_it_is_led() -> None:
+    made = schedule()
+    for at, q in ((50.5, 0.1), (51.0, 0.2), (51.5, 0.0)):
+        assert made.add(turned(q), at, 50.0, HOME) == at
+    made.begin(50.0, HOME)
+    made.restart(50.75, turned(0.3), [0.0] * 5 + [0.25])
+    # That is where the set-point before led.
+    for time, q in ((50.75 - 1 / 128, 0.3), (51.0, 0.2), (51.5, 0.0)):
+        assert made.at(time)[0] == pytest.approx(turned(q), abs=1e-9)
+    assert made.at(50.75 - 1 / 128)[1] == pytest.approx([0.0] * 5 + [0.25])
+    # Beyond the last there is a tenth of a second for what is left.
+    made.restart(53.0, turned(0.01), [0.0] * 6)
+    begin = 53.0 - 1 / 128
+    for seconds, q in ((0.0, 0.01), (0.05, 0.005), (0.1, 0.0)):
+        assert made.at(begin + seconds)[0] == pytest.approx(turned(q), abs=1e-9)
+
+
 class Lagging:
     """An arm that is where it was led `lag` s before, `gain` times as far; its sensor is off by `offset` rad."""
 
@@ -220,6 +285,36 @@ class TestServo:
                 servo.send(HOME)
             with pytest.raises(LocalError, match="in a block of its own"):
                 servo.measure_delay()
+
+    @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
+    def test_set_points_are_sent_so_much_earlier(self, robot: Rehearsal, delay: float | None) -> None:
+        with opened(robot, delay=delay) as servo:
+            at = robot.time + 0.2
+            assert servo.schedule(turned(0.02), at=at) == at
+            assert servo.stats.count == 1
+            still, time, q = np.zeros(6), robot.time, list(HOME)
+            while q != pytest.approx(turned(0.02), abs=1e-6):
+                time += robot.cycle
+                state = SimpleNamespace(time=time, q_target=np.array(HOME), qd_target=still)
+                q = read_word(servo._dialogue.step(b"", cast(RealtimeState, state), time))[0]
+            # The last few thousandths of a second are less than a millionth of a radian.
+            assert at - time == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)
+
+    def test_a_pose_that_would_turn_a_joint_far_is_refused(self, robot: Rehearsal) -> None:
+        """As behind a singularity, or far away: the way there would not be straight."""
+        with opened(robot) as servo:
+            for turn, is_far in ((1.45, False), (-0.2, True), (2.9, False)):
+                pose = Arm("UR5e").forward([turn, *HOME[1:]])
+                if is_far:
+                    with pytest.raises(
+                        BadValue, match=r"q\[0\] \(base\) would have to go from 1\.4500 to -0\.2000 rad"
+                    ):
+                        servo.schedule(Linear(pose), at=robot.time + 10)
+                else:
+                    assert servo.schedule(Linear(pose), at=robot.time + 10 + turn) is not None
+            for refused in (Circular(pose, pose), Joint(HOME, blend=0.1)):
+                with pytest.raises(BadValue, match="expected a Joint or Linear without blend and speed"):
+                    servo.schedule(refused, at=robot.time + 20)  # type: ignore[arg-type]
 
     def test_one_way_or_the_other(self, rehearsal: Callable[..., Rehearsal]) -> None:
         for options, message in (({}, "either send or schedule"), ({"target_filter": "jerk_limited"}, "by send")):

@@ -323,15 +323,25 @@ def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> 
     assert robot.motion.current is None
 
 
-def test_the_registers_cannot_be_written_any_more(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_the_registers_cannot_be_written_any_more(
+    rehearsal: Callable[..., Rehearsal], monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot = rehearsal(link="rtde")
     with opened(robot) as servo:
         servo.send(HOME)
         robot.inputs.is_cut = True
-        with pytest.raises(ConnectionLost, match="cut"):
+        waited: list[float] = []
+        with monkeypatch.context() as patch:
+            # Until the end of a second in which the reason may be heard.
+            patch.setattr(servo, "wait", waited.append)
+            with pytest.raises(ConnectionLost, match=r"^cut$"):
+                servo.send(HOME)
+        assert waited == [1.5]
+        # The arm brakes by itself, and nobody says why.
+        robot.time += 1.1
+        robot.until(lambda: servo.done)
+        with pytest.raises(ConnectionLost, match="it brakes by itself: cut"):
             servo.send(HOME)
-        servo.cancel()
-    assert servo.done
 
 
 def test_what_is_heard_in_time_is_why_nothing_can_be_sent(rehearsal: Callable[..., Rehearsal]) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from urlink.models import MODELS, model
-from urlink.motion.speed_limit import EARLY, LATE, LONGEST_PERIOD, SpeedLimit
+from urlink.motion.speed_limit import EARLY, LATE, LONGEST_PERIOD, SpeedLimit, largest_speeds
 
 UR5E = model("UR5e")
 #: rad/s of each joint of a UR5e.
@@ -110,6 +110,21 @@ def test_jitter_of_a_millisecond_passes_at_full_speed() -> None:
         assert loop.step(TOP * 0.008, 0.008 + (EARLY if n % 2 else -EARLY)) is None
 
 
+def test_a_loop_that_sends_several_in_each_period_passes_for_ever() -> None:
+    loop = Loop()
+    for _ in range(1000):
+        assert loop.step(TOP * 0.0005, 0.0005) is None
+
+
+def test_the_bounds_in_numbers() -> None:
+    """2 ms of a period, 1 ms that a set-point may be early, 10 ms that it may be late; two millionths for rounding."""
+    for seconds, room, period in ((0.002, 0.003, 0.002), (60.0, 0.013, 0.002), (60.0, 0.031, 9.0), (0.02, 0.021, 9.0)):
+        assert Loop(period).step(TOP * room + 2.1e-6, seconds) is not None
+        assert Loop(period).step(TOP * room + 1.9e-6, seconds) is None
+    # What is just within them passes.
+    assert Loop().step(TOP * (0.002 + EARLY) + 2e-6, 0.002) is None
+
+
 def test_a_slow_loop_leads_no_further_in_a_step_than_one_at_50_hz() -> None:
     loop = Loop(0.5)
     assert loop.step(TOP * (LONGEST_PERIOD + EARLY + LATE) * 1.01, 0.5) is not None
@@ -125,7 +140,8 @@ def test_an_arm_that_nobody_knows_is_as_fast_as_the_fastest_there_is() -> None:
     fastest = max(float(arm.max_speed.max()) for arm in MODELS.values())
     loop = Loop(0.002, None)
     assert loop.step(fastest * 0.002, 0.002) is None
-    assert loop.step(fastest * 0.02, 0.002) is not None
+    assert loop.step(fastest * 0.0031, 0.002) is not None
+    assert largest_speeds(None) == (fastest,) * 6
 
 
 def test_says_which_joint_and_by_how_much() -> None:
