@@ -24,17 +24,15 @@ extensions = [
     "dashboard",
     "drawings",
     "drives",
-    "figures",
     "functions",
     "layouts",
     "missions",
     "packages",
-    "postures",
-    "pressing",
+    "plots",
     "summary",
     "variables",
 ]
-exclude_patterns = ["_build", "_extensions"]
+exclude_patterns = ["_build", "_extensions", "_plots"]
 
 html_theme = "furo"
 html_title = f"urlink {release}"

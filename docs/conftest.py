@@ -1,4 +1,4 @@
-"""What pytest leaves alone in here: the extensions need Sphinx, which the tests do without; drawings are programs."""
+"""What pytest leaves alone in here: extensions need Sphinx, which the tests do without; drawings are programs."""
 
-collect_ignore = ["_extensions", "conf.py"]
+collect_ignore = ["_extensions", "_plots", "conf.py"]
 collect_ignore_glob = ["make_*.py"]

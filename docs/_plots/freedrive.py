@@ -1,0 +1,57 @@
+"""An arm in freedrive that is pushed, and one that is not in freedrive."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from urlink.simulator import Controller, Still
+
+SIZE = (7.0, 4.2)
+#: N upwards, and from when to when, s.
+PUSH, BEGINS, ENDS = 20.0, 0.3, 0.8
+DURATION = 1.6
+PROGRAM = """
+def guide():
+  freedrive_mode()
+  sleep(60)
+end
+"""
+
+
+def pushed(program: str) -> tuple[list[float], list[float], list[float]]:
+    """s, N of the hand, and mm that the tool has gone up."""
+    controller = Controller("UR5e", "5.11", motion=Still())
+    controller.step()
+    start = controller.arm.sample.pose_target[2]
+    controller.take(program)
+    times, forces, ways = [], [], []
+    for cycle in range(round(DURATION * controller.firmware.rate)):
+        times.append(cycle / controller.firmware.rate)
+        forces.append(PUSH if BEGINS <= times[-1] < ENDS else 0.0)
+        controller.push([0.0, 0.0, forces[-1], 0.0, 0.0, 0.0])
+        controller.step()
+        ways.append(1e3 * (controller.arm.sample.pose_target[2] - start))
+    return times, forces, ways
+
+
+def draw(figure: Figure) -> str:
+    """The hand, and the way of the tool."""
+    times, forces, ways = pushed(PROGRAM)
+    held = pushed("def hold():\n  sleep(60)\nend\n")[2]
+    hand, way = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
+    hand.plot(times, forces, color="#c05621")
+    way.plot(times, ways, color="#2b6cb0", label="in freedrive")
+    way.plot(times, held, color="0.5", linestyle="--", label="not in freedrive")
+    hand.set_ylabel("push, N")
+    way.set(ylabel="tool above its start, mm", xlabel="controller time, s")
+    way.legend()
+    return (
+        f"A simulated UR5e is pushed up with {PUSH:g} N for {ENDS - BEGINS:g} s. In freedrive it yields by "
+        f"{max(ways):.0f} mm and stands again {settled(times, ways) - ENDS:.1f} s after the hand has let go; otherwise "
+        "it holds its place."
+    )
+
+
+def settled(times: list[float], ways: list[float]) -> float:
+    """s from which on it stays within 0.1 mm of where it ends."""
+    return next(time for time, way in zip(reversed(times), reversed(ways), strict=True) if abs(way - ways[-1]) > 0.1)

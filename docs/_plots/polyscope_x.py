@@ -1,0 +1,52 @@
+"""Which commands of the dashboard each generation and release has, from the tables that `robot.dashboard` works by."""
+
+from __future__ import annotations
+
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from urlink.firmware import NEWEST, Firmware
+from urlink.interfaces.dashboard.commands import COMMANDS
+from urlink.interfaces.dashboard.robot_api import REQUESTS
+
+SIZE = (7.0, 4.6)
+#: What a command is answered by.
+NOTHING, DASHBOARD_SERVER, ROBOT_API = range(3)
+COLOURS = ListedColormap(["#e2e8f0", "#2b6cb0", "#2f855a"])
+
+
+def answered(command: str, firmware: Firmware) -> int:
+    """By what this firmware answers it."""
+    if not firmware.is_polyscope_x:
+        since = COMMANDS[command].e
+        return DASHBOARD_SERVER if since is not None and firmware >= since else NOTHING
+    has_it = any(each.since <= firmware < each.until for each in REQUESTS.get(command, ()))
+    return ROBOT_API if has_it else NOTHING
+
+
+def draw(figure: Figure) -> str:
+    """One column for each release, one row for each command that the Robot API has, and one for the others."""
+    releases = [NEWEST, *(Firmware(10, minor) for minor in range(7, 14))]
+    shared = [command for command in COMMANDS if command in REQUESTS]
+    others = sum(command.e is not None for command in COMMANDS.values()) - len(shared)
+    grid = [[answered(command, release) for release in releases] for command in shared]
+    grid.append([NOTHING if release.is_polyscope_x else DASHBOARD_SERVER for release in releases])
+    axes = figure.subplots()
+    axes.pcolormesh(grid, cmap=COLOURS, vmin=NOTHING, vmax=ROBOT_API, edgecolors="white", linewidth=2.0)
+    axes.invert_yaxis()
+    axes.set_xticks([number + 0.5 for number in range(len(releases))], map(str, releases))
+    axes.set_yticks([number + 0.5 for number in range(len(grid))], [*shared, f"{others} others"])
+    axes.tick_params(length=0, top=True, labeltop=True, bottom=False, labelbottom=False)
+    axes.spines[:].set_visible(False)
+    kinds = ("nothing known", "the dashboard server, port 29999", "the Robot API, port 80")
+    axes.legend(
+        handles=[Patch(color=COLOURS(number), label=kind) for number, kind in enumerate(kinds)],
+        loc="upper center",
+        bbox_to_anchor=(0.4, 0.0),
+        ncols=3,
+    )
+    return (
+        f"What answers each command of the dashboard, by the firmware: the server of the e-Series answers "
+        f"{len(shared) + others}, and {len(shared)} of them have a request of the Robot API."
+    )
