@@ -45,6 +45,8 @@ _STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
 _LEAP = 0.5
 #: m that a turn of one rad counts as, for the time that it takes. A guess.
 _RADIAN = 0.25
+#: m; a tool whose centre moves no further turns in place. A pose that was read from a robot is not more exact.
+_IN_PLACE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -312,7 +314,7 @@ class _Planner:
         _check_blends(blend, waypoint.blend, curve.length)
         self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)
         return Section(
-            rate.seconds(max(curve.length, _RADIAN * curve.turn)),
+            rate.seconds(_counted(curve)),
             lambda state: curve.part(state.tool_vector_actual.tolist()),
         )
 
@@ -348,9 +350,10 @@ class _Planner:
                 f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to leap by {turns[row, joint]:.2f} rad: "
                 "it leads through a singularity"
             )
-        if curve.length > 0.0:
-            speed = _speed_along(curve.length, rate, steps, is_fast_at_start, is_fast_at_end)
-            self._check_speeds(turns * (steps / curve.length) * speed, parts)
+        if curve.length > _IN_PLACE:
+            way = _counted(curve)
+            speed = _speed_along(way, rate, steps, is_fast_at_start, is_fast_at_end)
+            self._check_speeds(turns * (steps / way) * speed, parts)
         end: FloatArray = rows[-1]
         return end
 
@@ -364,6 +367,11 @@ class _Planner:
                 f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} "
                 f"rad/s; a {model.name} turns it at {model.max_speed[joint]:.2f} rad/s at most"
             )
+
+
+def _counted(curve: Curve) -> float:
+    """m of a way that takes as long as the curve."""
+    return max(curve.length, _RADIAN * curve.turn)
 
 
 def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:

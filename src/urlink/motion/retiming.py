@@ -32,8 +32,6 @@ _SHORTEST = 1e-9
 _RESTING = 1e-6
 #: Rounds of planning, and the part of a limit that is good enough to end them.
 _ROUNDS, _GOOD = 5, 1.005
-#: Part by which everything is slower than the limits, for what rounding adds.
-_SLACK = 1e-9
 #: Steps of Newton's method for one largest x; it is piecewise linear, and two to four are usual.
 _MOST_STEPS = 50
 #: Part of x by which y may miss its range.
@@ -58,14 +56,20 @@ def retime(
     Raises:
         BadValue: the path has no length.
     """
+    end = q[-1]
     apart = np.concatenate([[True], np.linalg.norm(np.diff(q, axis=0), axis=1) > _SHORTEST])
     q, qd = q[apart], qd[apart]
     if len(q) < 2:
         raise BadValue("the trajectory stays where it is: there is nothing to be retimed")
+    q[-1] = end
     lowered = np.tile(acceleration, (len(q) - 1, 1))
     for _ in range(_ROUNDS):
-        time, speeds = _fastest(q, qd, speed, lowered)
-        if (np.diff(time) < closest).any() and len(q) > 2:
+        if len(q) > 2:
+            time, speeds = _fastest(q, qd, speed, lowered)
+        else:
+            # From rest to rest in one step there is nothing to plan: it is slowed down as far as the limits ask for.
+            time, speeds = np.array([0.0, closest]), np.zeros_like(q)
+        if (np.diff(time) < closest).any():
             kept = _spread(time, closest)
             return retime(q[kept], qd[kept], speed, acceleration, closest)
         fastest, hardest = _peaks(time, q, speeds)
@@ -73,7 +77,7 @@ def retime(
         if excess.max() < _GOOD:
             break
         lowered = lowered / np.maximum(excess, 1.0)[:, np.newaxis]
-    slower = max(math.sqrt(float(excess.max())), float((fastest / speed).max()), 1.0) * (1.0 + _SLACK)
+    slower = max(math.sqrt(float(excess.max())), float((fastest / speed).max()), 1.0)
     return time * slower, q, speeds / slower
 
 
@@ -129,9 +133,7 @@ def _squares(
     """The square of the speed along the path at each place, as large as the limits allow."""
     count = len(ds)
     with np.errstate(divide="ignore"):
-        largest = np.full(count + 1, np.inf)
-        largest[:-1] = np.minimum(largest[:-1], ((speed / np.abs(before)) ** 2).min(axis=1))
-        largest[1:] = np.minimum(largest[1:], ((speed / np.abs(after)) ** 2).min(axis=1))
+        largest = np.concatenate([[0.0], ((speed / np.abs(before[1:])) ** 2).min(axis=1), [0.0]])
     largest[rests] = 0.0
     bend = (after - before) / ds[:, np.newaxis]
     # Of each step the lines a x + b y <= c: joint accelerations at its beginning, and at its end.
@@ -141,8 +143,7 @@ def _squares(
     c = np.tile(acceleration, (1, 4))
     reachable = largest.copy()
     for i in range(count - 1, -1, -1):
-        if largest[i] > 0.0:
-            reachable[i] = _largest(a[i], b[i], c[i], reachable[i + 1], largest[i])
+        reachable[i] = _largest(a[i], b[i], c[i], reachable[i + 1], largest[i])
     found = np.zeros(count + 1)
     for i in range(count):
         _, (highest, _) = _range(a[i], b[i], c[i], reachable[i + 1], found[i])
@@ -182,6 +183,6 @@ def _largest(a: FloatArray, b: FloatArray, c: FloatArray, end: float, x: float) 
             return x
         slope = high_slope - low_slope
         if slope >= 0.0:
-            return 0.0
+            break
         x = max(x - (high - low) / slope, 0.0)
     return 0.0

@@ -273,7 +273,7 @@ class Trajectory:
             rest = [0.0] * 6
             return list(self._ends[0 if t < 0.0 else 1]), rest, rest
         # The last point belongs to the last segment.
-        i = bisect_right(times, t, 0, len(times) - 1) - 1
+        i = bisect_right(times, t, 1, len(times) - 1) - 1
         h = times[i + 1] - times[i]
         u = (t - times[i]) / h
         q, qd, qdd = [], [], []
@@ -331,7 +331,7 @@ class Trajectory:
     def check(self, model: Model | None = None, near: ArrayLike | None = None, *, within: float = 0.05) -> None:
         """Refuse what an arm could not do, or should not begin.
 
-        The curve is looked at in every point and at 16 places between two neighbouring ones.
+        The curve is looked at in every point and at 15 places between two neighbouring ones.
 
         Args:
             model: whose limits of position, velocity and acceleration hold; None leaves them unchecked. The

@@ -7,9 +7,11 @@ import signal
 import threading
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import urlink
 from linkcore.errors import BadValue, Cancelled, LinkTimeout
@@ -22,7 +24,7 @@ from urlink.curves import Arc
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
-from urlink.motion.path import Plan, Rates, Waypoint, plan
+from urlink.motion.path import Plan, Rates, Section, Waypoint, plan
 from urlink.poses import compose
 from urlink.vectors import FloatArray
 
@@ -46,7 +48,7 @@ def planned(waypoints: list[Waypoint], rates: Rates = TOOL_RATES, arm: Arm | Non
 def shifted(pose: FloatArray, *way: float) -> FloatArray:
     """Metres further in the base frame."""
     there = pose.copy()
-    there[:3] += way
+    there[: len(way)] += way
     return there
 
 
@@ -108,6 +110,115 @@ def test_no_such_figures(bad: dict[str, float]) -> None:
         Linear(moved(), **bad)
 
 
+def test_the_largest_and_the_smallest_figures() -> None:
+    planned([Linear(moved(), blend=2.0, speed=100.0, acceleration=1e-3), *[Joint(READY)] * 999], arm=None)
+    for bad in ({"blend": 2.1}, {"speed": 101.0}, {"speed": 9e-4}, {"acceleration": 101.0}, {"acceleration": 9e-4}):
+        with pytest.raises(BadValue, match=next(iter(bad))):
+            Joint(READY, **bad)
+
+
+def test_a_waypoint_that_says_how_it_is_reached() -> None:
+    assert not Joint(READY).has_motion_of_its_own
+    for own in ({"blend": 0.1}, {"speed": 0.1}, {"acceleration": 0.1}):
+        assert Joint(READY, **own).has_motion_of_its_own
+
+
+def from_there(q: list[float], waypoint: Waypoint, rates: Rates = TOOL_RATES, arm: Arm = ARM) -> Section:
+    """One movement from joint positions, of an arm without a tool."""
+    state = RealtimeState("5.11", q_target=q, q_actual=q, tool_vector_actual=arm.forward(q))
+    (section,) = plan([waypoint], JOINT_RATES, rates, arm, state).sections
+    return section
+
+
+def turned_in_place(q: list[float], angle: float, x: float = 0.0) -> Linear:
+    """The tool turned about its own axis, and m further in the base frame."""
+    return Linear(compose(shifted(ARM.forward(q), x, 0.0, 0.0), [0.0, 0.0, 0.0, 0.0, 0.0, angle]))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_that_would_leave_its_range_on_the_way(sign: float) -> None:
+    q = [*READY[:5], sign * 6.15]
+    from_there(q, turned_in_place(q, sign * 0.13))
+    with pytest.raises(
+        BadValue, match=rf"after 75% of the way wrist 3 would be at {sign * 6.3:.3f} rad; a UR5e reaches"
+    ):
+        from_there(q, turned_in_place(q, sign * 0.2))
+
+
+def test_a_tool_that_turns_in_place() -> None:
+    """How fast it turns is not known; that it takes as long as 0.25 m a rad is a guess, which refuses nothing."""
+    q = READY.tolist()
+    for way in (0.0, 9e-4):
+        assert from_there(q, turned_in_place(q, 1.0, way)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
+        from_there(q, turned_in_place(q, 1.0, way), Rates(100.0, 100.0))
+    # Where it also goes a little way, so much time is counted on, and it is refused where even that is too fast.
+    assert from_there(q, turned_in_place(q, 1.0, 0.005)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
+    with pytest.raises(BadValue, match="would have to turn at"):
+        from_there(q, turned_in_place(q, 1.0, 0.005), Rates(100.0, 100.0))
+
+
+def test_a_way_through_a_singularity_is_refused_however_slow() -> None:
+    q = [*READY[:4], -0.001, READY[5]]
+    with pytest.raises(BadValue, match=r"after 0% of the way elbow would have to leap by 0\.5\d rad: .* singularity"):
+        from_there(q, Linear(shifted(ARM.forward(q), 0.0, 0.05, 0.0)), Rates(1e-3, 10.0))
+
+
+class Watched(Arm):
+    """Remembers along which poses it was asked to go."""
+
+    def inverse_path(self, poses: ArrayLike, *arguments: Any) -> FloatArray:
+        self.poses = np.array(poses)
+        return super().inverse_path(poses, *arguments)
+
+
+def test_a_blend_makes_a_way_fast_from_its_beginning_or_to_its_end() -> None:
+    """Close to the axis of the base the joints turn fastest. An arm that stops there is slow enough, others are not."""
+    pose = shifted(ARM.forward(READY), 0.25)
+    across = 0.25 * np.array([pose[1], -pose[0]]) / np.hypot(*pose[:2])
+    near, away = ARM.inverse(pose, READY), shifted(pose, *across)
+    rates = Rates(4.0, 2.5)
+    for blend in (0.0, 0.01):
+        out: list[Waypoint] = [Joint(near, blend=blend, speed=1.0), Linear(away)]
+        back: list[Waypoint] = [Linear(pose, blend=blend), Joint(READY)]
+        for start, waypoints, which in (
+            (READY, out, "waypoint 1: after 0%"),
+            (ARM.inverse(away, near), back, "waypoint 0: after 98%"),
+        ):
+            state = RealtimeState("5.11", q_target=start, q_actual=start, tool_vector_actual=ARM.forward(start))
+            if not blend:
+                plan(waypoints, JOINT_RATES, rates, ARM, state)
+                continue
+            with pytest.raises(BadValue, match=f"{which} of the way base would have to turn at"):
+                plan(waypoints, JOINT_RATES, rates, ARM, state)
+
+
+def test_a_joint_movement_to_where_the_arm_is_is_over() -> None:
+    (section,) = planned([Joint(READY)]).sections
+    assert (section.seconds, section.part(state_at(READY))) == (0.0, 1.0)
+
+
+def test_how_closely_a_way_is_looked_at() -> None:
+    arm = Watched("UR5e")
+    q = READY.tolist()
+    from_there(q, Linear(shifted(arm.forward(q), 0.0, 0.0, 0.0975)), arm=arm)
+    assert np.linalg.norm(np.diff(arm.poses[:, :3], axis=0), axis=1) == pytest.approx([0.0975 / 20] * 20)
+    assert arm.poses[[0, -1], 2] == pytest.approx(arm.forward(q)[2] + [0.0, 0.0975])
+    from_there(q, turned_in_place(q, 0.49, 0.001), arm=arm)
+    assert len(arm.poses) == 11
+    from_there(q, Linear(arm.forward(q)), arm=arm)
+    assert len(arm.poses) == 2
+    with pytest.raises(BadValue, match="out of reach"):
+        from_there(q, Linear([1e3, 0, 0, 0, 0, 0]), arm=arm)
+    assert len(arm.poses) == 2001
+
+
+def test_how_long_a_movement_takes_from_rest_to_rest() -> None:
+    assert Rates(0.5, 2.0).seconds(1.0) == pytest.approx(2.0 + 0.25)
+    assert Rates(0.5, 2.0).seconds(0.08) == pytest.approx(2.0 * 0.2)
+    joints = planned([Joint(np.add(READY, [0.1, -0.8, 0.2, 0.0, 0.0, 0.0]))])
+    assert joints.sections[0].seconds == pytest.approx(JOINT_RATES.seconds(0.8))
+
+
 def test_a_line_past_a_singular_wrist_is_refused_unless_it_is_slow() -> None:
     near = READY.copy()
     near[4] = -0.06
@@ -122,7 +233,7 @@ def test_a_line_past_a_singular_wrist_is_refused_unless_it_is_slow() -> None:
 
 def test_of_an_arm_that_nobody_knows_only_the_numbers_are_checked() -> None:
     found = planned([Linear(moved(x=-3.0)), Joint(READY)], arm=None)
-    assert len(found.sections) == 2
+    assert [section.part(state_at(READY)) for section in found.sections] == [0.0, 0.0]
     with pytest.raises(BadValue, match="is the last"):
         planned([Linear(moved(), blend=0.1)], arm=None)
 
@@ -175,22 +286,34 @@ def test_what_is_accepted_breaks_no_limit(seed: int, firmware: str) -> None:
 
 def test_progress_by_segment(robot: Rehearsal) -> None:
     up, down = [*HOME[:5], 0.4], list(HOME)
-    motion = robot.motion.path([Joint(up), Joint(down), Joint(up)])
+    motion = robot.motion.path([Joint(up), Joint(down), Joint([*HOME[:5], 0.1])])
+    long, short = JOINT_RATES.seconds(0.4), JOINT_RATES.seconds(0.1)
+    whole = 2.0 * long + short
     assert motion.segments == 3
     robot.begin()
     robot.show()
     assert (motion.segment, motion.progress) == (0, 0.0)
-    robot.q = [*HOME[:5], 0.2]
-    robot.show()
-    assert motion.progress == pytest.approx(1.0 / 6.0)
+    for angle, part in ((-0.2, 0.0), (0.2, 0.5), (0.6, 1.0), (0.3, 0.75)):
+        robot.q = [*HOME[:5], angle]
+        robot.show()
+        assert motion.progress == pytest.approx(part * long / whole)
     robot.text("urlink: segment 1")
     until(lambda: motion.segment == 1)
-    assert motion.progress == pytest.approx(0.5)
+    assert motion.progress == pytest.approx(1.25 * long / whole)
+    robot.q = list(HOME)
+    robot.show()
     # Somebody else's words.
-    for text in ("urlink: segment 7", "urlink: segment", "urlink: segment 2 or so", "urlink: segment 2"):
-        robot.text(text)
+    for text in ("urlink: segment 7", "urlink: segment 3", "urlink: segment", "urlink: segment 2 or so"):
+        motion._hear(text)
+        assert motion.segment == 1
+    robot.text("urlink: segment 2")
     until(lambda: motion.segment == 2)
-    assert motion.progress == pytest.approx(5.0 / 6.0)
+    assert motion.progress == pytest.approx(2.0 * long / whole)
+    robot.q = [*HOME[:5], 0.05]
+    robot.show()
+    assert motion.progress == pytest.approx((2.0 * long + 0.5 * short) / whole)
+    motion._newest = lambda: None
+    assert motion.progress == pytest.approx(2.0 * long / whole)
     robot.finish()
     motion.wait(TIMEOUT)
     assert motion.progress == 1.0

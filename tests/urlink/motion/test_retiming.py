@@ -13,6 +13,8 @@ from linkcore.errors import BadValue
 from tests.urlink.arms import calibrated
 from urlink import Trajectory
 from urlink.kinematics import Arm, Unreachable
+from urlink.motion import retiming
+from urlink.motion.retiming import retime
 from urlink.vectors import FloatArray
 
 SPEED = np.array([2.0, 2.0, 3.0, 3.0, 3.0, 3.0])
@@ -34,12 +36,113 @@ def usage(trajectory: Trajectory, speed: FloatArray = SPEED, acceleration: Float
 # -- in the shortest time ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("way", "seconds"), [(2.0, 2.0 / 1.0 + 1.0 / 2.0), (0.1, 2.0 * math.sqrt(0.1 / 2.0))])
+@pytest.mark.parametrize(("way", "seconds"), [(2.0, 2.0 / 0.5 + 0.5 / 2.0), (0.1, 2.0 * math.sqrt(0.1 / 2.0))])
 def test_one_joint_accelerates_goes_on_and_brakes(way: float, seconds: float) -> None:
     straight = Trajectory.from_arrays([0.0, 5.0], [[0.0] * 6, [0.0, way, 0.0, 0.5 * way, 0.0, 0.0]])
-    retimed = straight.retimed(1.0, 2.0)
+    retimed = straight.retimed(0.5, 2.0)
     assert retimed.duration == pytest.approx(seconds, rel=1e-3)
     assert retimed.has_velocities
+
+
+@pytest.mark.parametrize(("way", "acceleration"), [(1e-3, 1e6), (1e-5, 1e3), (1.3e-7, 1.0)])
+def test_the_shortest_ways_end_where_they_should(way: float, acceleration: float) -> None:
+    """Some are over before a controller has a cycle, or shorter than what can be told apart."""
+    q = [[0.5] * 6, [0.5 + way] * 6]
+    retimed = Trajectory.from_arrays([0.0, 1.0], q).retimed(1e3, acceleration)
+    assert retimed.q[[0, -1]].tolist() == q
+    assert np.abs(retimed.qd[[0, -1]]).max() == 0.0
+    assert 2.0 * math.sqrt(way / acceleration) <= retimed.duration < 3.0 * math.sqrt(way / acceleration) + 3e-4
+    assert usage(retimed, np.full(6, 1e3), np.full(6, acceleration)).max() <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("speed", "acceleration", "seconds"), [(1.0, 2.0, math.sqrt(0.9)), (0.5, 1e3, 0.9), (1e5, 1e9, 2e-4)]
+)
+def test_one_step_is_a_cubic_from_rest_to_rest(speed: float, acceleration: float, seconds: float) -> None:
+    """Its largest speed is 1.5 times the mean one, its acceleration 6 s / t²."""
+    q = np.array([[0.0] * 6, [0.3, -0.3, 0.1, 0.0, 0.0, 0.0]])
+    time, places, speeds = retime(q, np.zeros((2, 6)), np.full(6, speed), np.full(6, acceleration), 2e-4)
+    assert time == pytest.approx([0.0, seconds])
+    assert places.tolist() == q.tolist()
+    assert not speeds.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_plan_uses_its_limits_up_and_keeps_them(seed: int) -> None:
+    """At both ends of each step: of a curve with tangent T and length s, the joints accelerate by T's'² + T s''."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0.0, 1.0, 81)[:, None]
+    size, phase = rng.uniform(0.2, 1.0, 6), rng.uniform(0.0, 6.0, 6)
+    q, qd = size * np.sin(3.0 * u + phase), 3.0 * size * np.cos(3.0 * u + phase)
+    time, speeds = retiming._fastest(q, qd, SPEED, np.tile(ACCELERATION, (80, 1)))
+    ds = np.linalg.norm(np.diff(q, axis=0), axis=1)[:, None]
+    squares = (speeds**2).sum(axis=1)[:, None]
+    along = np.diff(squares, axis=0) / (2.0 * ds)
+    tangent = qd / np.linalg.norm(qd, axis=1)[:, None]
+    # From and to rest it goes straight.
+    before, after = tangent[:-1].copy(), tangent[1:].copy()
+    before[0], after[-1] = np.diff(q, axis=0)[0] / ds[0], np.diff(q, axis=0)[-1] / ds[-1]
+    bend = (after - before) / ds
+    used = np.concatenate(
+        [
+            np.abs(bend * squares[:-1] + before * along) / ACCELERATION,
+            np.abs(bend * squares[1:] + after * along) / ACCELERATION,
+            np.abs(speeds[:-1]) / SPEED,
+            np.abs(speeds[1:]) / SPEED,
+        ],
+        axis=1,
+    ).max(axis=1)
+    assert used.max() <= 1.0 + 1e-9
+    assert np.mean(used > 1.0 - 1e-6) > 0.95
+    assert time == pytest.approx(np.cumsum([0.0, *(2.0 * ds / (squares[1:] ** 0.5 + squares[:-1] ** 0.5)).ravel()]))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_largest_x_from_which_some_y_is_left(seed: int) -> None:
+    """Of lines a x + b y <= c, against halving: where the limits of y meet, y is at most `end`."""
+    rng = np.random.default_rng(seed)
+    a, b, c = rng.normal(size=(3, 8))
+    b[rng.integers(8)] = 0.0
+    c, end = np.abs(c) + 0.1, float(rng.uniform(0.1, 2.0))
+
+    def is_left(x: float) -> bool:
+        ends = [((c[i] - a[i] * x) / b[i], b[i] > 0.0) for i in range(8) if b[i]]
+        highest = min([end, *(y for y, is_upper in ends if is_upper)])
+        return bool(highest >= max([0.0, *(y for y, is_upper in ends if not is_upper)]))
+
+    low, high = 0.0, 10.0
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_left(middle) else (low, middle)
+    assert retiming._largest(a, b, c, end, 10.0) == pytest.approx(low, abs=1e-9)
+    assert retiming._largest(a, b, c, end, 0.5 * low) == 0.5 * low
+    assert retiming._largest(np.zeros(1), np.ones(1), -np.ones(1), end, 1.0) == 0.0
+
+
+def test_places_that_are_passed_too_quickly_are_left_out() -> None:
+    """As many are left as fit into the time; both ends stay."""
+    u = np.linspace(0.0, math.pi, 2001)
+    q, qd = np.outer(0.5 - 0.5 * np.cos(u), [0.3] * 6), np.outer(np.sin(u), [0.3] * 6)
+    time, places, _ = retime(q, qd, np.full(6, 10.0), np.full(6, 120.0), 5e-3)
+    assert time[-1] == pytest.approx(0.1, rel=0.05)
+    assert np.diff(time).min() >= 5e-3 * (1.0 - 1e-9)
+    assert 10 <= len(time) <= 20
+    assert places[[0, -1]].tolist() == q[[0, -1]].tolist()
+
+
+@pytest.mark.parametrize(("end", "rounds"), [(1.0, 1), (0.5, 5)])
+def test_it_is_planned_anew_only_where_the_path_bends(end: float, rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    planned: list[int] = []
+    fastest = retiming._fastest
+
+    def counted(q: FloatArray, *rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        planned.append(len(q))
+        return fastest(q, *rest)
+
+    monkeypatch.setattr(retiming, "_fastest", counted)
+    path = Trajectory.from_arrays([0, 1, 2], [[0.0] * 6, [0.5] * 6, [end, *[1.0] * 5]])
+    retimed = path.retimed(SPEED, ACCELERATION)
+    assert planned.count(len(retimed)) == rounds
 
 
 def test_where_it_rests_it_rests() -> None:

@@ -95,11 +95,25 @@ REST = np.zeros((3, 6))
         ([0, 1, 2], REST, REST[:2], None, "qd has the shape"),
         ([0, 1, 2], REST, None, REST, "accelerations without velocities"),
         ([0, 1, 2], REST, REST + 1e300, None, r"point 0: qd\[0\]"),
+        (
+            [0, 1, 2],
+            REST + 1.1e6,
+            None,
+            None,
+            r"point 0: q\[0\] \(base\) is 1100000.0; expected a finite number of rad$",
+        ),
+        ([0, 1, 1.1e6], REST, None, None, "point 2: time is 1100000.0"),
+        ([0, 1, 1.00009], REST, None, None, "point 2: time 1.00009 s after 1 s; times have to increase, by 0.0001 s"),
     ],
 )
 def test_arrays_that_are_no_trajectory(time: object, q: object, qd: object, qdd: object, message: str) -> None:
     with pytest.raises(BadValue, match=message):
         Trajectory.from_arrays(time, q, qd, qdd)  # type: ignore[arg-type]
+
+
+def test_the_largest_numbers_and_the_shortest_steps() -> None:
+    closest = Trajectory.from_arrays([0, 1e-4, 1e6], REST + 1e6, REST - 1e6, REST + 1e6)
+    assert closest.duration == 1e6
 
 
 def test_points_that_do_not_go_together() -> None:
@@ -131,6 +145,12 @@ def test_without_velocities_it_turns_without_overshoot_and_rests_at_the_ends() -
     assert q[:, 5].max() <= 1.0
     assert not qd[[0, -1]].any()
     assert not trajectory.has_velocities
+
+
+def test_chosen_velocities_are_weighted_harmonic_means() -> None:
+    """By hand, with weights 2 h + h' of the steps: 9 / (5 / 1 + 4 / 0.5), and 9 / (4 / 0.5 + 5 / 2)."""
+    trajectory = tool(0, 1, 2, 4, time=[0, 1, 3, 4])
+    assert trajectory.qd[:, 5] == pytest.approx([0.0, 9.0 / 13.0, 9.0 / 10.5, 0.0])
 
 
 times = st.lists(st.floats(0.01, 5.0), min_size=1, max_size=5).map(lambda steps: np.cumsum([0.0, *steps]))
@@ -223,6 +243,15 @@ def test_velocity_between_points() -> None:
     tool(0, 4, time=[0, 1.95]).check(UR5E)
 
 
+def test_what_is_just_within_its_limits() -> None:
+    tool(0, UR5E.position_limits[5, 1], 0, UR5E.position_limits[5, 0], 0, time=[0, 20, 40, 60, 80]).check(UR5E)
+    fastest = np.array([UR5E.max_speed] * 2)
+    way = np.array([[0.0] * 6, 0.3 * UR5E.max_speed])
+    Trajectory.from_arrays([0, 0.3], way, fastest).check(UR5E)
+    with pytest.raises(BadValue, match="velocity of base"):
+        Trajectory.from_arrays([0, 0.3], 1.00001 * way, 1.00001 * fastest).check(UR5E)
+
+
 def test_acceleration_at_a_point() -> None:
     with pytest.raises(BadValue, match=r"point 0 \(t = 0\.0000 s\): acceleration of wrist 3 .* is 600\.0000 rad/s²"):
         tool(0, 1, time=[0, 0.1]).check(UR5E.__class__(**{**vars(UR5E), "max_speed": [99] * 6}))
@@ -239,7 +268,8 @@ def test_a_long_trajectory_is_looked_at_to_its_end() -> None:
 def test_first_point_is_near() -> None:
     with pytest.raises(BadValue, match=r"shoulder \(joint 1\) at 0\.2000 rad, to begin at 0\.0000 rad; at most 0\.05"):
         tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0])
-    tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0], within=0.3)
+    tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0], within=0.2)
+    tool(0, 1).check(near=[0, 0.05, -0.05, 0, 0, 0])
 
 
 def test_begins_and_ends_at_rest() -> None:
@@ -249,6 +279,52 @@ def test_begins_and_ends_at_rest() -> None:
     trajectory.check(UR5E)
     with pytest.raises(BadValue, match=r"point 1: elbow \(joint 2\) moves at 0\.4000 rad/s"):
         trajectory.check(near=[0] * 6)
+    Trajectory.from_arrays([0, 1], np.zeros((2, 6)), moving / 8).check(near=[0] * 6)
+    with pytest.raises(BadValue, match=r"point 0: elbow \(joint 2\) moves at -0\.0504 rad/s"):
+        Trajectory.from_arrays([0, 1], np.zeros((2, 6)), moving[::-1] * -0.126).check(near=[0] * 6)
+
+
+def test_how_closely_the_curve_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In each point, and at 15 places between two."""
+    looked: list[float] = []
+    curve = Trajectory._curve
+
+    def watched(self: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        looked.extend(t.ravel())
+        return curve(self, t)
+
+    monkeypatch.setattr(Trajectory, "_curve", watched)
+    tool(0, 1, 0, time=[0, 1.6, 4.8]).check(UR5E)
+    assert sorted(set(looked)) == pytest.approx([*np.arange(0, 1.65, 0.1), *np.arange(1.8, 4.85, 0.2)])
+
+
+def test_a_limit_that_is_broken_at_a_point_names_it() -> None:
+    """Also where the time of the last place of a step would be rounded to something else than that of the point."""
+    assert 0.2 + (0.9 - 0.2) != 0.9
+    speeds = np.zeros((3, 6))
+    speeds[2, 0] = 3.2
+    with pytest.raises(BadValue, match=r"^point 2 \(t = 0\.9000 s\): velocity of base \(joint 0\) is 3\.2000 rad/s"):
+        Trajectory.from_arrays([0, 0.2, 0.9], np.zeros((3, 6)), speeds).check(UR5E)
+
+
+def test_retimed_is_told_places_beside_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some hundred at least, and not many more in each step of a long trajectory; closer beside its points."""
+    asked: list[FloatArray] = []
+
+    def told(q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray, closest: float) -> object:
+        asked.append(q[:, 5])
+        assert closest == 2e-4
+        return [0.0, 1.0], q[[0, -1]], np.zeros((2, 6))
+
+    monkeypatch.setattr("urlink.motion.trajectory.retime", told)
+    for segments, places in ((1, 200), (2, 100), (50, 20), (100, 20), (400, 5), (1500, 3)):
+        trajectory = tool(*range(segments + 1))
+        trajectory.retimed(1.0, 1.0)
+        assert len(asked[-1]) == segments * places + 1
+        assert asked[-1][::places] == pytest.approx(trajectory.q[:, 5])
+    steps = np.diff(asked[0])
+    assert (np.diff(steps)[:90] > 0.0).all()
+    assert steps == pytest.approx(steps[::-1])
 
 
 # -- files ---------------------------------------------------------------------------------------------
