@@ -3,11 +3,9 @@ from __future__ import annotations
 from tests.mutants.equivalent import Equivalent
 
 CHANNEL = "urlink/commanding/channel.py"
-INTERLOCK = "urlink/commanding/interlock.py"
 MONITOR = "urlink/commanding/monitor.py"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),
-    Equivalent(INTERLOCK, "over", "True", "False", "of zip(strict=): both are statuses, so both are of one length"),
     Equivalent(MONITOR, "wait_for", "left <= 0.0", "left < 0.0", "a clock that says exactly this costs one more look"),
 )
