@@ -2,7 +2,8 @@
 
 An expression in which nothing is called that takes time or is part of the program becomes one Python function. Such
 calls become instructions of their own, which leave their value in a slot of the frame; what stands to the left of them
-in the expression is worked out before, into slots too, so that the order is that of the text.
+in the expression is worked out before, into slots too, so that the order is that of the text. A function of the program
+that only works something out (`leaf_functions`) becomes a Python function as well.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from .instructions import (
     store,
     store_element,
 )
+from .leaf_functions import leaf_size
 from .machine import FIRST, Code, Instruction, Script, ScriptThread, StatementCode, Waiting
 from .operations import Function
 from .parser import parse
@@ -69,9 +71,10 @@ from .syntax import (
     Statement,
     Unary,
     While,
+    parts_of,
 )
 from .tokens import Source
-from .values import UNSET
+from .values import NUMBERS, UNSET
 
 __all__ = ["compile_script"]
 
@@ -132,6 +135,7 @@ class _Program:
             body = [*statements[:-1], *last.body]
         self.globals = {variable: slot for slot, variable in enumerate(global_names(body))}
         self._builtins: dict[str, Builtin | None] = {}
+        self._leaves: dict[int, tuple[Definition, Function | None, int]] = {}
         main = Code(name, source)
         _Compiler(self, main, body, (), None).compile()
         kind: Literal["def", "sec"] = "sec" if self.kind == "sec" else "def"
@@ -142,6 +146,17 @@ class _Program:
         if name not in self._builtins:
             self._builtins[name] = find(name, self.firmware)
         return self._builtins[name]
+
+    def leaf(self, definition: Definition, code: Code) -> tuple[Function | None, int]:
+        """What a call of this function works out, of its frame, and its size; None where it is no leaf function."""
+        if code.source is not self.source:
+            return None, 0  # its faults would be looked for in the text of a statement that came later
+        if id(definition) not in self._leaves:
+            size = leaf_size(definition, self.globals)
+            compiler = _Compiler(self, Code(code.name, self.source), definition.body, (definition,), None)
+            self._leaves[id(definition)] = definition, compiler.leaf() if size else None, size
+        _, function, size = self._leaves[id(definition)]
+        return function, size
 
     def error(self, node: Node, text: str) -> ScriptError:
         """Something is wrong with a part of the program."""
@@ -163,6 +178,8 @@ class _Compiler:
         self._body = body
         self._outer = outer
         self._parameters = [parameter for one in definition for parameter in one.parameters]
+        # They have a value from the beginning.
+        self._given = {parameter.name for parameter in self._parameters if parameter.default is None}
         names = Names.of(body)
         self.functions = Functions(names, program.source, outer)
         own = [
@@ -201,6 +218,23 @@ class _Compiler:
         self._code.size = self._top
         self._code.instructions.extend(maker(at) for at, (maker, _) in enumerate(self._makers, 1))
         self._code.places.extend(place for _, place in self._makers)
+
+    def leaf(self) -> Function:
+        """What a leaf function works out, of its frame."""
+        return self._chosen(self._body, operations.constant(None))
+
+    def _chosen(self, block: Block, after: Function) -> Function:
+        """What the statements return, or else what comes after them does."""
+        for statement in reversed(block):
+            if isinstance(statement, Return):
+                after = operations.constant(None) if statement.value is None else self._value(statement.value)
+            elif isinstance(statement, If):
+                chosen = self._chosen(statement.otherwise, after)
+                for condition, body in reversed(statement.branches):
+                    then = self._chosen(body, after)
+                    chosen = operations.choice(self._value(condition), then, chosen, condition.place)
+                after = chosen
+        return after
 
     def statement(self, text: str) -> StatementCode:
         """A statement that comes while the program runs, compiled into the scope of this function.
@@ -372,11 +406,15 @@ class _Compiler:
             return self._taking[id(node)]
         taking = isinstance(node, MethodCall)
         if isinstance(node, Call) and not node.is_run:
-            builtin = None if self.functions.find(node.name) else self._program.builtin(node.name)
-            taking = builtin is None or builtin.takes_time
+            found = self.functions.find(node.name)
+            if found is not None:
+                taking = self._program.leaf(*found)[0] is None
+            else:
+                builtin = self._program.builtin(node.name)
+                taking = builtin is None or builtin.takes_time
         if alone:
             return taking
-        taking = taking or any(self._takes(part) for part in _parts(node))
+        taking = taking or any(self._takes(part) for part in parts_of(node))
         self._taking[id(node)] = taking
         return taking
 
@@ -412,6 +450,16 @@ class _Compiler:
         return operations.display(self._sequence(node.items), node.place)
 
     def _index(self, node: Index) -> Function:
+        at = node.index.value if isinstance(node.index, Constant) else None
+        if isinstance(node.base, Name) and at.__class__ is int:
+            self._parts += 2
+            name = node.base.name
+            if name in self._slots:
+                return operations.local_element(self._slots[name], int(at), name, node.base.place, node.place)
+            if name in self._program.globals:
+                slot = self._program.globals[name]
+                return operations.global_element(slot, int(at), name, node.base.place, node.place)
+            raise self._program.not_found(node.base, name)
         base, index = self._sequence((node.base, node.index))
         return operations.element(base, index, node.place)
 
@@ -422,6 +470,8 @@ class _Compiler:
         return operations.signed(node.operator, operand, node.place)
 
     def _variable(self, node: Name) -> Function:
+        if node.name in self._given:
+            return operations.temporary(self._slots[node.name])
         if node.name in self._slots:
             return operations.local_variable(self._slots[node.name], node.name, node.place)
         if node.name in self._program.globals:
@@ -431,6 +481,10 @@ class _Compiler:
     def _binary(self, node: Binary) -> Function:
         place = node.place
         if node.operator not in ("and", "or"):
+            known_right = node.right.value if isinstance(node.right, Constant) else None
+            if isinstance(known_right, (int, float)) and known_right.__class__ in NUMBERS:
+                self._parts += 1
+                return operations.operation_by(node.operator, self._value(node.left), known_right, place)
             left, right = self._sequence((node.left, node.right))
             return operations.operation(node.operator, left, right, place)
         join_of = operations.both if node.operator == "and" else operations.either
@@ -467,6 +521,10 @@ class _Compiler:
         if node.is_run:
             self._takes_time(node, "run")
             return operations.placed(start(code, arguments), node.place)
+        leaf, size = self._program.leaf(definition, code)
+        if leaf is not None:
+            self._parts += size
+            return operations.leaf_call(leaf, arguments)
         slot = self._slot()
         self._emit(node, lambda after: call(code, arguments, slot, after))
         return operations.temporary(slot)
@@ -546,23 +604,3 @@ class _Compiler:
             operations.constant(default) if function is None else function
             for function, (_, default) in zip(given, parameters, strict=True)
         ]
-
-
-def _parts(node: Expression) -> Sequence[Expression]:
-    match node:
-        case ListDisplay() | PoseDisplay():
-            return node.items
-        case Index():
-            return (node.base, node.index)
-        case Member():
-            return (node.base,)
-        case MethodCall():
-            return (node.base, *node.arguments)
-        case Unary():
-            return (node.operand,)
-        case Binary():
-            return (node.left, node.right)
-        case Call():
-            return [*node.arguments, *(value for _, value in node.named)]
-        case _:
-            return ()

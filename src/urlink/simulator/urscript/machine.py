@@ -199,14 +199,13 @@ class ScriptThread:
                     self._frame[self._destination] = done.value
             at, frame, instructions = self._next, self._frame, self._code.instructions
             for left in range(machine.left, 0, -1):
-                after = instructions[at](frame)
-                if after >= 0:
-                    at = after
-                elif after == SWITCHED:
-                    at, frame, instructions = self._next, self._frame, self._code.instructions
-                else:
-                    machine.left = left - 1
-                    return
+                at = instructions[at](frame)  # still the number of this one where it fails
+                if at < 0:
+                    if at == SWITCHED:
+                        at, frame, instructions = self._next, self._frame, self._code.instructions
+                    else:
+                        machine.left = left - 1
+                        return
             machine.left = 0
             if machine.reads:
                 # It has read from a socket, for which a program waits anyway: it goes on in the next cycle.

@@ -24,16 +24,21 @@ __all__ = [
     "both",
     "call",
     "checked_truth",
+    "choice",
     "constant",
     "display",
     "either",
     "element",
     "failing",
+    "global_element",
     "global_variable",
     "inverted",
+    "leaf_call",
+    "local_element",
     "local_variable",
     "member",
     "operation",
+    "operation_by",
     "placed",
     "pose_display",
     "signed",
@@ -112,7 +117,7 @@ def global_variable(slot: int, name: str, place: int) -> Function:
 def display(items: Sequence[Function], place: int) -> Function:
     """A list."""
 
-    def run(f: Frame) -> Any:
+    def run(f: Frame, items: Sequence[Function] = items) -> Any:
         return values.list_of([item(f) for item in items], f[THREAD].machine.charge)
 
     return placed(run, place)
@@ -145,6 +150,51 @@ def element(base: Function, index: Function, place: int) -> Function:
             return values.element(value, at)
         except Fault as fault:
             raise _at(place, fault) from None
+
+    return run
+
+
+def _element(value: Any, at: int, place: int) -> Any:
+    try:
+        return values.element(value, at)
+    except Fault as fault:
+        raise _at(place, fault) from None
+
+
+def local_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
+    """`name[at]` of a variable of the function, which stands at `variable`."""
+
+    def run(
+        f: Frame, slot: int = slot, at: int = at, name: str = name, variable: int = variable, place: int = place
+    ) -> Any:
+        value = f[slot]
+        if value.__class__ is tuple:
+            try:
+                return value[at]
+            except IndexError:
+                pass
+        if value is UNSET:
+            raise Fault(f"The variable '{name}' has no value", variable)
+        return _element(value, at, place)
+
+    return run
+
+
+def global_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
+    """`name[at]` of a variable of the program, which stands at `variable`."""
+
+    def run(
+        f: Frame, slot: int = slot, at: int = at, name: str = name, variable: int = variable, place: int = place
+    ) -> Any:
+        value = f[GLOBALS][slot]
+        if value.__class__ is tuple:
+            try:
+                return value[at]
+            except IndexError:
+                pass
+        if value is UNSET:
+            raise Fault(f"The variable '{name}' has no value", variable)
+        return _element(value, at, place)
 
     return run
 
@@ -335,6 +385,106 @@ _OPERATIONS: dict[str, Callable[[Function, Function, int], Function]] = {
     ">=": _at_least,
     "xor": _exclusive,
 }
+
+
+# The same with a number on the right that is known: what programs do most.
+
+
+def _sum_with(left: Function, b: float, place: int) -> Function:
+    def run(f: Frame, left: Function = left, b: float = b, place: int = place) -> Any:
+        a = left(f)
+        if a.__class__ in NUMBERS:
+            c = a + b
+            if MIN_INTEGER <= c <= MAX_INTEGER:
+                return c
+        return _slow(values.add, a, b, f, place)
+
+    return run
+
+
+def _product_by(left: Function, b: float, place: int) -> Function:
+    def run(f: Frame, left: Function = left, b: float = b, place: int = place) -> Any:
+        a = left(f)
+        if a.__class__ in NUMBERS:
+            c = a * b
+            if MIN_INTEGER <= c <= MAX_INTEGER:
+                return c
+        return _slow(values.multiply, a, b, f, place)
+
+    return run
+
+
+def _quotient_by(left: Function, b: float, place: int) -> Function:
+    def run(f: Frame, left: Function = left, b: float = b, place: int = place) -> Any:
+        a = left(f)
+        if a.__class__ in NUMBERS and b:
+            c = a / b
+            if MIN_INTEGER <= c <= MAX_INTEGER:
+                return c
+        return _slow(values.divide, a, b, f, place)
+
+    return run
+
+
+def _equal_to(left: Function, b: float, place: int) -> Function:
+    def run(f: Frame, left: Function = left, b: float = b) -> Any:
+        a = left(f)
+        return a == b if a.__class__ in NUMBERS else values.equal(a, b, f[THREAD].machine.charge)
+
+    return run
+
+
+def _less_than(left: Function, b: float, place: int) -> Function:
+    def run(f: Frame, left: Function = left, b: float = b, place: int = place) -> Any:
+        a = left(f)
+        return a < b if a.__class__ in NUMBERS else _slow_comparison("<", a, b, place)
+
+    return run
+
+
+_OPERATIONS_BY: dict[str, Callable[[Function, float, int], Function]] = {
+    "+": _sum_with,
+    "*": _product_by,
+    "/": _quotient_by,
+    "==": _equal_to,
+    "<": _less_than,
+}
+
+
+def operation_by(sign: str, left: Function, right: float, place: int) -> Function:
+    """As `operation`, with a number on the right."""
+    by = _OPERATIONS_BY.get(sign)
+    return operation(sign, left, constant(right), place) if by is None else by(left, right, place)
+
+
+def choice(condition: Function, then: Function, otherwise: Function, place: int) -> Function:
+    """One or the other, by a condition that stands at `place`."""
+
+    def run(f: Frame, condition: Function = condition, then: Function = then, otherwise: Function = otherwise) -> Any:
+        value = condition(f)
+        if value is True:
+            return then(f)
+        if value is False:
+            return otherwise(f)
+        try:
+            holds = values.truth(value)
+        except Fault as fault:
+            raise _at(place, fault) from None
+        return then(f) if holds else otherwise(f)
+
+    return run
+
+
+def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
+    """A function of the program that only works something out, of a frame with its arguments."""
+
+    def run(f: Frame, function: Function = function, arguments: Sequence[Function] = arguments) -> Any:
+        frame = [f[GLOBALS], f[THREAD]]
+        for argument in arguments:
+            frame.append(argument(f))
+        return function(frame)
+
+    return run
 
 
 def call(function: Callable[..., Any], arguments: Sequence[Function], place: int) -> Function:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -34,6 +35,7 @@ __all__ = [
     "Statement",
     "Unary",
     "While",
+    "parts_of",
 ]
 
 Scope = Literal["global", "local", "free"]
@@ -244,3 +246,24 @@ class Definition(Statement):
     name: str
     parameters: list[Parameter]
     body: Block
+
+
+def parts_of(node: Expression) -> Sequence[Expression]:
+    """The expressions that it is made of."""
+    match node:
+        case ListDisplay() | PoseDisplay():
+            return node.items
+        case Index():
+            return (node.base, node.index)
+        case Member():
+            return (node.base,)
+        case MethodCall():
+            return (node.base, *node.arguments)
+        case Unary():
+            return (node.operand,)
+        case Binary():
+            return (node.left, node.right)
+        case Call():
+            return [*node.arguments, *(value for _, value in node.named)]
+        case _:
+            return ()

@@ -157,7 +157,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
     """A list, if it may be made: no longer than allowed, and lists in it hold no lists. The latter is a guess."""
     made = tuple(items)
     total = len(made)
-    for item in made:
+    for item in made if not NUMBERS.issuperset(map(type, made)) else ():
         if item.__class__ is tuple:
             if any(inner.__class__ is tuple for inner in item):
                 raise type_error("the lists in a list cannot hold lists")

@@ -189,3 +189,61 @@ def test_every_function_that_drivers_call_is_known(name: str) -> None:
 )
 def test_firmware_decides_what_is_known(name: str, firmware: str, known: bool) -> None:
     assert (find(name, Firmware.parse(firmware)) is not None) is known
+
+
+#: A function that only works something out, which becomes part of expressions, and the same as one that also assigns,
+#: which is called by an instruction.
+LEAF = """\
+def within(aim, here, way):
+  if aim > here + way:
+    return here + way
+  elif aim < here - way:
+    return here - way
+  end
+  return aim * gain
+end
+"""
+CALLED = LEAF.replace("  if aim", "  kept = aim\n  if aim", 1)
+NOTHING = 'def nothing(a):\n  if a == 1:\n    return "one"\n  end\nend\n'
+
+
+@pytest.mark.parametrize("text", [LEAF, CALLED], ids=["leaf", "called"])
+@pytest.mark.parametrize(
+    ("statements", "said"),
+    [
+        ("textmsg([within(5, 1, 2), within(-5, 1, 2), within(1.5, 1, 2)])", "[3,-1,3]"),
+        ("textmsg(within(within(9, 1, 2), within(0, 1, 2), within(1, 1, 2)) + 1)", "3"),
+        ("textmsg(within(way=1, here=2, aim=9))", "3"),
+        ("gain = 3\ntextmsg(within(1, 1, 2))", "3"),
+        ("thread t():\n  textmsg(within(1, 0, 1) == 2)\nend\njoin run t()", "True"),
+    ],
+)
+def test_a_function_that_only_works_something_out(text: str, statements: str, said: str) -> None:
+    assert run(f"gain = 2\n{text}{statements}\n").notes[0].endswith(f" textmsg {said}")
+
+
+@pytest.mark.parametrize("text", [LEAF, CALLED], ids=["leaf", "called"])
+@pytest.mark.parametrize(
+    ("statement", "place"),
+    [
+        ("x = within(True, 1, 2)", "aim > here"),
+        ('x = within(1, "a", 2)', "here + way"),
+        ("x = within(1, 2)", "within(1, 2)"),
+        ("x = within(1, 2, 3) + within(1, [1], 2)", "aim > here"),
+    ],
+)
+def test_what_fails_in_it_says_where(text: str, statement: str, place: str) -> None:
+    program = f"gain = 2\n{text}{statement}\n"
+    execution = start(program, StandIn())
+    execution.advance()
+    assert execution.error is not None
+    line = program.splitlines()[execution.error.line - 1]
+    assert place in line
+
+
+def test_a_function_that_returns_nothing() -> None:
+    assert run(f"{NOTHING}textmsg(nothing(1))\n").notes[0].endswith("textmsg one")
+    execution = start(f"{NOTHING}x = [nothing(2)]\n", StandIn())
+    execution.advance()
+    assert execution.error is not None
+    assert "none cannot be in a list" in str(execution.error)

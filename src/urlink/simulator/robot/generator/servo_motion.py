@@ -14,6 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import repeat
+from operator import le, mul, sub
 
 from ..sources import Setpoint
 from .joint_limits import JOINTS, JointLimits, LimitViolation
@@ -94,7 +96,10 @@ class ServoMotion:
     def _check(self, q: Sequence[float], horizon: float) -> None:
         """A joint that trails at its largest speed is as far from its target as it gets in this time."""
         self._limits.check_target(self._end)
-        for joint, now, end, most in zip(JOINTS, q, self._end, self._limits.allowed_speed, strict=True):
+        allowed = self._limits.allowed_speed
+        if all(map(le, map(abs, map(sub, self._end, q)), map(mul, allowed, repeat(horizon)))):
+            return
+        for joint, now, end, most in zip(JOINTS, q, self._end, allowed, strict=True):
             if abs(end - now) > most * horizon:
                 raise LimitViolation(f"{joint}: a jump of {end - now:.4f} rad to a servoj target")
 

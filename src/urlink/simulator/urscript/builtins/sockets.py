@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -136,9 +137,9 @@ def socket_read_binary_integer(
     buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: len(data) >= 4 * count)
     if buffer is None:
         return (0, *[-1] * count)
-    data = bytes(buffer[: 4 * count])
+    numbers = struct.unpack_from(f">{count}i", buffer)
     del buffer[: 4 * count]
-    return (count, *[int.from_bytes(data[at : at + 4], "big", signed=True) for at in range(0, 4 * count, 4)])
+    return (count, *numbers)
 
 
 @FAMILY.declare(takes_time=True)
