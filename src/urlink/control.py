@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
@@ -13,15 +12,16 @@ from linkcore.streaming.stream import Stream
 from linkcore.wire.version import Since
 
 from .commanding.channel import CommandChannel
-from .commanding.interlock import Interlock, Policy
+from .commanding.interlock import Interlock
 from .commanding.interpreter import Interpreters
 from .commanding.io import IO
 from .commanding.monitor import SafetyMonitor
+from .commanding.options import Options
 from .commanding.programs import Programs
 from .commanding.safety import Safety
 from .commanding.scripts import Scripts
 from .commanding.section import Section
-from .commanding.setting_channel import CommandsVia, SettingChannel
+from .commanding.setting_channel import SettingChannel
 from .commanding.settings import Settings
 from .identity import KnownIdentity
 from .interfaces.dashboard.client import Dashboard
@@ -36,26 +36,12 @@ from .motion.reverse import ReversePort
 if TYPE_CHECKING:
     from .rtde import Rtde
 
-__all__ = ["Control", "Options"]
+__all__ = ["Control"]
 
 #: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
 _ASK_TIMEOUT = 0.5
 #: The first firmware of the e-Series and of PolyScope X that can say so.
 _TELLS_CONTROL = Since("5.6/10.12")
-
-
-@dataclass(frozen=True)
-class Options:
-    """What `connect` was told about commanding; the attributes are its arguments."""
-
-    require_enable: Policy
-    stale_after: float
-    start_timeout: float
-    start_flag: int | None
-    reverse_host: str | None
-    reverse_port: int
-    reverse_peer: str | None
-    commands_via: CommandsVia
 
 
 class Control:

@@ -12,35 +12,34 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from linkcore.arguments import check_callable, check_choice
 from linkcore.errors import BadValue, Closed, LocalError
-from linkcore.recording.recorder import Recorder
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 
 from .address import Address, RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from .commanding.interlock import STALE_AFTER, Policy
-from .commanding.io import IO
-from .commanding.safety import Safety
-from .commanding.scripts import Scripts
-from .commanding.setting_channel import CommandsVia
-from .control import Control, Options
+from .commanding.options import CommandsVia, Options
 from .firmware import Firmware
 from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
-from .motion import Motions
-from .source import Source, networked, recorded
-from .urscript import commands
+from .source import Source, networked
 from .urscript.text import checked, integer
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from typing_extensions import Self
 
+    from linkcore.recording.recorder import Recorder
+
     from .commanding.interpreter import Interpreter
+    from .commanding.io import IO
+    from .commanding.safety import Safety
+    from .commanding.scripts import Scripts
+    from .control import Control
     from .interfaces.dashboard.client import Dashboard
     from .interfaces.gripper.client import Gripper
     from .kinematics import Arm
-    from .motion import Freedrive
+    from .motion import Freedrive, Motions
     from .motion.motions import LinkName
     from .motion.taught import TaughtPoint
     from .motion.teaching import Teaching
@@ -125,6 +124,8 @@ def connect(
         isolate,
     )
     if isinstance(wanted.place, RecordingAddress):
+        from .playback import recorded
+
         return Robot(
             wanted.address,
             recorded(wanted.place),
@@ -243,10 +244,12 @@ def assemble(
         RemoteError: nobody, or somebody else, is there.
     """
     address = wanted.address
-    refusal = f"{address} was connected with read_only=True, so it cannot be commanded" if wanted.read_only else ""
-    robot = Robot(address, source, controller, refusal=refusal, known=known)
-    if not wanted.read_only:
-        robot._control = Control(
+
+    def control(robot: Robot) -> Control:
+        # A program that only reads states never imports what commands: more than all the rest of this library.
+        from .control import Control
+
+        return Control(
             address,
             place.host,
             place.ports,
@@ -257,7 +260,11 @@ def assemble(
             wanted.timeout,
             _rtde_of(robot),
         )
-    return robot
+
+    if wanted.read_only:
+        refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
+        return Robot(address, source, controller, refusal=refusal, known=known)
+    return Robot(address, source, controller, known=known, control=control)
 
 
 class Robot:
@@ -275,10 +282,13 @@ class Robot:
         *,
         refusal: str = "",
         known: Identity | None = None,
+        control: Callable[[Robot], Control] | None = None,
     ) -> None:
         self.address = address
         self._controller = controller
-        self._control: Control | None = None
+        self._make_control = control
+        #: under the one key "one", since `setdefault` is one step for signal handlers too
+        self._controls: dict[str, Control] = {}
         self._refusal = refusal
         self._source = source
         self._who = KnownIdentity(source.ask, known)
@@ -563,6 +573,7 @@ class Robot:
             LocalError: as `freedrive`; or with `button`, the firmware has no RTDE.
         """
         from .motion.teaching import Teaching, Triggers
+        from .urscript import commands
 
         banks = {each.name: each for each in (commands.STANDARD, commands.CONFIGURABLE, commands.TOOL)}
         check_choice(bank, "bank", tuple(banks))
@@ -595,9 +606,16 @@ class Robot:
         self._commanded().settings.popup(text, title, warning, error)
 
     def _commanded(self) -> Control:
-        if self._control is None:
+        known = self._controls.get("one")
+        if known is not None:
+            return known
+        if self._make_control is None:
             raise LocalError(self._refusal)
-        return self._control
+        control = self._controls.setdefault("one", self._make_control(self))
+        if self._is_closed:
+            # `close` may have looked for it before it was there; closing twice does no harm.
+            control.close(0.0)
+        return control
 
     # -- its end -------------------------------------------------------------------------------------
 
@@ -605,8 +623,8 @@ class Robot:
         """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent."""
         until = time.monotonic() + timeout
         self._is_closed = True
-        if self._control is not None:
-            self._control.close(timeout)
+        for control in tuple(self._controls.values()):
+            control.close(timeout)
         if self._rtde is not None:
             self._rtde.close(max(until - time.monotonic(), 0.0))
         for stream in tuple(self._streams.values()):
@@ -668,6 +686,8 @@ def _recorder(path: str | os.PathLike[str]) -> Recorder:
         from .data.live import McapRecorder
 
         return McapRecorder(path)
+    from linkcore.recording.recorder import Recorder
+
     return Recorder(path)
 
 

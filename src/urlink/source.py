@@ -1,4 +1,4 @@
-"""Where a robot's bytes come from: a controller on the network, or a recording."""
+"""Where a robot's bytes come from. Here: from a controller on the network; `playback` has recordings."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from linkcore.errors import BadRecording, BadValue, ConnectFailed
+from linkcore.errors import BadValue, ConnectFailed
 from linkcore.net.transport import TcpTransport, Transport
-from linkcore.recording.file import Recording
-from linkcore.recording.player import ReplayClock, ReplayTransport
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
@@ -17,9 +15,9 @@ from linkcore.streaming.stream import Stream
 from linkcore.wire.packet import State
 from linkcore.wire.protocol import PacketProtocol
 
-from .address import RecordingAddress, RobotAddress
+from .address import RobotAddress
 from .decoding import INTERFACES
-from .identity import Identity, described_identity, identify
+from .identity import Identity, identify
 from .interfaces.primary.protocol import PrimaryProtocol
 from .interfaces.primary.robot_message import OtherPackage, RobotMessage
 from .interfaces.primary.robot_state import RobotState, SubPackage
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
     from .interfaces.rtde.protocol import Plan
     from .interfaces.rtde.transport import RtdeTransport
 
-__all__ = ["Source", "networked", "recorded"]
+__all__ = ["Source", "networked"]
 
 
 class Source(NamedTuple):
@@ -150,28 +148,3 @@ def networked(
         )
 
     return Source(ask, transport, backoff, timeout, silence, is_lossless=False)
-
-
-def recorded(place: RecordingAddress) -> Source:
-    """A recording, which is played as it is read.
-
-    Raises:
-        BadRecording: it does not exist, or is none.
-    """
-    recording = Recording(place.path)
-    clock = ReplayClock(recording, place.rate)
-
-    def ask() -> Identity:
-        for info in recording.channels.values():
-            if "firmware" in info:
-                return described_identity(info)
-        raise BadRecording(f"{recording.path} does not say what firmware it was recorded from")
-
-    def transport(interface: str) -> Transport:
-        return ReplayTransport(recording, interface, clock)
-
-    def channel(interface: str) -> Mapping[str, Any]:
-        return recording.channels[recording.channel(interface)]
-
-    at_once = Backoff(first=0, most=0)
-    return Source(ask, transport, at_once, timeout=5.0, silence=None, is_lossless=place.rate == 0, channel=channel)

@@ -36,6 +36,22 @@ NOT_NEEDED_TO_DECODE = (
     "urlink.interfaces.dashboard",
 )
 
+#: What connecting and reading states does without.
+NOT_NEEDED_TO_READ = (
+    *NOT_NEEDED,
+    "linkcore.recording",
+    "linkcore.handle",
+    "linkcore.wire.http",
+    "urlink.commanding.channel",
+    "urlink.control",
+    "urlink.interfaces.dashboard",
+    "urlink.interfaces.gripper",
+    "urlink.interfaces.rtde",
+    "urlink.kinematics",
+    "urlink.motion",
+    "urlink.urscript.programs",
+)
+
 # A fresh interpreter: in this one everything has been imported already.
 PROGRAM = """
 import json, sys, threading
@@ -106,6 +122,12 @@ def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
     modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.RealtimeState('3.4')")["modules"]
     assert "urlink.decoding" in modules
     assert those(modules, NOT_NEEDED_TO_DECODE) == []
+
+
+def test_who_connects_and_reads_imports_nothing_that_commands() -> None:
+    modules = outcome("import urlink; urlink.connect; urlink.Robot.realtime; urlink.RealtimeState")["modules"]
+    assert "urlink.robot" in modules
+    assert those(modules, NOT_NEEDED_TO_READ) == []
 
 
 def test_the_simulator_is_imported_by_who_asks_for_it() -> None:

@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from linkcore.errors import Closed, ConnectionLost, LinkError
 from linkcore.streaming.connection import Connection
@@ -23,10 +23,7 @@ from linkcore.text import printable
 from .channel import CommandChannel
 from .section import Section
 
-__all__ = ["BriefInputs", "CommandsVia", "SettingChannel", "Values"]
-
-#: By which way settings may leave: the better one, or by text alone.
-CommandsVia = Literal["auto", "script"]
+__all__ = ["BriefInputs", "SettingChannel", "Values"]
 
 #: RTDE inputs of a setting, masks included; called when it is known that the robot runs. None where text has to do.
 Values = Callable[[], Mapping[str, Any] | None]
