@@ -31,6 +31,8 @@ from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script
 from urlink.simulator.urscript.limits import MAX_TOKENS
 from urlink.urscript import programs, waypoints, wrapping
+from urlink.urscript.links import ReverseSocket
+from urlink.urscript.streaming import streaming as streaming_program
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
@@ -99,9 +101,9 @@ def streaming(model: str, firmware: str) -> float:
     with listen() as listener:
         run(
             controller,
-            programs.streaming(
+            streaming_program(
                 controller.firmware,
-                programs.ReverseSocket("127.0.0.1", listener.getsockname()[1], 0),
+                ReverseSocket("127.0.0.1", listener.getsockname()[1], 0),
                 speeds=[6.28] * 6,
             ),
         )

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import socket
+import subprocess
+import sys
 import threading
 import time
 from collections import deque
+from pathlib import Path
 
 from linkcore.errors import ConnectionLost, LinkTimeout, PacketError
 from linkcore.net.transport import Transport
@@ -69,6 +73,34 @@ class CountProtocol:
 
 def counts(*numbers: int) -> bytes:
     return b"".join(bytes(Count(number=number)) for number in numbers)
+
+
+def output_of(program: str) -> str:
+    """What a Python program prints; its argument is a port of this computer, from which a count comes every 10 ms."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(30)
+        command = [sys.executable, "-c", program, str(server.getsockname()[1])]
+        root = Path(__file__).resolve().parents[2]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as process:
+            connection, _ = server.accept()
+            stop = threading.Event()
+
+            def send() -> None:
+                with connection:
+                    number = 0
+                    while not stop.wait(0.01):
+                        number += 1
+                        try:
+                            connection.sendall(counts(number))
+                        except OSError:
+                            return
+
+            sender = threading.Thread(target=send, daemon=True)
+            sender.start()
+            out, _ = process.communicate(timeout=40)
+            stop.set()
+            sender.join(10)
+    return out
 
 
 class ScriptedTransport:

@@ -20,6 +20,9 @@ from urlink.simulator import Controller
 from urlink_ros2 import JOINT_NAMES, serve
 from urlink_ros2.goals import read_goal
 
+#: The simulated arm of these tests.
+pytestmark = pytest.mark.urlink(model="UR5e", firmware="5.11")
+
 DRIVER = Path(__file__).parent / "driver.py"
 START = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 FAR = [0.5, *START[1:]]
@@ -28,16 +31,9 @@ Drive = Callable[..., Any]
 
 
 @pytest.fixture
-def controller() -> Iterator[Controller]:
-    with Controller("UR5e", "5.11") as controller:
-        yield controller
-
-
-@pytest.fixture
-def robot(controller: Controller) -> Iterator[urlink.Robot]:
-    with urlink.connect(controller.address) as robot:
-        robot.motion.move_joints(START, wait=True)
-        yield robot
+def robot(urlink_robot: urlink.Robot) -> urlink.Robot:
+    urlink_robot.motion.move_joints(START, wait=True)
+    return urlink_robot
 
 
 @pytest.fixture
@@ -110,7 +106,7 @@ def test_a_trajectory_is_cancelled_by_its_client_and_by_its_death(robot: urlink.
         assert isinstance(motion.error, urlink.Cancelled)
 
 
-def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, controller: Controller) -> None:
+def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
     with serve({"arm": robot}):
         wrong = drive("follow", goal((0.0, START), (1.0, FAR), joints=["a", "b", "c", "d", "e", "f"]))
         assert (wrong["status"], wrong["code"]) == (6, -2)
@@ -118,12 +114,12 @@ def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, contr
         strict = drive("follow", goal((0.0, START), (0.5, [0.2, *START[1:]]), (1.0, FAR), path_tolerance=1e-5))
         assert (strict["status"], strict["code"]) == (6, -4)
         assert "ToleranceExceeded" in strict["text"]
-        controller.faults.protective_stop()
+        urlink_controller.faults.protective_stop()
         until(lambda: robot.safety.refusal is not None)
         assert drive("follow", goal((0.0, START), (1.0, FAR))) == {"accepted": False}
 
 
-def test_services(robot: urlink.Robot, drive: Drive, controller: Controller) -> None:
+def test_services(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
     with serve({"arm": robot}):
         assert drive("call", "io_and_status_controller/set_digital_out_4", "on")["success"]
         assert robot.io.digital_out(4)
@@ -141,11 +137,11 @@ def test_services(robot: urlink.Robot, drive: Drive, controller: Controller) -> 
 
 
 def test_several_robots_in_namespaces_one_of_which_is_lost_and_comes_back(
-    robot: urlink.Robot, controller: Controller, drive: Drive
+    robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as other, serve({"left": robot, "right": other}, rate=50.0):
         assert 10.0 < drive("listen", "2", "right/")["rate"] < 60.0
-        controller.faults.stall(15.0)
+        urlink_controller.faults.stall(15.0)
         heard = drive("listen", "2", "left/")
         assert heard["last"]["robot_mode"] == "DISCONNECTED"
         assert heard["last"]["refusal"]

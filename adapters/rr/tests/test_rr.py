@@ -24,6 +24,9 @@ from urlink.urdf import JOINTS as JOINT_NAMES
 from urlink_rr import open_node, register, register_rhd, serve
 from urlink_rr.description import HOME
 
+#: The simulated arm of these tests.
+pytestmark = pytest.mark.urlink(model="UR5e", firmware="5.11")
+
 START = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 ROBOT = "com.robotraconteur.robotics.robot"
 
@@ -40,16 +43,9 @@ def client_node() -> Iterator[Any]:
 
 
 @pytest.fixture
-def controller() -> Iterator[Controller]:
-    with Controller("UR5e", "5.11") as controller:
-        yield controller
-
-
-@pytest.fixture
-def robot(controller: Controller) -> Iterator[urlink.Robot]:
-    with urlink.connect(controller.address) as robot:
-        robot.motion.move_joints(START, wait=True)
-        yield robot
+def robot(urlink_robot: urlink.Robot) -> urlink.Robot:
+    urlink_robot.motion.move_joints(START, wait=True)
+    return urlink_robot
 
 
 @pytest.fixture
@@ -186,7 +182,7 @@ def test_a_trajectory_with_feedback(arm: Any, node: Any, robot: urlink.Robot) ->
 
 
 def test_a_trajectory_that_is_cancelled_and_one_that_leaves_its_path(
-    arm: Any, node: Any, robot: urlink.Robot, controller: Controller
+    arm: Any, node: Any, robot: urlink.Robot, urlink_controller: Controller
 ) -> None:
     far = [1.0, *START[1:]]
     arm.command_mode = modes(node, arm)["trajectory"]
@@ -275,9 +271,9 @@ def test_homing_signals_speed_tool_and_payload(arm: Any, node: Any, robot: urlin
     until(lambda: changed == [(0, "arm")])
 
 
-def test_enable_disable_and_reset(arm: Any, node: Any, robot: urlink.Robot, controller: Controller) -> None:
+def test_enable_disable_and_reset(arm: Any, node: Any, robot: urlink.Robot, urlink_controller: Controller) -> None:
     states = node.GetConstants(ROBOT, arm)["RobotControllerState"]
-    controller.faults.protective_stop()
+    urlink_controller.faults.protective_stop()
     until(lambda: arm.controller_state == states["guard_stop"])
     assert "protective stop" in arm.current_errors[0].message
     with pytest.raises(RR.OperationFailedException, match="SafetyStop"):
@@ -301,7 +297,7 @@ def _works(call: Any) -> bool:
 
 
 def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_back(
-    robot: urlink.Robot, controller: Controller
+    robot: urlink.Robot, urlink_controller: Controller
 ) -> None:
     found: list[Any] = []
     lost: list[Any] = []
@@ -327,7 +323,7 @@ def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_
             assert other.command_mode == modes(watching, other)["halt"]
             # The robot goes away, and comes back, while the client stays.
             flag = watching.GetConstants(ROBOT, other)["RobotStateFlags"]["communication_failure"]
-            controller.faults.stall(2.5)
+            urlink_controller.faults.stall(2.5)
             until(lambda: newest(other).robot_state_flags & flag, 10.0)
             until(lambda: not newest(other).robot_state_flags & flag, 30.0)
             service.close()
@@ -341,9 +337,9 @@ def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_
         subscription.Close()
 
 
-def test_a_robot_that_is_only_read(controller: Controller, node: Any) -> None:
+def test_a_robot_that_is_only_read(urlink_controller: Controller, node: Any) -> None:
     with (
-        urlink.connect(controller.address, read_only=True) as robot,
+        urlink.connect(urlink_controller.address, read_only=True) as robot,
         serve({"arm": robot}, port=0, announce=False) as port,
     ):
         arm = node.ConnectService(f"rr+tcp://localhost:{port}?service=arm")

@@ -7,7 +7,6 @@ import pytest
 import zenoh
 
 import urlink
-from urlink.simulator import Controller
 from urlink_zenoh import Server, open_session
 
 
@@ -36,19 +35,7 @@ def session(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Session]:
 
 
 @pytest.fixture
-def controller() -> Iterator[Controller]:
-    with Controller("UR5e", "5.11") as controller:
-        yield controller
-
-
-@pytest.fixture
-def robot(controller: Controller) -> Iterator[urlink.Robot]:
-    with urlink.connect(controller.address) as robot:
-        yield robot
-
-
-@pytest.fixture
-def server(router: zenoh.Session, endpoint: str, robot: urlink.Robot) -> Iterator[Server]:
-    """Serves `robot` as "arm" to a router."""
-    with open_session([endpoint]) as session, Server(session, {"arm": robot}) as server:
+def server(router: zenoh.Session, endpoint: str, urlink_robot: urlink.Robot) -> Iterator[Server]:
+    """Serves the simulated robot as "arm" to a router."""
+    with open_session([endpoint]) as session, Server(session, {"arm": urlink_robot}) as server:
         yield server

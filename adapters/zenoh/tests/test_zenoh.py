@@ -23,6 +23,9 @@ from urlink.simulator import Controller
 from urlink_zenoh import Collector, RemoteRobot, Sample, Server, open_session, robots
 from urlink_zenoh.keys import attachment, stamped
 
+#: The simulated arm of these tests.
+pytestmark = pytest.mark.urlink(model="UR5e", firmware="5.11")
+
 HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 FAR = [1.5, -1.5, 1.5, -1.5, -1.5, 0.0]
 
@@ -36,7 +39,7 @@ def test_an_attachment_is_read_as_it_was_written(sequence: int, monotonic: int, 
     assert read == pytest.approx(stamp, abs=1e-6)
 
 
-def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, robot: urlink.Robot) -> None:
+def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
     assert robots(session) == ["arm"]
     came: list[Sample] = []
     with RemoteRobot(session, "arm") as remote, remote.watch(came.append) as watch:
@@ -61,13 +64,13 @@ def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, robot: u
 
 
 def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
-    router: zenoh.Session, endpoint: str, session: zenoh.Session, robot: urlink.Robot
+    router: zenoh.Session, endpoint: str, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:
     states: list[Sample] = []
     packages: list[Sample] = []
     with (
         open_session([endpoint]) as other,
-        Server(other, {"arm": robot}, prefix="hall/3", rate=50.0),
+        Server(other, {"arm": urlink_robot}, prefix="hall/3", rate=50.0),
         RemoteRobot(session, "arm", prefix="hall/3") as remote,
         remote.watch(packages.append, "primary"),
         remote.watch(states.append),
@@ -78,19 +81,21 @@ def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
     assert any(isinstance(sample.state, urlink.RobotState) for sample in packages)
 
 
-def test_a_client_moves_a_robot_and_sets_outputs(server: Server, session: zenoh.Session, robot: urlink.Robot) -> None:
+def test_a_client_moves_a_robot_and_sets_outputs(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
+) -> None:
     with RemoteRobot(session, "arm") as remote:
         done = remote.call("move_joints", q=np.array(HOME), wait=True)
         assert (done["phase"], done["progress"]) == ("done", 1.0)
-        assert robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)
+        assert urlink_robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)
         remote.call("set_digital_out", number=3, on=True)
-        assert robot.io.digital_out(3)
+        assert urlink_robot.io.digital_out(3)
         begun = remote.call("follow", time=[0, 2], q=[HOME, FAR], wait=False)
         until(lambda: remote.status["motion"] is not None and remote.status["motion"]["progress"] > 0.1)
         remote.call("stop")
-        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
+        until(lambda: np.abs(urlink_robot.realtime.wait().qd_actual).max() < 1e-3)
         assert begun["phase"] in ("sent", "running")
-        assert 0.01 < robot.realtime.wait().q_actual[0] < 1.4
+        assert 0.01 < urlink_robot.realtime.wait().q_actual[0] < 1.4
 
 
 @pytest.mark.parametrize(
@@ -105,25 +110,30 @@ def test_a_client_moves_a_robot_and_sets_outputs(server: Server, session: zenoh.
     ],
 )
 def test_bad_arguments_are_refused_by_the_robots_own_errors(
-    server: Server, session: zenoh.Session, robot: urlink.Robot, command: str, arguments: dict[str, Any], says: str
+    server: Server,
+    session: zenoh.Session,
+    urlink_robot: urlink.Robot,
+    command: str,
+    arguments: dict[str, Any],
+    says: str,
 ) -> None:
     with RemoteRobot(session, "arm") as remote, pytest.raises(urlink.BadValue, match=says):
         remote.call(command, **arguments)
-    assert robot.motion.current is None
+    assert urlink_robot.motion.current is None
 
 
 def test_commands_pass_the_interlock(
-    server: Server, session: zenoh.Session, controller: Controller, robot: urlink.Robot
+    server: Server, session: zenoh.Session, urlink_controller: Controller, urlink_robot: urlink.Robot
 ) -> None:
-    robot.safety.policy = "always"
+    urlink_robot.safety.policy = "always"
     with RemoteRobot(session, "arm") as remote:
         with pytest.raises(urlink.NotEnabled):
             remote.call("move_joints", q=HOME)
         remote.call("enable")
         remote.call("move_joints", q=FAR, speed=0.2)
-        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() > 0.05)
-        controller.faults.protective_stop()
-        until(lambda: robot.motion.current is None)
+        until(lambda: np.abs(urlink_robot.realtime.wait().qd_actual).max() > 0.05)
+        urlink_controller.faults.protective_stop()
+        until(lambda: urlink_robot.motion.current is None)
         with pytest.raises(urlink.SafetyStop) as stop:
             remote.call("move_joints", q=HOME)
         assert stop.value.cause == "protective stop"
@@ -131,22 +141,22 @@ def test_commands_pass_the_interlock(
 
 
 def test_a_motion_needs_a_client_that_is_alive_and_is_not_preempted_by_another(
-    server: Server, session: zenoh.Session, robot: urlink.Robot
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:
     with RemoteRobot(session, "arm") as first, RemoteRobot(session, "arm") as second:
         first.call("move_joints", q=FAR, speed=0.2)
         with pytest.raises(urlink.LocalError, match=first.client):
             second.call("move_joints", q=HOME)
         second.call("cancel")  # anybody may stop it
-        until(lambda: robot.motion.current is None)
+        until(lambda: urlink_robot.motion.current is None)
         second.call("move_joints", q=HOME, speed=0.2)
         second.close()
-        until(lambda: robot.motion.current is None)
+        until(lambda: urlink_robot.motion.current is None)
         with pytest.raises(urlink.LocalError, match="no client is alive"):
             second.call("move_joints", q=HOME)
     replies = list(session.get("urlink/arm/command/move_joints", payload=b'{"q": [0,0,0,0,0,0]}', timeout=2.0))
     assert b"needs a client" in bytes(replies[0].err.payload) if replies[0].err else False
-    assert robot.motion.current is None
+    assert urlink_robot.motion.current is None
 
 
 _MOVE = """
@@ -159,36 +169,36 @@ time.sleep(60)
 """
 
 
-def test_the_motion_of_a_process_that_dies_ends(server: Server, endpoint: str, robot: urlink.Robot) -> None:
+def test_the_motion_of_a_process_that_dies_ends(server: Server, endpoint: str, urlink_robot: urlink.Robot) -> None:
     process = subprocess.Popen([sys.executable, "-c", _MOVE, endpoint], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "moving\n"
-        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() > 0.05)
-        motion = robot.motion.current
+        until(lambda: np.abs(urlink_robot.realtime.wait().qd_actual).max() > 0.05)
+        motion = urlink_robot.motion.current
         assert motion is not None
         process.kill()
         until(lambda: motion.done, 5.0)
         assert isinstance(motion.error, urlink.Cancelled)
-        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
-        assert robot.realtime.wait().q_actual[0] < 1.4
+        until(lambda: np.abs(urlink_robot.realtime.wait().qd_actual).max() < 1e-3)
+        assert urlink_robot.realtime.wait().q_actual[0] < 1.4
     finally:
         process.kill()
         process.communicate()
 
 
-def test_a_router_dies_and_comes_back(endpoint: str, robot: urlink.Robot, tmp_path: Path) -> None:
+def test_a_router_dies_and_comes_back(endpoint: str, urlink_robot: urlink.Robot, tmp_path: Path) -> None:
     router = open_session(listen=[endpoint], mode="router")
     with (
         open_session([endpoint]) as ours,
         open_session([endpoint]) as theirs,
-        Server(ours, {"arm": robot}),
+        Server(ours, {"arm": urlink_robot}),
         Collector(theirs, tmp_path) as collector,
         RemoteRobot(theirs, "arm") as remote,
     ):
         until(lambda: "arm" in collector.robots)
         remote.call("move_joints", q=FAR, speed=0.1)
-        motion = robot.motion.current
+        motion = urlink_robot.motion.current
         assert motion is not None
         router.close()
         # Nobody can reach the robot now, so nobody could stop it.
@@ -210,14 +220,14 @@ def test_a_router_dies_and_comes_back(endpoint: str, robot: urlink.Robot, tmp_pa
 
 
 def test_a_robot_that_is_lost_and_comes_back(
-    server: Server, session: zenoh.Session, controller: Controller, robot: urlink.Robot
+    server: Server, session: zenoh.Session, urlink_controller: Controller, urlink_robot: urlink.Robot
 ) -> None:
     events: list[str] = []
     came: list[Sample] = []
     listener = session.declare_subscriber("urlink/arm/connection", lambda sample: events.append(str(sample.payload)))
     with RemoteRobot(session, "arm") as remote, remote.watch(came.append):
         until(lambda: came)
-        controller.faults.reboot()
+        urlink_controller.faults.reboot()
         until(lambda: any('"lost"' in event and "realtime" in event for event in events))
         seen = len(came)
         until(lambda: len(came) > seen + 50, 30.0)
@@ -226,18 +236,18 @@ def test_a_robot_that_is_lost_and_comes_back(
     assert any('"connected"' in event for event in events)
 
 
-def test_a_name_is_served_once(server: Server, session: zenoh.Session, robot: urlink.Robot) -> None:
+def test_a_name_is_served_once(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
     with pytest.raises(urlink.LocalError, match="served already"):
-        Server(session, {"arm": robot})
+        Server(session, {"arm": urlink_robot})
     with pytest.raises(urlink.BadValue, match="part of a key"):
-        Server(session, {"a/b": robot})
+        Server(session, {"a/b": urlink_robot})
 
 
 def test_a_robot_that_is_only_read_takes_no_commands(
-    router: zenoh.Session, endpoint: str, session: zenoh.Session, controller: Controller
+    router: zenoh.Session, endpoint: str, session: zenoh.Session, urlink_controller: Controller
 ) -> None:
     with (
-        urlink.connect(controller.address, read_only=True) as robot,
+        urlink.connect(urlink_controller.address, read_only=True) as robot,
         open_session([endpoint]) as ours,
         Server(ours, {"arm": robot}),
         RemoteRobot(session, "arm", timeout=1.0) as remote,

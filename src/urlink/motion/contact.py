@@ -31,8 +31,8 @@ class ContactMotion(Motion):
     """A movement until a contact; made by `robot.motion.until_contact`. It fails with `NoContact` where there is none.
 
     Args:
-        life: what becomes of it.
-        distance: m after which it gives up, for messages.
+        life: its life cycle.
+        distance: m after which it ends without a contact, for messages.
         pose_at: the pose of the TCP at joint positions.
     """
 

@@ -1,4 +1,4 @@
-"""What every motion needs of its robot."""
+"""The parts of a robot that motions use."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class MotionContext:
         channel: sends set-points.
         realtime: where the joints are, and the controller's clock.
         who: tells who the controller is.
-        reverse: where its programs connect to.
-        registers: where its programs read set-points from, if not over a connection of their own.
-        section: of the robot; left while somebody waits.
+        reverse: the port to which its programs connect.
+        registers: claims the input registers from which its programs read set-points, if not over a connection.
+        section: of the robot; left while a thread waits.
         clock: seconds that only grow.
     """
 

@@ -1,4 +1,4 @@
-"""Targets of a servo on their way through a target filter."""
+"""The set-points of a servo whose targets pass a target filter."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ __all__ = ["FilteredTargets"]
 
 
 class FilteredTargets:
-    """Makes the set-points of a servo from what `Servo.send` was told last.
+    """Makes the set-points of a servo from the last target of `Servo.send`.
 
     Args:
         limits: of each joint.
         cycle: s of the controller's cycle.
 
     Attributes:
-        newest: (6,) rad; set by whichever thread sends.
+        newest: (6,) rad; set by the thread that calls `Servo.send`.
     """
 
     def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:

@@ -3,14 +3,13 @@
 Each real-time state that arrives is answered with the set-point for its own time, a little ahead: the controller's
 clock paces the stream, so it does not matter how this computer's clock runs.
 
-A set-point is never further away than it may be, whatever happened before it. While set-points stay away, the program
-on the robot goes on at the speed that came with the last one, ever slower (`urlink.urscript.programs.streaming`). The
-follower knows how far that is. It goes on from there, fades out what lies between that place and the trajectory, and
-follows the trajectory a tenth faster until it has caught up. What is sent since the last set-point is held against the
-speeds of the joints (`urlink.motion.speed_limit`): a state that says that many cycles have passed is believed only
-where this computer's own clock knows of them too. Where nothing that may be sent leads on, it ends with an error.
-Should all that be wrong all the same, the program on the robot itself approaches no set-point faster than the joints
-can move.
+The distance between two set-points is bounded, also after set-points were missed. While none arrives, the program on
+the robot coasts: it goes on at the speed that came with the last one, ever slower (`urlink.urscript.streaming`). The
+follower computes where the arm has coasted to, goes on from there, fades out the difference to the trajectory, and
+follows the trajectory a tenth faster until it has caught up. Each set-point is checked against the speeds of the joints
+(`urlink.motion.speed_limit`): missed cycles that a state reports count only if this computer's clock has seen them pass
+too. Where no set-point within the limit leads on, the motion ends with an error. As a last bound, the program on the
+robot approaches no set-point faster than the joints can move.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from collections.abc import Sequence
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.links import InputRegisters, ReverseSocket
 from .following import AHEAD, Following, Tolerances
-from .setpoints import STOP_WORD, WAIT_WORD, Servoing, setpoint
-from .speed_limit import SpeedLimit
+from .setpoint_stream import SetpointStream
+from .setpoints import STOP_WORD, WAIT_WORD, Servoing
 from .trajectory import Trajectory
 
 __all__ = ["Follower"]
@@ -35,49 +34,53 @@ _FADE_LEAST = 0.2
 #: Factor by which a trajectory may be followed faster to catch up. Chosen: a second makes up for a tenth, and the jump
 #: in speed is no more than an arm takes from point to point of a coarse trajectory.
 _CATCHING_UP = 1.1
-#: Seconds over which what is left to the trajectory is closed, in place and in time, at least. Chosen: those for which
-#: the program goes on by itself (`urlink.urscript.programs.COASTING`), so that it does not run past.
+#: Seconds, at least, in which the difference to the trajectory is closed, in place and in time. Chosen: those for which
+#: the program coasts (`urlink.urscript.streaming.COASTING`), so that it does not overshoot.
 _SETTLING = 0.1
 
 
-class _Fade:
-    """A difference that is faded out.
+class _Offset:
+    """A difference between two places of the arm, which becomes smaller as the trajectory goes on.
 
     Args:
         offset: (6,) rad, at first.
         begin: s on the trajectory.
+        seconds: until nothing is left of it.
     """
 
-    def __init__(self, offset: Sequence[float], begin: float) -> None:
+    def __init__(self, offset: Sequence[float], begin: float, seconds: float) -> None:
         self._offset = list(offset)
         self._begin = begin
-        self._seconds = max(1.5 * max(map(abs, offset)) / _FADE_SPEED, _FADE_LEAST)
+        self._seconds = seconds
 
     def at(self, t: float) -> tuple[list[float], list[float]]:
         """What is left of it at a time, rad, and its speed, rad/s."""
-        rest = 1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0)
-        share, speed = rest * rest * (3.0 - 2.0 * rest), -6.0 * rest * (1.0 - rest) / self._seconds
-        return [share * each for each in self._offset], [speed * each for each in self._offset]
+        share, speed = self._left(1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0))
+        return [share * each for each in self._offset], [speed / self._seconds * each for each in self._offset]
+
+    def _left(self, rest: float) -> tuple[float, float]:
+        """The share that is left when this share of the time is left, and how fast it changes in the whole time."""
+        raise NotImplementedError
 
 
-class _Gap:
-    """A difference that is closed at constant speed, and so is closed also where it is measured anew all the time.
-
-    Args:
-        offset: (6,) rad, at first.
-        begin: s on the trajectory.
-    """
+class _Fade(_Offset):
+    """One that is faded out, beginning and ending at rest."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
-        self._offset = list(offset)
-        self._begin = begin
-        self._seconds = max(max(map(abs, offset)) / _FADE_SPEED, _SETTLING)
+        super().__init__(offset, begin, max(1.5 * max(map(abs, offset)) / _FADE_SPEED, _FADE_LEAST))
 
-    def at(self, t: float) -> tuple[list[float], list[float]]:
-        """What is left of it at a time, rad, and its speed, rad/s."""
-        rest = 1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0)
-        speed = -1.0 / self._seconds if rest > 0.0 else 0.0
-        return [rest * each for each in self._offset], [speed * each for each in self._offset]
+    def _left(self, rest: float) -> tuple[float, float]:
+        return rest * rest * (3.0 - 2.0 * rest), -6.0 * rest * (1.0 - rest)
+
+
+class _Gap(_Offset):
+    """One that is closed at constant speed, so that it is closed also where it is measured anew in each cycle."""
+
+    def __init__(self, offset: Sequence[float], begin: float) -> None:
+        super().__init__(offset, begin, max(max(map(abs, offset)) / _FADE_SPEED, _SETTLING))
+
+    def _left(self, rest: float) -> tuple[float, float]:
+        return rest, -1.0 if rest > 0.0 else 0.0
 
 
 class Follower(Following):
@@ -100,23 +103,18 @@ class Follower(Following):
         model: Model | None,
         delay: float | None = None,
     ) -> None:
-        self._cycle = 1.0 / servoing.firmware.rate
+        self._stream = SetpointStream(servoing, model)
+        self._cycle = self._stream.cycle
         super().__init__(trajectory, tolerances, self._cycle)
         self._delay = AHEAD * self._cycle if delay is None else delay
         self.farewell = STOP_WORD
         self._servoing = servoing
-        self._limit = SpeedLimit(model, self._cycle, late=servoing.late)
         #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
         self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0)
         #: s that have passed on the trajectory, by the controller's clock; None before it began
         self._t: float | None = None
-        #: s since the last set-point, by the controller's clock
-        self._since = 0.0
-        #: the last set-point, rad, and its time on the trajectory, s
-        self._q = [0.0] * 6
+        #: the time of the last set-point on the trajectory, s; and by how many s on it the program goes on in a second
         self._s = 0.0
-        #: by how much the program on the robot goes on in a cycle without another one, in rad and in s
-        self._step = [0.0] * 6
         self._pace = 0.0
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
@@ -143,11 +141,12 @@ class Follower(Following):
                 return WAIT_WORD
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
-            self._t, self._s, self._q = 0.0, (AHEAD - 1) * self._cycle, here
+            self._stream.begin(here)
+            self._t, self._s = 0.0, (AHEAD - 1) * self._cycle
         else:
             self._t += passed
-            self._since += passed
-            if self._since < 0.5 * self._cycle:
+            self._stream.advance(passed)
+            if not self._stream.is_due:
                 return b""
         word = self._next(self._t + AHEAD * self._cycle, now)
         self._compare(state, self._s - self._delay)
@@ -155,20 +154,18 @@ class Follower(Following):
 
     def _next(self, wanted: float, now: float) -> bytes:
         """The next set-point: for the time `wanted` on the trajectory, or as near to that as may be."""
-        told = max(round(self._since / self._cycle) - 1, 0)
         excess = None
         # Where that many cycles cannot have passed, by this computer's clock, none was missed.
-        for missed in (told, 0):
-            coasted = self._servoing.coasting(missed)
-            here = _sum(self._q, [coasted * each for each in self._step])
-            s = self._s + self._pace * coasted
+        for missed in (self._stream.missed, 0):
+            here, _ = self._stream.coasted_to(missed)
+            s = self._s + self._pace * self._stream.coasted_time(missed)
             gap = self._gap
             if missed:
                 gap = _Gap(_difference(here, self.desired(s)[0]), s)
             most = min(max(wanted - s, 0.0), _CATCHING_UP * self._cycle)
             for ahead in (most, min(most, self._cycle), 0.5 * min(most, self._cycle), 0.0):
                 q = _sum(self.desired(s + ahead)[0], gap.at(s + ahead)[0])
-                excess = self._limit.excess(self._q, q, now)
+                excess = self._stream.excess(q, now)
                 if excess is None:
                     self._gap = gap
                     return self._lead(q, s + ahead, wanted, now)
@@ -177,14 +174,11 @@ class Follower(Following):
     def _lead(self, q: list[float], s: float, wanted: float, now: float) -> bytes:
         """Send a set-point, and the speed with which the program goes on from there: along the trajectory, and a little
         faster or slower than it, to where it is wanted."""
-        self._limit.take(self._q, q, now)
         most = _CATCHING_UP - 1.0
-        pace = 1.0 + min(max((wanted - s) / _SETTLING, -most), most)
+        self._s, self._pace = s, 1.0 + min(max((wanted - s) / _SETTLING, -most), most)
         closing = self._gap.at(s)[1]
-        qd = [pace * along + across for along, across in zip(self.desired(s)[1], closing, strict=True)]
-        self._step, self._pace = [self._cycle * each for each in qd], self._cycle * pace
-        self._q, self._s, self._since = q, s, 0.0
-        return setpoint(q, qd)
+        qd = [self._pace * along + across for along, across in zip(self.desired(s)[1], closing, strict=True)]
+        return self._stream.send(q, qd, now)
 
 
 def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:

@@ -1,6 +1,6 @@
-"""What both ways to follow a trajectory have in common: the controller's clock, the beginning, the tolerances, the end.
+"""The common part of both ways to follow a trajectory: the controller's clock, the beginning, the tolerances, the end.
 
-Nothing in here does input or output, and time is told to it: see `urlink.motion.linked` for who does that.
+Sans-IO and without a clock: `urlink.motion.linked` passes states and times in.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from linkcore.errors import LinkTimeout
 
 from ..errors import ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.links import InputRegisters, ReverseSocket
 from ..vectors import JOINTS, FloatArray
 from .trajectory import Trajectory
 
@@ -27,7 +27,7 @@ AHEAD = 2
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Seconds by which a state may come earlier than the quickest before it. More than that is a clock that was set.
+#: Seconds by which a state may come earlier than the quickest before it. More than that means that a clock was set.
 _EARLIER = 0.1
 
 
@@ -57,7 +57,7 @@ class Tolerances:
     """How far the arm may be from where it should be.
 
     Attributes:
-        path: rad, in any joint, on the way; None for any distance.
+        path: rad, in any joint, on the way; None for no limit.
         goal: rad, in any joint, at the end.
         goal_time: seconds after the end within which it has to arrive.
         start: rad, in any joint, from the first point.
@@ -70,7 +70,7 @@ class Tolerances:
 
 
 class ControllerClock:
-    """How much time passes on the controller, as far as its states can be believed.
+    """How much time passes on the controller, by the plausible times of its states.
 
     A state cannot come before its time. How long states are on their way is not known, but the quickest of them gives
     a bound: one that would be quicker than that by more than `_EARLIER` has a wrong time. So states that were held up
@@ -114,7 +114,7 @@ class Rest:
     """Waits for the arm to stand, so that something can begin.
 
     Args:
-        what: is to begin, for messages.
+        what: the motion that is to begin, for messages.
     """
 
     def __init__(self, what: str) -> None:
@@ -145,8 +145,8 @@ class Following(ABC):
         cycle: seconds of the controller's cycle.
 
     Attributes:
-        farewell: what ends the program.
-        survives_its_program: the program may end before the arm has arrived.
+        farewell: the word that ends the program.
+        survives_its_program: the motion goes on where the program ends before the arm has arrived.
         progress: the part of it that is over.
         is_over: the arm has arrived, and stands.
         began: on the clock of the states: when the arm was at the beginning, or would have been, to be at this moment

@@ -33,7 +33,7 @@ _NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class Pressing:
-    """What force mode is told once, and keeps.
+    """The parameters of force mode that are set once, when it begins.
 
     Attributes:
         frame: (6,) pose in the base frame.

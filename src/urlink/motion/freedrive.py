@@ -29,8 +29,8 @@ class Freedrive(LinkedBlock):
         context: the robot.
         axes: (6,) of the frame that are free; None for all.
         frame: (6,) pose in the base frame.
-        watchdog: s without a word of this computer after which the arm stands.
-        open_link: makes the way to the program.
+        watchdog: s without a word from this computer after which the arm stands.
+        open_link: opens the link to the program.
 
     Raises:
         BadValue: a number out of range, or no axis is free.

@@ -1,4 +1,4 @@
-"""Moving by hand: speeds of the joints or of the tool, for as long as somebody goes on saying so."""
+"""Jogging: speeds of the joints or of the tool, each of which lapses unless it is sent again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.jogging import jogging
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
 from .context import MotionContext
@@ -20,7 +20,7 @@ from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 
 __all__ = ["FrameName", "Jog"]
 
-#: What the six speeds are of.
+#: The frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
 
 _REST = np.zeros(6)
@@ -29,7 +29,7 @@ _FASTEST_TOOL, _FASTEST_TURN = 5.0, 10.0
 
 
 class _Jogging:
-    """What is said to the program when a state has come: the newest speeds, or none where they have lapsed.
+    """Answers each state with the newest speeds, or with `WAIT_WORD` where they have lapsed.
 
     Args:
         frame: of the speeds.
@@ -75,7 +75,7 @@ class Jog(LinkedBlock):
     """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
 
     Attributes:
-        frame: what the speeds are of: "joints", "base" or "tool".
+        frame: of the speeds: "joints", "base" or "tool".
         timeout: seconds after which a speed lapses.
     """
 

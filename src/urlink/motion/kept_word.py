@@ -1,11 +1,11 @@
-"""What is said to a program that goes on as long as it is told so: the same word with every state, until it changes."""
+"""The dialogue with a program that goes on while words come: the same word for each state, until it changes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.links import InputRegisters, ReverseSocket
 from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 
 __all__ = ["KeptWord", "word"]
@@ -22,12 +22,12 @@ class KeptWord:
     """A dialogue with one such program.
 
     Args:
-        body: makes the lines of the program, for the way to it.
-        values: (6,) what it is told; None for nothing but that somebody is there.
+        body: makes the lines of the program, for its link.
+        values: (6,) of the word; None for a word that only shows that this computer is there.
 
     Attributes:
         values: as given; may be set by any thread.
-        is_mute: nothing is said with the states any more, since the user's own loop does.
+        is_mute: states are not answered any more, since the user's own loop sends the words.
     """
 
     farewell = STOP_WORD

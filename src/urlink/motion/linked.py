@@ -1,8 +1,8 @@
-"""A program on the robot that keeps a connection to this computer, and what is said to it.
+"""A program on the robot that is linked to this computer, and the words that are sent to it.
 
-Everything happens when a real-time state arrives, which is once per cycle of the controller, and so is paced by its
-clock. What is said is decided by a `Dialogue`, which does no input or output of its own. Should no state arrive, the
-interlock closes after a second, which ends every motion; the program on the robot brakes sooner.
+Each real-time state that arrives, one per cycle of the controller, is answered with a word, so the controller's clock
+is the pace. The words are decided by a `Dialogue`, sans-IO. Where no state arrives, the interlock closes after a
+second, which ends every motion; the program on the robot brakes sooner.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from linkcore.streaming.subscription import Subscription
 
 from ..errors import ProgramStopped, ToleranceExceeded
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript import programs
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript import links
+from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
 
 __all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
@@ -28,72 +28,71 @@ __all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
 CONNECT_TIMEOUT = 5.0
 #: Seconds after the connection was lost in which the reason may arrive over the other interfaces.
 _GRACE = 1.0
-#: Seconds that the program has to end once it was told to.
+#: Seconds that the program has to end after its last word.
 _END_TIMEOUT = 1.0
 
 
 class Dialogue(Protocol):
-    """What is said to a program, by what it says and by the states of the robot."""
+    """Decides the words for a program, from the bytes that it sends and from the states of the robot."""
 
     @property
     def farewell(self) -> bytes:
-        """What ends the program and brakes; nothing if the program ends by itself."""
+        """The word that ends the program and brakes; empty if the program ends by itself."""
 
     @property
     def is_over(self) -> bool:
-        """All has been said."""
+        """No word is left to send."""
 
     @property
     def survives_its_program(self) -> bool:
-        """The program may come to its own end before all has been said."""
+        """The program may come to its own end before the dialogue is over."""
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program, which gets what it is told by `link`."""
+        """The lines of the program, which receives its words over `link`."""
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """What to say when a state has come; raises `LinkError` where it cannot go on."""
+        """The word that answers a state; raises `LinkError` where the motion cannot go on."""
 
     def conclude(self) -> None:
         """The program has come to its own end."""
 
 
 class Link(Protocol):
-    """The way to the program: a `ReverseLink`, or a `RegisterLink`. Nothing of it waits."""
+    """The link to the program: a `ReverseLink`, or a `RegisterLink`. None of its methods waits."""
 
     @property
     def endpoint(self) -> ReverseSocket | InputRegisters:
-        """What the program is told of it."""
+        """Its address or registers, and its token, for the program's text."""
 
     @property
     def is_up(self) -> bool:
-        """The program can be told something."""
+        """The program can receive words."""
 
     def poll(self, has_begun: bool) -> bool:
-        """See whether it is up now; `has_begun` says that the controller has begun the program."""
+        """Look whether it is up now; `has_begun`: the controller has begun the program."""
 
     def send(self, data: bytes) -> None:
-        """Tell the program something; raises `LinkError` where it is gone."""
+        """Send a word; raises `LinkError` where the connection is lost."""
 
     def received(self) -> bytes:
-        """What the program has said since; raises `ConnectionLost` where it is gone."""
+        """The bytes that the program has sent since; raises `ConnectionLost` where the connection is lost."""
 
     def absence(self, why: str) -> LinkError:
         """What to raise when the link does not come up."""
 
     def close(self, *, farewell: bool) -> None:
-        """Tell it nothing more; with `farewell` what was sent last is meant to arrive. Idempotent."""
+        """Close the link; with `farewell` the last word is still delivered. Idempotent."""
 
 
 class LinkedProgram:
-    """The program of one life.
+    """The program of one motion.
 
     Args:
-        life: what becomes of it.
+        life: its life cycle.
         context: the robot.
-        dialogue: what is said to it.
-        open_link: makes the way to it; may raise `LinkError`.
-        on_linked: called, more than once, when the program has been told the first word, and when it will not be any
-            more.
+        dialogue: decides its words.
+        open_link: opens the link to it; may raise `LinkError`.
+        on_linked: called, more than once, when the first word has been sent, and when no word will be sent any more.
     """
 
     def __init__(
@@ -115,7 +114,7 @@ class LinkedProgram:
         self._subscription: Subscription | None = None
         self._lost: tuple[LinkError, float] | None = None
         self._concluded: float | None = None
-        self._has_ended = False  # by itself, with something left to say
+        self._has_ended = False  # the program has ended by itself, the dialogue is not over
         self._has_said_farewell = False
 
     def begin(self) -> None:
@@ -134,7 +133,7 @@ class LinkedProgram:
             self._subscription = context.realtime.subscribe(on_state, policy=latest)
             life.on_end(self._release)
             context.programs.start(
-                # It asks for no permission: once its life is over, nobody takes its connection or writes its token.
+                # It asks for no permission: once its life is over, its connection is refused, its token not written.
                 context.programs.own(self._dialogue.body(link.endpoint), asks=False),
                 life,
                 is_linked=True,
@@ -170,18 +169,18 @@ class LinkedProgram:
             LinkError: it could not be told.
         """
         if self._concluded is None:
-            self._concluded = self._clock()  # before it is said: the program may end before this thread goes on
+            self._concluded = self._clock()  # before it is sent: the program may end before this thread goes on
             if self._dialogue.farewell:
                 self._has_said_farewell = True
                 self.say(self._dialogue.farewell)
 
     @property
     def is_finishing(self) -> bool:
-        """It has been told to end."""
+        """The word that ends it was sent."""
         return self._concluded is not None
 
     def lose(self, error: LinkError) -> None:
-        """The connection is gone. Whatever stopped the program is told over the primary interface, if it can be."""
+        """The connection is lost. The primary interface reports what stopped the program, if it can."""
         if self._lost is None:
             lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes by itself: {error}")
             self._lost = (lost, self._clock())
@@ -196,7 +195,7 @@ class LinkedProgram:
         except LinkError as error:
             self._life.fail(error, brake=True)
         except Exception as error:
-            # A mistake in here must not leave an arm that nobody guides, nor somebody who waits for ever.
+            # An unexpected exception must neither leave the arm without set-points nor a thread that waits for ever.
             self._life.fail(error, brake=True)
             raise
 
@@ -230,14 +229,14 @@ class LinkedProgram:
 
     def _on_text(self, text: str) -> None:
         error: LinkError
-        if text.startswith(programs.NO_CONNECTION):
+        if text.startswith(links.NO_CONNECTION):
             assert self._link is not None
             error = self._link.absence("it says that it was refused, or found no way")
-        elif text.startswith(programs.LINK_ENDED):
+        elif text.startswith(links.LINK_ENDED):
             error = ConnectionLost("the program on the robot says that its connection ended; it brakes by itself")
-        elif text.startswith(programs.STARVED):
+        elif text.startswith(links.STARVED):
             error = ConnectionLost("nothing came to the program on the robot in time; it brakes by itself")
-        elif text.startswith(programs.TOO_FAR):
+        elif text.startswith(links.TOO_FAR):
             error = ToleranceExceeded("the program on the robot says that the first point is too far away")
         else:
             return

@@ -1,4 +1,4 @@
-"""A motion that lasts as long as a ``with`` block, and whose program on the robot is talked to meanwhile."""
+"""A motion that lasts as long as a ``with`` block, linked to its program on the robot."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _END_TIMEOUT = 2.0
 
 
 class LinkedBlock(Motion):
-    """What a servo and a jog have in common. It is good for one block.
+    """The common part of a servo and a jog, for one block.
 
     Args:
         context: the robot.
         name: of the motion, for messages.
-        dialogue: what is said to the program.
-        open_link: makes the way to it.
+        dialogue: decides the words that are sent to the program.
+        open_link: opens the link to it.
     """
 
     def __init__(self, context: MotionContext, name: str, dialogue: Dialogue, open_link: Callable[[], Link]) -> None:
@@ -44,7 +44,7 @@ class LinkedBlock(Motion):
         self._context = context
         self._is_entered = False
         self._block = contextlib.ExitStack()
-        #: settled once the program has connected, or will not any more
+        #: set once the program has connected, or can connect no more
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
 

@@ -1,4 +1,4 @@
-"""`robot.motion`: everything that moves the arm begins here."""
+"""`robot.motion`: the methods that begin a motion."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _HARDEST = 100.0
 _REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
 #: The first release in which speedl takes a time, and the first that finds contacts by itself; N that are one before.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
-#: What becomes of a motion that nobody here can follow any more, for messages.
+#: The state of a motion after its connection was lost, for messages.
 _MAY_GO_ON = "the arm may still move, to the end of the motion"
 
 #: What is made of the targets of a servo.
@@ -60,8 +60,8 @@ class Motions:
     """Moves the arm. Each method returns the handle of a motion under way; it waits for the arm only if it is asked to.
 
     With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, with
-    a number for so many seconds; after that a `LinkTimeout` says that the motion goes on. What interrupts the waiting
-    itself (Ctrl-C) cancels the motion, since nobody holds its handle.
+    a number for so many seconds; after that a `LinkTimeout` says that the motion goes on. An exception that interrupts
+    the waiting itself (Ctrl-C) cancels the motion, since no caller has its handle.
 
     A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All of them raise
     `BadValue` for arguments that make no sense or are beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or

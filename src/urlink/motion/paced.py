@@ -1,10 +1,9 @@
-"""Set-points that are made here, one for each cycle of the controller: of a target filter, or of a schedule.
+"""Set-points of a target filter or of a schedule, one for each cycle of the controller.
 
 Each real-time state that arrives is answered with the next set-point, so the controller's clock is the pace, whenever
-the targets come. While set-points stay away, the program on the robot goes on at the speed that came with the last one,
-ever slower. How far that is, is known here. What lies between that place and the one that the set-points have come to
-by themselves is small, as a rule, and is faded out; otherwise what makes them begins anew from there, with the speed
-that is left.
+the targets come. While set-points stay away, the program on the robot coasts (`urlink.motion.setpoint_stream`). The
+difference between the place that it has coasted to and the next set-point of the source is small, as a rule, and is
+faded out; where it is not, the source begins anew from that place, with the speed that is left.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ from typing import Protocol
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from .following import ControllerClock, Rest
-from .setpoints import WAIT_WORD, Servoing, setpoint
-from .speed_limit import SpeedLimit
+from .setpoint_stream import SetpointStream
+from .setpoints import WAIT_WORD, Servoing
 
 __all__ = ["PacedSetpoints", "SetpointSource"]
 
@@ -29,17 +28,17 @@ _SETTLING = 0.1
 
 
 class SetpointSource(Protocol):
-    """What makes the set-points. Times are those of states, on the controller's clock."""
+    """A source of set-points. Times are those of states, on the controller's clock."""
 
     @property
     def has_targets(self) -> bool:
-        """There is somewhere to go to."""
+        """There is a target."""
 
     def begin(self, time: float, q: Sequence[float]) -> None:
         """The arm rests at `q` (6, rad)."""
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """Set-points stayed away, while the robot went on for so many seconds by itself.
+        """Set-points were missed, while the program on the robot coasted for so many seconds.
 
         Returns:
             where they are by now (6, rad), and how fast (6, rad/s).
@@ -59,29 +58,22 @@ class PacedSetpoints:
     """Answers states with set-points.
 
     Args:
-        servoing: how they are followed.
+        servoing: how set-points are followed.
         model: the arm; None if it is not known.
-        source: what makes them.
+        source: makes them.
     """
 
     def __init__(self, servoing: Servoing, model: Model | None, source: SetpointSource) -> None:
-        self._servoing = servoing
-        self._cycle = 1.0 / servoing.firmware.rate
         self._source = source
-        self._limit = SpeedLimit(model, self._cycle, late=servoing.late)
-        self._clock = ControllerClock(self._cycle)
+        self._stream = SetpointStream(servoing, model)
+        self._clock = ControllerClock(self._stream.cycle)
         self._rest = Rest("the servo")
         self._has_begun = False
-        #: s since the last set-point, by the controller's clock
-        self._since = 0.0
-        #: the last set-point, rad; and the speed with which the program on the robot goes on, rad/s
-        self._q: list[float] = []
-        self._qd = [0.0] * 6
-        #: rad, between what is sent and what the source says
+        #: rad, between the last set-point and that of the source
         self._gap = [0.0] * 6
 
     def answer(self, state: RealtimeState, now: float) -> bytes:
-        """What to say to the program on the robot.
+        """The word for the program on the robot.
 
         Raises:
             LinkTimeout: the arm does not come to rest before the first set-point.
@@ -91,37 +83,33 @@ class PacedSetpoints:
             if not self._rest.is_reached(state, now) or not self._source.has_targets:
                 return WAIT_WORD
             self._has_begun = True
-            self._q = state.q_target.tolist()
-            self._source.begin(state.time, self._q)
-            self._limit.take(self._q, self._q, now)
-            return setpoint(self._q, self._qd)
-        self._since += passed
-        if self._since < 0.5 * self._cycle:
+            here = state.q_target.tolist()
+            self._source.begin(state.time, here)
+            self._stream.begin(here)
+            return self._stream.send(here, [0.0] * 6, now)
+        self._stream.advance(passed)
+        if not self._stream.is_due:
             return b""
-        missed = max(round(self._since / self._cycle) - 1, 0)
+        missed = self._stream.missed
         if missed:
             self._catch_up(missed, state.time, now)
-        gap = [(1.0 - self._cycle / _SETTLING) * each for each in self._gap]
+        gap = [(1.0 - self._stream.cycle / _SETTLING) * each for each in self._gap]
         q, qd = self._source.at(state.time)
         q = [a + b for a, b in zip(q, gap, strict=True)]
-        if self._limit.excess(self._q, q, now) is not None:
+        if self._stream.excess(q, now) is not None:
             # More than the joints can do in the time that has passed here: the robot goes on by itself.
             return b""
         self._source.accept(state.time)
-        self._limit.take(self._q, q, now)
-        self._q, self._gap, self._since = q, gap, 0.0
-        self._qd = [a - b / _SETTLING for a, b in zip(qd, gap, strict=True)]
-        return setpoint(q, self._qd)
+        self._gap = gap
+        return self._stream.send(q, [a - b / _SETTLING for a, b in zip(qd, gap, strict=True)], now)
 
     def _catch_up(self, missed: int, time: float, now: float) -> None:
-        """The program on the robot went on by itself for so many cycles."""
-        seconds, share = self._servoing.coasting(missed) * self._cycle, self._servoing.share(missed)
-        here = [a + seconds * b for a, b in zip(self._q, self._qd, strict=True)]
-        if self._limit.excess(self._q, here, now) is not None:
+        """The program on the robot coasted for so many cycles."""
+        here, speeds = self._stream.coasted_to(missed)
+        if self._stream.excess(here, now) is not None:
             # So many cycles cannot have passed, by this computer's clock.
             return
-        speeds = [share * each for each in self._qd]
-        there, theirs = self._source.skip(time, seconds)
+        there, theirs = self._source.skip(time, self._stream.coasted_time(missed))
         self._gap = [a - b for a, b in zip(here, there, strict=True)]
         change = max(abs(a - b) for a, b in zip(speeds, theirs, strict=True))
         if max(map(abs, self._gap)) > _WIDEST_GAP or change > _LARGEST_CHANGE:

@@ -1,9 +1,9 @@
-"""Paths of several movements that blend into each other, and what is checked of one before it is sent.
+"""Paths of several movements that blend into each other, and the checks before one is sent.
 
 The controller makes the movement; what is here is its plan, to tell beforehand what it would refuse half-way. It is
 computed with the arm's own kinematics and the tool centre point that it shows, from where the joints are.
 
-What is known of controllers, and what is not: blends that overlap are refused (vendor's manual; "overlapping blends"
+Known and unknown about controllers: blends that overlap are refused (vendor's manual; "overlapping blends"
 in users' logs), here by the sum of the two radii at the ends of a movement. That a line is refused where a joint would
 get too fast is what its users see, as a protective stop. How a controller limits the speed of a tool that turns in
 place, and how it goes round a corner, is not published: corners are checked as if they were not blended.

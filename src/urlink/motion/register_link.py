@@ -1,6 +1,6 @@
-"""Input registers of the robot as the way to a program on it: nothing has to connect to this computer.
+"""Input registers of the robot as the link to a program on it: nothing has to connect to this computer.
 
-What is written is the same words as over a reverse link, one register for each number. They reach the program by RTDE,
+The words are those of a reverse link, one register for each number. They reach the program by RTDE,
 which applies a package as a whole in one cycle.
 """
 
@@ -12,7 +12,7 @@ from typing import Protocol
 
 from linkcore.errors import ConnectFailed, ConnectionLost
 
-from ..urscript.programs import TOKENS, InputRegisters
+from ..urscript.links import TOKENS, InputRegisters
 from .setpoints import WORD_SIZE, read_word
 
 __all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort"]
@@ -38,7 +38,7 @@ class Inputs(Protocol):
 
 
 class RegisterPort:
-    """Where links come from. The registers are claimed for the first of them, and given back with the robot.
+    """Opens register links. The registers are claimed for the first of them, and released when the robot is closed.
 
     Args:
         claim: claims RTDE inputs by their names; may raise `LinkError`.
@@ -70,7 +70,7 @@ class RegisterLink:
         inputs: that have been claimed.
 
     Attributes:
-        endpoint: what the program is told.
+        endpoint: the registers and the token, for the program's text.
         is_up: the program has begun, and is written to.
     """
 

@@ -10,23 +10,23 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, addresses, local_address
 from linkcore.net.transport import TcpTransport
 
-from ..urscript.programs import TOKENS, ReverseSocket
+from ..urscript.links import TOKENS, ReverseSocket
 
 __all__ = ["ReverseLink", "ReversePort"]
 
 _log = logging.getLogger(__name__)
 
-#: Connections that may be waiting to say who they are; a port that anybody can reach must not gather them.
+#: Connections that may be waiting to send their token: the port can be reached by other peers, so they are bounded.
 _MOST_CANDIDATES = 8
 #: Bytes of a token.
 _TOKEN_SIZE = 4
 
-#: A connection, and what it has said so far.
+#: A connection, and the bytes that it has sent so far.
 _Candidate = tuple[TcpTransport, bytearray]
 
 
 class ReversePort:
-    """Where programs on the robot find this computer.
+    """The address and port to which programs on the robot connect.
 
     Args:
         robot: where the controller is.
@@ -60,15 +60,16 @@ class ReversePort:
 class ReverseLink:
     """A port that waits for one program on the robot, and then its connection.
 
-    A program tells that it is the right one by the token that its text holds. Whoever connects from an address that is
-    not the robot's, or says something else, is refused, and the port goes on listening. It is closed as soon as the
-    program has come, and at the latest with the link: a program that the controller begins later finds nobody.
+    A program proves that it is the right one by the token that its text holds. A peer that connects from an address
+    other than the robot's, or sends something else, is refused, and the port goes on listening. It is closed as soon as
+    the program has connected, and at the latest with the link: a program that the controller begins later cannot
+    connect.
 
     Args:
         where: the robot, and where it finds this computer.
 
     Attributes:
-        endpoint: what the program is told.
+        endpoint: the address and the token, for the program's text.
 
     Raises:
         BadAddress: the port cannot be listened on.
@@ -83,7 +84,7 @@ class ReverseLink:
         self.endpoint = ReverseSocket(here, self._listener.address[1], random.SystemRandom().randrange(TOKENS))
         self._candidates: list[_Candidate] = []
         self._connection: TcpTransport | None = None
-        self._waiting = b""  # what came right behind the token
+        self._waiting = b""  # bytes that came right behind the token
         self._is_closed = False
 
     @property

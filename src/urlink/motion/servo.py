@@ -1,4 +1,4 @@
-"""Closed loops: set-points as the user's own loop makes them."""
+"""Closed loops: set-points, or targets, from the user's own loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue, LocalError
 
 from ..interfaces.realtime.packets import RealtimeState
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import checked, integer
 from ..vectors import JOINTS, six
 from .context import MotionContext
@@ -59,9 +59,9 @@ class ServoStatistics:
 
 
 class _Leading:
-    """What is said to the streaming program when a state has come: the next set-point, where they are made here.
+    """Answers each state with the next set-point of a target filter or schedule.
 
-    Before the first one, and for a loop that sends its own, only that somebody is there.
+    Before the first one, and for a loop that sends its own set-points, with `WAIT_WORD`.
 
     Args:
         servoing: how set-points are followed.
@@ -95,7 +95,7 @@ class _Leading:
 
 
 class Servo(LinkedBlock):
-    """A loop's line to the joints; made by `robot.motion.servo`, and open within a ``with`` block.
+    """Takes the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
 
     Send a set-point in each of the controller's cycles, or in each of your own; with a target filter, a target whenever
     there is one. Leaving the block stops the arm.

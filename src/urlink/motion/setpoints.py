@@ -1,4 +1,4 @@
-"""What is said to the streaming program: its words, and how it is to follow them."""
+"""The words of the streaming program, and the parameters by which it follows set-points."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware import Firmware
-from ..urscript.programs import COASTING, FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable, streaming
+from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable
+from ..urscript.streaming import COASTING, streaming
 
 __all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "read_word", "setpoint"]
 
@@ -17,7 +18,7 @@ WORD_SIZE = _WORD.size
 
 #: Brake, and end the program.
 STOP_WORD = _WORD.pack(*[0] * 12, STOP)
-#: There is nothing to do yet, but the client is there.
+#: No set-point yet; it only shows that this computer is there.
 WAIT_WORD = _WORD.pack(*[0] * 12, WAIT)
 
 

@@ -34,7 +34,7 @@ class _Player(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TaughtPoint:
-    """Where the arm was.
+    """A waypoint: the arm's position when it was kept.
 
     Attributes:
         q: (6,) joint positions, rad.
@@ -50,7 +50,7 @@ class Taught:
 
     Args:
         points: of them.
-        model: name of the arm; None where nobody knows.
+        model: name of the arm; None if it is not known.
     """
 
     def __init__(self, points: Iterable[TaughtPoint] = (), model: str | None = None) -> None:

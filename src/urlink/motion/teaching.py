@@ -28,7 +28,7 @@ _BOUNCE = 0.2
 
 @dataclass(frozen=True)
 class Triggers:
-    """What keeps a waypoint, beside a call.
+    """The events that keep a waypoint, beside a call.
 
     Attributes:
         input_bit: of the digital inputs, when it is switched on; None for none.
@@ -56,7 +56,7 @@ class Teaching:
         self._realtime = realtime
         self._freedrive = freedrive
         self._triggers = triggers
-        #: what is to be closed behind the block; None outside of it
+        #: closed when the block is left; None outside of it
         self._open: contextlib.ExitStack | None = None
         # An input that is on, or a button that is not held, in the first state keeps nothing.
         self._was_on, self._was_held = True, False

@@ -1,4 +1,4 @@
-"""Direct torque: torques of the joints as the user's own loop makes them."""
+"""Direct torque: torques of the joints from the user's own loop."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _LARGEST = 1000.0
 
 
 class Torque(LinkedBlock):
-    """A loop's line to the torques of the joints; made by `robot.motion.torque`, and open within a ``with`` block.
+    """Takes the torques of a loop; made by `robot.motion.torque`, and open within a ``with`` block.
 
     Args:
         context: the robot.
         limits: (6,) Nm; None for what the joints of this arm can exert.
         friction_compensation: the controller makes up for the friction of the joints.
         watchdog: s without a torque after which the arm brakes.
-        open_link: makes the way to the program.
+        open_link: opens the link to the program.
 
     Raises:
         BadValue: a number out of range.

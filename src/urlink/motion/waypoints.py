@@ -12,7 +12,7 @@ from ..errors import ProgramStopped
 from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import waypoints
-from ..urscript.programs import InputRegisters, ReverseSocket
+from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import number
 from .following import Following, Tolerances
 from .trajectory import Trajectory

@@ -1,12 +1,13 @@
 """The program that moves the arm at the speeds that it is told, and brakes where nothing comes.
 
-It gets the same words as `urlink.urscript.programs.streaming`, with speeds in the place of positions.
+It gets the same words as `urlink.urscript.streaming`, with speeds in the place of positions.
 """
 
 from __future__ import annotations
 
 from ..firmware import Firmware
-from .programs import InputRegisters, ReverseSocket, missable, takes_duration, word_loop
+from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .programs import takes_duration
 from .text import number
 
 __all__ = ["jogging"]

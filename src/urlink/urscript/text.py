@@ -1,4 +1,4 @@
-"""Values as URScript text.
+"""Values as URScript text, and blocks of lines.
 
 Whatever cannot be written so that the controller reads back exactly what was meant is refused. Numbers have no
 exponent: that older controllers read one is not known. Strings carry neither quotes nor backslashes nor control
@@ -10,11 +10,25 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from textwrap import dedent, indent
 from typing import Any
 
 from linkcore.errors import BadValue
 
-__all__ = ["boolean", "identifier", "integer", "number", "numbers", "pose", "quoted", "vector"]
+__all__ = [
+    "boolean",
+    "checked",
+    "each",
+    "identifier",
+    "indented",
+    "integer",
+    "lines",
+    "number",
+    "numbers",
+    "pose",
+    "quoted",
+    "vector",
+]
 
 #: Digits after the point: a quantity is carried to 1e-10.
 _DIGITS = 10
@@ -161,3 +175,18 @@ def identifier(name: object, what: str = "name") -> str:
     if not isinstance(name, str) or not _IDENTIFIER.match(name) or name in KEYWORDS:
         raise BadValue(f"{what} is {name!r}; expected letters, digits and underscores, and no word of the language")
     return name
+
+
+def each(template: str, ways: Sequence[str] = ("",) * 6) -> str:
+    """A list of six: `{i}` counts from 0, `{n}` from 1, `{q}` finds the position in an answer, `{way}` is of `ways`."""
+    return ", ".join(template.format(i=i, n=i + 1, q=i + 2, way=way) for i, way in enumerate(ways))
+
+
+def lines(text: str) -> list[str]:
+    """The lines of a program that is indented as the module it stands in."""
+    return [line.rstrip() for line in dedent(text).splitlines() if line.strip()]
+
+
+def indented(text: str, columns: int = 8) -> str:
+    """The lines of a part of a program, where it is put into another text."""
+    return indent("\n".join(lines(text)), " " * columns)

@@ -2,7 +2,7 @@
 
 It asks for a point by its number, a line of text, and is answered with a list of floats in brackets. The line `BEAT`
 asks whether to go on, which ``(1)`` answers, and `ARRIVED` says that the last point is reached. See
-`urlink.urscript.programs` for what it has in common with other programs.
+`urlink.urscript.links` for what it has in common with other programs.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import math
 from textwrap import dedent, indent
 
 from ..firmware import Firmware
-from .programs import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, each, introduction, lines, servo_cycle
-from .text import integer, number, quoted
+from .links import LINK_ENDED, NO_CONNECTION, STARVED, TOO_FAR, introduction
+from .streaming import servo_cycle
+from .text import each, integer, lines, number, quoted
 
 __all__ = ["ARRIVED", "BEAT", "NO_MORE", "interpolating", "numbers_of_point"]
 

@@ -1,6 +1,6 @@
 """The programs of an arm that yields: force mode, freedrive, direct torque, and a movement that ends at a contact.
 
-The first three are loops by words (`programs.word_loop`): they go on as long as words come, and end their mode and
+The first three are loops by words (`links.word_loop`): they go on as long as words come, and end their mode and
 brake where none has come for the watchdog's time, where the link ends, or where they are told to. Should the program be
 stopped by something else, the controller ends the mode with it.
 
@@ -15,8 +15,8 @@ import re
 from collections.abc import Sequence
 
 from ..firmware import Firmware
-from .programs import InputRegisters, ReverseSocket, each, lines, missable, word_loop
-from .text import number, pose, quoted, vector
+from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .text import each, lines, number, pose, quoted, vector
 
 __all__ = ["CONTACT", "NO_CONTACT", "contact_of", "force_mode", "freedrive", "torque", "until_contact"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import threading
 import time
@@ -13,49 +12,33 @@ import pytest
 from linkcore.errors import Closed, ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer
 from linkcore.net.http_client import HttpClient
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
+from tests.served import OneAfterAnother
 from tests.waiting import until
 
 TIMEOUT = 10.0
 Say = Callable[[HttpRequest], Iterator[bytes]]
 
 
-class WebServer:
-    """Answers each request with the pieces that `say` yields, and closes; an endless `say` is left when it closes."""
+class WebServer(OneAfterAnother):
+    """Answers each request with the pieces that `say` yields, and closes the connection.
+
+    Attributes:
+        asked: the requests.
+    """
 
     def __init__(self, say: Say) -> None:
         self._say = say
         self.asked: list[HttpRequest] = []
-        self._is_closed = False
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
+        super().__init__(TIMEOUT)
 
-    def _serve(self) -> None:
-        while True:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                return
-            with connection, contextlib.suppress(OSError):
-                connection.settimeout(TIMEOUT)
-                parser, request = HttpParser("request"), None
-                while request is None:
-                    request = parser.feed(connection.recv(65536))
-                assert isinstance(request, HttpRequest)
-                self.asked.append(request)
-                for piece in self._say(request):
-                    if self._is_closed:
-                        return
-                    connection.sendall(piece)
-
-    def close(self) -> None:
-        self._is_closed = True
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self._thread.join(TIMEOUT)
-        assert not self._thread.is_alive()
+    def _talk(self, connection: socket.socket) -> None:
+        parser, request = HttpParser("request"), None
+        while request is None:
+            request = parser.feed(connection.recv(65536))
+        assert isinstance(request, HttpRequest)
+        self.asked.append(request)
+        for piece in self._say(request):
+            connection.sendall(piece)
 
 
 @pytest.fixture

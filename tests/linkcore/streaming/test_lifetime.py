@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
-import socket
-import subprocess
-import sys
 import threading
 import weakref
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +14,7 @@ from linkcore.errors import LocalError
 from linkcore.net.transport import Finished
 from linkcore.streaming.events import ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
+from tests.linkcore.script import Count, ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
 
@@ -147,27 +143,5 @@ stream.close()
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 def test_a_forked_child_that_closes_the_stream_harms_nobody() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(30)
-        command = [sys.executable, "-c", _FORKED, str(server.getsockname()[1])]
-        root = Path(__file__).resolve().parents[3]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as process:
-            connection, _ = server.accept()
-            stop = threading.Event()
-
-            def send() -> None:
-                with connection:
-                    number = 0
-                    while not stop.wait(0.01):
-                        number += 1
-                        try:
-                            connection.sendall(counts(number))
-                        except OSError:
-                            return
-
-            sender = threading.Thread(target=send, daemon=True)
-            sender.start()
-            out, _ = process.communicate(timeout=40)
-            stop.set()
-            sender.join(10)
+    out = output_of(_FORKED)
     assert out == "0\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,18 +15,6 @@ from linkcore.streaming.events import ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
-
-
-@pytest.fixture
-def transport() -> ScriptedTransport:
-    return ScriptedTransport()
-
-
-@pytest.fixture
-def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = scripted(transport)
-    yield stream
-    stream.close()
 
 
 def test_connects_if_nothing_has_yet(stream: Stream[Count], transport: ScriptedTransport) -> None:

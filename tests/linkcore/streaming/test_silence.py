@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import socket
-import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +11,7 @@ from linkcore.errors import BadValue, LinkTimeout
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.silence import SilenceMonitor
-from tests.linkcore.script import ScriptedTransport, counts, scripted
+from tests.linkcore.script import ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
 
@@ -22,10 +19,6 @@ def monitor(limit: float | None = 2.0) -> SilenceMonitor:
     silence = SilenceMonitor("script", limit)
     silence.end(100.0)
     return silence
-
-
-#: Where `tests` can be imported from.
-ROOT = Path(__file__).resolve().parents[3]
 
 
 # -- the monitor, without clock or thread ----------------------------------------------------------------
@@ -221,26 +214,5 @@ stream.close()
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="has no usleep to hold the interpreter's lock with")
 def test_a_stall_of_ones_own_is_no_silence() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(30)
-        command = [sys.executable, "-c", _STALLED, str(server.getsockname()[1])]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
-            connection, _ = server.accept()
-            stop = threading.Event()
-
-            def send() -> None:
-                with connection:
-                    number = 0
-                    while not stop.wait(0.01):
-                        number += 1
-                        try:
-                            connection.sendall(counts(number))
-                        except OSError:
-                            return
-
-            sender = threading.Thread(target=send, daemon=True)
-            sender.start()
-            out, _ = process.communicate(timeout=40)
-            stop.set()
-            sender.join(10)
+    out = output_of(_STALLED)
     assert out.split("\n")[0] == "True 0 connected []"

@@ -20,11 +20,6 @@ from tests.waiting import until
 
 
 @pytest.fixture
-def transport() -> ScriptedTransport:
-    return ScriptedTransport()
-
-
-@pytest.fixture
 def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
     stream = scripted(transport)
     yield stream

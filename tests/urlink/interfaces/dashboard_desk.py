@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
-import threading
 from collections.abc import Callable
 
+from tests.served import OneAfterAnother
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.commands import GREETING
 from urlink.simulator import Controller, Still
@@ -61,15 +60,14 @@ class StandIn:
         assert self.pendant.play()
 
 
-class Desk:
-    """Listens, greets, and answers each line as `answer` says, which is called in the desk's thread.
+class Desk(OneAfterAnother):
+    """Greets, and answers each line as `answer` says, which is called in the desk's thread.
 
     Attributes:
         lines: what came, connection by connection.
-        connections: accepted so far.
     """
 
-    #: what `answer` returns for: nothing is said; the connection is closed; it is reset
+    #: what `answer` returns for: nothing is said; the connection is closed
     SILENCE, CLOSE = b"", None
 
     def __init__(
@@ -79,27 +77,10 @@ class Desk:
         self._greeting = greeting
         self._chunk = chunk
         self.lines: list[str] = []
-        self.connections = 0
-        self._open: socket.socket | None = None
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    def _serve(self) -> None:
-        while True:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                return
-            self.connections += 1
-            self._open = connection
-            with connection, contextlib.suppress(OSError):
-                connection.settimeout(TIMEOUT)
-                self._say(connection, self._greeting)
-                self._talk(connection)
+        super().__init__(TIMEOUT)
 
     def _talk(self, connection: socket.socket) -> None:
+        self._say(connection, self._greeting)
         rest = b""
         while True:
             data = connection.recv(65536)
@@ -119,19 +100,10 @@ class Desk:
 
     def say(self, data: bytes) -> None:
         """Say something unasked."""
-        assert self._open is not None
-        self._open.sendall(data)
+        assert self._connection is not None
+        self._connection.sendall(data)
 
     def hang_up(self) -> None:
         """Close the connection of the moment."""
-        assert self._open is not None
-        self._open.shutdown(socket.SHUT_RDWR)
-
-    def close(self) -> None:
-        for each in (self._open, self._listener):
-            if each is not None:
-                with contextlib.suppress(OSError):
-                    each.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self._thread.join(TIMEOUT)
-        assert not self._thread.is_alive()
+        assert self._connection is not None
+        self._connection.shutdown(socket.SHUT_RDWR)

@@ -20,7 +20,7 @@ from urlink.simulator.registers import Registers
 from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.sources import Setpoint
 from urlink.simulator.urscript import Execution, World, compile_script
-from urlink.urscript.programs import ReverseSocket
+from urlink.urscript.links import ReverseSocket
 from urlink.urscript.wrapping import Permission, program
 
 

@@ -24,7 +24,7 @@ from urlink.motion.following import ControllerClock, Tolerances, stands
 from urlink.motion.setpoints import WORD_SIZE, Servoing, setpoint
 from urlink.motion.speed_limit import EARLY, largest_speeds
 from urlink.motion.trajectory import Trajectory
-from urlink.urscript.programs import ReverseSocket, missable
+from urlink.urscript.links import ReverseSocket, missable
 
 TOKEN = 7
 LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)
@@ -215,7 +215,7 @@ def test_what_would_be_a_leap_whatever_is_sent_ends_it() -> None:
     led.step(b"", state(50.0, turned(0.0)), 1000.0)
     for n in range(1, 20):
         led.step(b"", state(50.0 + 0.002 * n, turned(0.0)), 1000.0 + 0.002 * n)
-    led._q = turned(0.5)  # as no follower does
+    led._stream.q = turned(0.5)  # as no follower does
     with pytest.raises(ToleranceExceeded, match="would have to leap"):
         led.step(b"", state(50.04, turned(0.0)), 1000.04)
 

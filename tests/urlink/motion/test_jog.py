@@ -23,7 +23,7 @@ from urlink.motion import Jog
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word, setpoint
 from urlink.poses import rotvec_to_matrix
 from urlink.urscript.jogging import jogging
-from urlink.urscript.programs import LINK_ENDED, STARVED, ReverseSocket
+from urlink.urscript.links import LINK_ENDED, STARVED, ReverseSocket
 
 _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.1", "3.15", "5.11", "5.25")]
 _REST = [0.0] * 6

@@ -10,7 +10,8 @@ from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
 from urlink.motion.trajectory import Trajectory
-from urlink.urscript import programs, waypoints
+from urlink.urscript import links, programs, waypoints
+from urlink.urscript.streaming import streaming as streaming_program
 from urlink.urscript.text import number
 from urlink.urscript.wrapping import Permission, expiry_marker
 
@@ -39,7 +40,7 @@ def spinning(speed: float) -> list[float]:
 
 def streaming(firmware: Firmware, **options: float) -> Bench:
     bench = Bench(
-        programs.streaming(firmware, programs.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS, **options),
+        streaming_program(firmware, links.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS, **options),
         firmware,
     )
     bench.run(3, lambda: bench.sockets.waiting.extend(WAIT_WORD))
@@ -85,7 +86,7 @@ def test_goes_on_at_the_speed_that_it_was_told_ever_slower(firmware: Firmware) -
     for i in (0, 1, 2):
         bench.sockets.waiting.extend(setpoint(turned(0.002 * i), speed))
         bench.run()
-    most = programs.missable(0.1, firmware.rate)
+    most = links.missable(0.1, firmware.rate)
     bench.run(most)
     steps = np.diff([q[5] for q in targets])[1:]
     assert np.allclose(steps, [0.002, *(0.002 * (1 - n / most) for n in range(1, most + 1))], rtol=0, atol=1e-9)
@@ -93,7 +94,7 @@ def test_goes_on_at_the_speed_that_it_was_told_ever_slower(firmware: Firmware) -
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
 def test_wherever_the_last_two_were_the_speed_that_is_told_counts(firmware: Firmware) -> None:
-    most = programs.missable(0.1, firmware.rate)
+    most = links.missable(0.1, firmware.rate)
     late = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
     late.watch_servoj(targets.append)
@@ -132,7 +133,7 @@ def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
     bench.run(watchdog)
     assert bench.said == []
     bench.run(2)
-    assert bench.said == [programs.STARVED]
+    assert bench.said == [links.STARVED]
     bench.run(round(0.6 / bench.period))
     assert bench.motion.is_standing
     assert not bench.execution.is_over
@@ -151,7 +152,7 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
         bench.run()
     bench.sockets.is_open = False
     bench.run(round(0.6 / bench.period))
-    assert bench.said == [programs.LINK_ENDED]
+    assert bench.said == [links.LINK_ENDED]
     assert bench.has_finished
     assert bench.motion.is_standing
 
@@ -159,13 +160,13 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
     for body in (
-        programs.streaming(firmware, programs.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS),
+        streaming_program(firmware, links.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS),
         waypoints.interpolating(firmware, "10.0.0.1", 50001, TOKEN, is_quintic=True),
     ):
         bench = Bench(body, firmware)
         bench.sockets.is_refused = True
         bench.run(20)
-        assert bench.said == [programs.NO_CONNECTION]
+        assert bench.said == [links.NO_CONNECTION]
         assert bench.has_finished
 
 
@@ -267,7 +268,7 @@ def test_an_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> N
 def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
     bench, server = handing_over(firmware, until=2)
     bench.run(round(4.0 / bench.period), server)
-    assert bench.said[0] in (programs.STARVED, programs.LINK_ENDED)
+    assert bench.said[0] in (links.STARVED, links.LINK_ENDED)
     assert bench.has_finished
     assert bench.motion.is_standing
     assert bench.path[-1][5] < 0.3
@@ -280,7 +281,7 @@ def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None
     bench.run(round(5.0 / bench.period), server)
     bench.sockets.is_open = False
     bench.run(round(1.0 / bench.period), server)
-    assert bench.said == [programs.LINK_ENDED]
+    assert bench.said == [links.LINK_ENDED]
     assert bench.has_finished
     assert bench.motion.is_standing
     assert 0.9 < bench.path[-1][5] < 1.2
@@ -291,7 +292,7 @@ def test_a_first_waypoint_that_is_too_far_away(firmware: Firmware) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(0.02), turned(0.02)])
     bench, server = handing_over(firmware, far)
     bench.run(50, server)
-    assert bench.said == [programs.TOO_FAR]
+    assert bench.said == [links.TOO_FAR]
     assert bench.has_finished
     assert bench.path[-1] == list(HOME)
 

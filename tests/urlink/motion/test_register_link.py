@@ -15,7 +15,8 @@ from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.simulator.registers import Bank
-from urlink.urscript import programs
+from urlink.urscript import links
+from urlink.urscript.streaming import streaming
 
 FIRMWARES = [Firmware(3, 15), Firmware(5, 11), Firmware(10, 12)]
 #: rad/s, of each joint of a UR5.
@@ -50,7 +51,7 @@ class Led(Bench):
 
     def __init__(self, firmware: Firmware, **options: float) -> None:
         self.link = RegisterLink(Inputs(lambda package: write(self.registers.inputs, package)))
-        super().__init__(programs.streaming(firmware, self.link.endpoint, speeds=SPEEDS, **options), firmware)
+        super().__init__(streaming(firmware, self.link.endpoint, speeds=SPEEDS, **options), firmware)
         self.registers.inputs.floats = [0.5] * 48
         self.registers.inputs.integers = [1] * 48  # FOLLOW, if anybody believed it
 
@@ -76,9 +77,9 @@ def test_what_is_written() -> None:
     assert [tuple(package) for package in packages] == [NAMES, NAMES]
     token = link.endpoint.token
     assert list(packages[0].values()) == pytest.approx(
-        [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1.1, -1.2, 1.3, -1.4, 1.5, -1.6, 1, programs.FOLLOW, token]
+        [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1.1, -1.2, 1.3, -1.4, 1.5, -1.6, 1, links.FOLLOW, token]
     )
-    assert list(packages[1].values()) == [0.0] * 12 + [2, programs.STOP, token]
+    assert list(packages[1].values()) == [0.0] * 12 + [2, links.STOP, token]
     assert link.received() == b""
     link.close(farewell=True)
     assert [link.is_up, link.poll(has_begun=True)] == [False, False]
@@ -154,7 +155,7 @@ def test_moves_by_nobody_elses_words(firmware: Firmware) -> None:
     assert not bench.execution.is_over
     bench.run(20)
     assert bench.has_finished
-    assert bench.said == [programs.NO_CONNECTION]
+    assert bench.said == [links.NO_CONNECTION]
     assert all(q == list(HOME) for q in bench.path)
 
 
@@ -166,7 +167,7 @@ def test_brakes_where_nothing_new_is_written(firmware: Firmware) -> None:
     bench.run(round(np.ceil(0.1 / bench.period)))
     assert bench.said == []
     bench.run(2)
-    assert bench.said == [programs.STARVED]
+    assert bench.said == [links.STARVED]
     bench.run(round(0.6 / bench.period))
     assert bench.motion.is_standing
     assert bench.has_finished

@@ -17,7 +17,7 @@ from urlink.firmware import Firmware
 from urlink.motion.following import Tolerances
 from urlink.motion.trajectory import Trajectory
 from urlink.motion.waypoints import WaypointServer
-from urlink.urscript.programs import ReverseSocket
+from urlink.urscript.links import ReverseSocket
 
 #: Times differ, so that each point says how long after the last one it is.
 PATH = Trajectory.from_arrays([0.0, 0.5, 2.0], [HOME, turned(0.3), turned(0.5)])

@@ -11,8 +11,8 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.kept_word import KeptWord
 from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, read_word
 from urlink.simulator import Controller, Plane, Still
-from urlink.urscript import programs, yielding
-from urlink.urscript.programs import FOLLOW, STOP, InputRegisters
+from urlink.urscript import links, yielding
+from urlink.urscript.links import FOLLOW, STOP, InputRegisters
 from urlink.urscript.wrapping import program
 
 LINK = InputRegisters(first_float=36, first_integer=45, token=77)
@@ -175,7 +175,7 @@ def test_over_a_socket_they_compile_too(firmware: str) -> None:
     from urlink.simulator.urscript import compile_script
 
     version = Firmware.parse(firmware)
-    link = programs.ReverseSocket("10.0.0.1", 50001, 5)
+    link = links.ReverseSocket("10.0.0.1", 50001, 5)
     bodies = [
         yielding.force_mode(version, link, [0.0] * 6, DOWN, [0.1] * 6, kind=2, damping=None, gain=None, watchdog=0.5),
         yielding.freedrive(version, link, None, [0.0] * 6, watchdog=0.5),

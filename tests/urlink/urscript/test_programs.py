@@ -14,7 +14,8 @@ import pytest
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
 from urlink.urscript import programs, waypoints
-from urlink.urscript.programs import ReverseSocket
+from urlink.urscript.links import ReverseSocket
+from urlink.urscript.streaming import streaming
 
 #: rad/s, of no arm there is.
 SPEEDS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
@@ -26,9 +27,7 @@ PROGRAMS: dict[str, Callable[[Firmware], list[str]]] = {
     "speed_joints": lambda firmware: programs.speed_joints(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.4, 0.5),
     "speed_linear": lambda firmware: programs.speed_linear(firmware, [0.1, 0, 0, 0, 0, -0.5], 1.2, 0.5),
     "stop": lambda firmware: programs.stop(2),
-    "streaming": lambda firmware: programs.streaming(
-        firmware, ReverseSocket("192.168.56.1", 50001, 123456789), speeds=SPEEDS
-    ),
+    "streaming": lambda firmware: streaming(firmware, ReverseSocket("192.168.56.1", 50001, 123456789), speeds=SPEEDS),
 }
 WAYPOINTS: dict[str, Callable[[Firmware], list[str]]] = {
     "waypoints_cubic": lambda firmware: waypoints.interpolating(
@@ -84,13 +83,13 @@ def test_speeds_without_a_time(version: str) -> None:
 
 def test_the_watchdog_counts_cycles() -> None:
     assert "elif missed < 50:" in "\n".join(
-        programs.streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
+        streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
     )
     assert "elif missed < 13:" in "\n".join(
-        programs.streaming(Firmware(3, 4), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
+        streaming(Firmware(3, 4), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
     )
     assert "elif missed < 2:" in "\n".join(
-        programs.streaming(Firmware(3, 4), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.001)
+        streaming(Firmware(3, 4), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.001)
     )
 
 
@@ -99,10 +98,10 @@ def test_the_watchdog_counts_cycles() -> None:
     [
         lambda: programs.move_joints([0] * 5, 1, 1),
         lambda: programs.move_linear([float("nan")] * 6, 1, 1),
-        lambda: programs.streaming(Firmware(5, 11), ReverseSocket('h"', 1, 0), speeds=SPEEDS),
-        lambda: programs.streaming(Firmware(5, 11), ReverseSocket("h", 0, 0), speeds=SPEEDS),
-        lambda: programs.streaming(Firmware(5, 11), ReverseSocket("h", 1, 1 << 31), speeds=SPEEDS),
-        lambda: programs.streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, gain=5000),
+        lambda: streaming(Firmware(5, 11), ReverseSocket('h"', 1, 0), speeds=SPEEDS),
+        lambda: streaming(Firmware(5, 11), ReverseSocket("h", 0, 0), speeds=SPEEDS),
+        lambda: streaming(Firmware(5, 11), ReverseSocket("h", 1, 1 << 31), speeds=SPEEDS),
+        lambda: streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, gain=5000),
         lambda: waypoints.interpolating(Firmware(5, 11), "h", 1, 0, is_quintic=True, lookahead_time=0.001),
     ],
 )

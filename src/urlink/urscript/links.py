@@ -1,0 +1,264 @@
+"""Programs that are led from this computer, cycle by cycle: how their words reach them, and the loop that obeys them.
+
+A word is thirteen big-endian int32: six numbers in millionths (`SCALE`), six more, and what to do: `STOP`, `FOLLOW` or
+`WAIT`. In `urlink.urscript.streaming` the numbers are positions of the joints, rad, and their speeds, rad/s.
+
+Over a `ReverseSocket` the program connects back to this computer, as those of public drivers do, and sends a token that
+only its text holds: another peer that finds the port must not be taken for the robot. The answer of
+``socket_read_binary_integer`` begins with the count that was read, which is less than thirteen after two seconds
+without a word, or once the connection is lost. Over `InputRegisters` the program waits for the token instead.
+
+Assignments in a thread or a nested function reach the variables of the program around them, as the programs of public
+drivers rely on; nothing here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are
+written out element by element, since arithmetic on whole lists came late.
+
+Why such a program ended before its time is in its last ``textmsg``: `NO_CONNECTION`, `LINK_ENDED`, `STARVED`,
+`TOO_FAR`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ..firmware import Firmware
+from .text import each, indented, integer, lines, number, quoted
+
+__all__ = [
+    "FOLLOW",
+    "LINK_ENDED",
+    "NO_CONNECTION",
+    "SCALE",
+    "STARVED",
+    "STOP",
+    "TOKENS",
+    "TOO_FAR",
+    "WAIT",
+    "InputRegisters",
+    "ReverseSocket",
+    "introduction",
+    "missable",
+    "word_loop",
+]
+
+#: How many tokens there are: what a signed 32-bit integer holds.
+TOKENS = 1 << 31
+#: What a set-point is multiplied by.
+SCALE = 1_000_000
+#: The last of the thirteen numbers: brake and end, go to this set-point, or do nothing yet.
+STOP, FOLLOW, WAIT = 0, 1, 2
+
+NO_CONNECTION = "urlink: cannot connect"
+LINK_ENDED = "urlink: the link ended"
+STARVED = "urlink: nothing to go to"
+TOO_FAR = "urlink: the first point is too far away"
+
+#: Seconds for which a program waits for the first word in its registers.
+_LINK_TIMEOUT = 5.0
+
+
+class ReverseSocket(NamedTuple):
+    """A connection that the program makes back to this computer.
+
+    Attributes:
+        host, port: where it reaches this computer.
+        token: by which it tells that it is the program that is waited for.
+    """
+
+    host: str
+    port: int
+    token: int
+
+
+class InputRegisters(NamedTuple):
+    """Input registers that this computer writes by RTDE: nothing has to be reached from the robot.
+
+    Set-points are in twelve floating point registers: positions, rad, and speeds, rad/s. Three integer registers hold
+    the number of the word, by which a new one is known; what to do; and the token. That a program sees all inputs of
+    one RTDE package in the same cycle is what public clients with such programs rely on.
+
+    Attributes:
+        first_float, first_integer: number of the first register of each kind.
+        token: what is in its register as long as this program's words are: registers keep what others wrote.
+    """
+
+    first_float: int
+    first_integer: int
+    token: int
+
+    @property
+    def word(self) -> int:
+        """The register that numbers the words."""
+        return self.first_integer
+
+    @property
+    def mode(self) -> int:
+        """The register that says what to do."""
+        return self.first_integer + 1
+
+    @property
+    def proof(self) -> int:
+        """The register that holds the token."""
+        return self.first_integer + 2
+
+
+def word_loop(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    start: str,
+    told: str,
+    late: str,
+    end: str,
+    *,
+    watchdog: float,
+    most_missed: int,
+) -> list[str]:
+    """A program that does something in each cycle, by the words that come over a link.
+
+    Args:
+        link: how they come.
+        start: what it does first; it sets ``missed`` to 0.
+        told: for a new word, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to 0, and takes a cycle.
+        late: for the cycle ``missed`` without a word; it takes a cycle.
+        end: what it does last, also when no word has come for longer.
+        watchdog: seconds without a word after which the program ends.
+        most_missed: rounds without one in these seconds, after which it says `STARVED` and ends.
+    """
+    if isinstance(link, ReverseSocket):
+        # Reading waits, so a thread of its own moves the arm.
+        kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link)
+    else:
+        kind, shared, take, follow = "def", _SEEN, _take_registers(link), _over_registers(link, firmware, watchdog)
+    text = f"""
+{indented(shared)}
+        starved = False
+        {kind} servo():
+{indented(start, 10)}
+          going = True
+          while going:
+{indented(take, 12)}
+            if wanted == {STOP}:
+              going = False
+            elif wanted == {WAIT}:
+              sync()
+            elif is_new:
+{indented(told, 14)}
+            elif missed < {most_missed}:
+              missed = missed + 1
+{indented(late, 14)}
+            else:
+              starved = True
+              textmsg({quoted(STARVED)})
+              going = False
+            end
+          end
+{indented(end, 10)}
+        end
+{indented(follow)}
+    """
+    return lines(text)
+
+
+#: What the thread that reads the socket hands over to the one that moves the arm.
+_SHARED = f"""
+    target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    target_speed = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    mode = {WAIT}
+    fresh = False
+"""
+_TAKE_SHARED = """
+    enter_critical
+    wanted = mode
+    is_new = fresh
+    fresh = False
+    goal = target
+    speed = target_speed
+    exit_critical
+"""
+
+
+def _over_socket(link: ReverseSocket) -> str:
+    """Connect, and hand over what comes until the link ends."""
+    return f"""
+        if socket_open({quoted(link.host)}, {integer(link.port, 1, 65535)}):
+          {introduction(link.token)}
+          servo_thread = run servo()
+          reading = True
+          while reading:
+            word = socket_read_binary_integer(13)
+            if word[0] < 13:
+              if not starved:
+                textmsg({quoted(LINK_ENDED)})
+              end
+              reading = False
+            elif starved:
+              reading = False
+            elif word[13] == {FOLLOW}:
+              goal_read = [{each("word[{n}] / " + number(SCALE))}]
+              speed_read = [{each("word[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
+              enter_critical
+              target = goal_read
+              target_speed = speed_read
+              fresh = True
+              mode = {FOLLOW}
+              exit_critical
+            elif word[13] == {STOP}:
+              reading = False
+            end
+          end
+          mode = {STOP}
+          join servo_thread
+          socket_close()
+        else:
+          textmsg({quoted(NO_CONNECTION)})
+        end
+    """
+
+
+#: The number of the last word; they are counted from 1, so the one that comes with the token is new.
+_SEEN = "seen = 0"
+
+
+def _take_registers(link: InputRegisters) -> str:
+    """The newest word, and whether it is a new one."""
+    return f"""
+        wanted = read_input_integer_register({link.mode})
+        number = read_input_integer_register({link.word})
+        is_new = number != seen
+        seen = number
+        goal = [{each("read_input_float_register({way})", [str(link.first_float + i) for i in range(6)])}]
+        speed = [{each("read_input_float_register({way})", [str(link.first_float + 6 + i) for i in range(6)])}]
+    """
+
+
+def _over_registers(link: InputRegisters, firmware: Firmware, watchdog: float) -> str:
+    """Wait for the token, for a bounded time, and follow what the registers say.
+
+    The controller's own watchdog over the registers ends the program where this one cannot: it is given a second more,
+    in which an arm has braked.
+    """
+    proof = f"read_input_integer_register({link.proof})"
+    variable = quoted(f"input_int_register_{link.word}")
+    return f"""
+        cycles = 0
+        while cycles < {round(_LINK_TIMEOUT * firmware.rate)} and {proof} != {integer(link.token, 1, TOKENS - 1)}:
+          cycles = cycles + 1
+          sync()
+        end
+        if {proof} == {link.token}:
+          rtde_set_watchdog({variable}, {number(1.0 / (watchdog + 1.0))}, "stop")
+          servo()
+        else:
+          textmsg({quoted(NO_CONNECTION)})
+        end
+    """
+
+
+def missable(watchdog: float, rate: int) -> int:
+    """Cycles without a set-point after which the streaming program brakes: `watchdog` seconds, and two at least."""
+    return max(math.ceil(watchdog * rate), 2)
+
+
+def introduction(token: int) -> str:
+    """What a program says first over its connection: four bytes, the highest first."""
+    return f"socket_send_int({integer(token, 0, TOKENS - 1)})"

@@ -1,0 +1,149 @@
+"""The program that follows set-points, one for each cycle of the controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..firmware import Firmware
+from .links import InputRegisters, ReverseSocket, missable, word_loop
+from .text import checked, each, indented, lines, number
+
+__all__ = ["COASTING", "servo_cycle", "streaming"]
+
+#: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
+#: watchdog. Longer, an arm would be led a good way past the end of a movement by a computer that is too busy.
+COASTING = 0.1
+#: rad/s² with which a set-point is approached at most on CB2. Chosen: twice what the arms of that generation report as
+#: the limit of their wrists, so that what is sent in time is left as it is; a third of what the simulated one stops at.
+_HARDEST = 50.0
+
+
+def streaming(
+    firmware: Firmware,
+    link: ReverseSocket | InputRegisters,
+    *,
+    speeds: Sequence[float],
+    watchdog: float = 0.1,
+    coasting: float = COASTING,
+    lookahead_time: float = 0.1,
+    gain: float = 300.0,
+    deceleration: float = 4.0,
+) -> list[str]:
+    """Follow set-points, one per cycle, and brake where they stay away.
+
+    While one is late the arm goes on at the speed that came with the last, ever slower, and rests after `coasting`
+    seconds, or when the watchdog's time is up, if that is sooner. The speed is told, and not derived from the last two
+    positions: where set-points come only every tenth cycle, a difference between positions holds mostly what the
+    program itself went on by, and so it would go on in a direction that is not wanted any more. No set-point is
+    followed faster than the joints can move: where it is further away, it is approached at their largest speed. So
+    whatever goes wrong on the way, the arm does not leap. On CB2, where ``servoj`` does not smooth, the change of speed
+    is bounded too.
+
+    Args:
+        link: how the set-points come.
+        speeds: (6,) rad/s at most of each joint.
+        watchdog: seconds without a set-point after which it brakes.
+        coasting: seconds without one after which the arm has come to rest.
+        lookahead_time, gain: of ``servoj``, where the firmware has them.
+        deceleration: rad/s² with which it brakes.
+    """
+    servo = servo_cycle(firmware, lookahead_time, gain)
+    most_missed = missable(watchdog, firmware.rate)
+    most_coasted = missable(min(watchdog, coasting), firmware.rate)
+    cycle = number(1.0 / firmware.rate)
+    ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
+    if firmware.is_cb2:
+        easing = _eased(firmware)
+        move = f"moved = [{each('eased(aim[{i}], q[{i}], pace[{i}], moved[{i}], {way})', ways)}]"
+        move += f"\nq = [{each('q[{i}] + moved[{i}]')}]"
+        # The first, too, may be one of several that come at once.
+        begin = f"if not begun:\n  q = get_actual_joint_positions()\nend\npace = step\n{move}"
+        coast = f"pace = [{each('step[{i}] * share')}]\n{move}"
+    else:
+        easing = ""
+        coast = f"q = [{each('bounded(aim[{i}], q[{i}], {way})', ways)}]"
+        begin = f"if begun:\n  {coast}\nelse:\n  q = aim\nend"
+    bounds = f"""
+        def bounded(aim, here, way):
+          if aim > here + way:
+            return here + way
+          elif aim < here - way:
+            return here - way
+          end
+          return aim
+        end
+{indented(easing)}
+    """
+    start = """
+        q = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        aim = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        missed = 0
+        begun = False
+    """
+    told = f"""
+        step = [{each("speed[{i}] * " + cycle)}]
+        aim = goal
+{indented(begin)}
+        begun = True
+        missed = 0
+        {servo}
+    """
+    late = f"""
+        if missed < {most_coasted}:
+          share = 1.0 - missed / {number(most_coasted)}
+          aim = [{each("aim[{i}] + step[{i}] * share")}]
+        else:
+          share = 0.0
+        end
+{indented(coast)}
+        {servo}
+    """
+    end = f"stopj({number(deceleration)})"
+    loop = word_loop(firmware, link, start, told, late, end, watchdog=watchdog, most_missed=most_missed)
+    return [*lines(bounds), *loop]
+
+
+def _eased(firmware: Firmware) -> str:
+    """How far a joint goes in a cycle where nobody smooths set-points: before 3.0 ``servoj`` has no look-ahead.
+
+    As far as the set-point, if the speed changes by no more than `_HARDEST` allows. Else as fast towards it as can be
+    braked until there, beside the speed with which the set-point itself goes on. Several set-points that come at once,
+    after this computer and the controller were both held up, are otherwise one leap.
+    """
+    hard = _HARDEST / firmware.rate**2
+    braking = f"sqrt({number(0.25 * hard * hard)} + {number(2.0 * hard)} * left) - {number(0.5 * hard)}"
+    return f"""
+        pace = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        moved = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        def eased(goal, here, pace, last, way):
+          move = goal - here
+          if move > last + {number(hard)} or move < last - {number(hard)}:
+            left = move - pace
+            if left > 0.0:
+              move = pace + {braking}
+            else:
+              left = 0.0 - left
+              move = pace - ({braking})
+            end
+            move = bounded(move, last, {number(hard)})
+          end
+          return bounded(move, 0.0, way)
+        end
+    """
+
+
+def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
+    """One cycle of ``servoj`` to `q`.
+
+    Before 3.0 it has neither lookahead nor gain (docs/protocols/urscript.md, Differences).
+    """
+    smoothing = (
+        ""
+        if firmware.is_cb2
+        else (
+            f", lookahead_time={number(lookahead_time, 'lookahead_time', 0.03, 0.2)}"
+            f", gain={number(gain, 'gain', 100, 2000)}"
+        )
+    )
+    return f"servoj(q, t={number(1.0 / firmware.rate)}{smoothing})"

@@ -1,0 +1,56 @@
+"""A server for tests: takes one connection after another, in a thread."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+
+__all__ = ["OneAfterAnother"]
+
+
+class OneAfterAnother:
+    """Listens on a free port of this computer, and talks to one client after another.
+
+    Args:
+        timeout: seconds for a client to send, and for the thread to end.
+
+    Attributes:
+        port: on which it listens.
+        connections: accepted so far.
+    """
+
+    def __init__(self, timeout: float = 10.0) -> None:
+        self._timeout = timeout
+        self.connections = 0
+        self._connection: socket.socket | None = None
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            self.connections += 1
+            self._connection = connection
+            with connection, contextlib.suppress(OSError):
+                connection.settimeout(self._timeout)
+                self._talk(connection)
+
+    def _talk(self, connection: socket.socket) -> None:
+        """All that is received from a client and sent to it; the connection is closed on return."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End the connection and the thread."""
+        for each in (self._connection, self._listener):
+            if each is not None:
+                with contextlib.suppress(OSError):
+                    each.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join(self._timeout)
+        assert not self._thread.is_alive()
