@@ -1,4 +1,4 @@
-"""The thread in which a robot calls back what its user handed over: done callbacks and their like.
+"""The thread in which a robot calls its user's callbacks: done callbacks, `on_stop`, `on_text`.
 
 No lock is held meanwhile and no robot is kept waiting, so a callback may command the robot, wait for a motion, close
 the robot, be slow or raise. One that is slow keeps those after it waiting, and nothing else.
@@ -69,6 +69,6 @@ def _run(calls: _Calls) -> None:
         try:
             function(*arguments)
         except BaseException:
-            # Also SystemExit and KeyboardInterrupt: they would end this thread, and nobody would be called any more.
+            # Also SystemExit and KeyboardInterrupt: they would end this thread, and with it all later callbacks.
             _log.exception("%r raised; the callbacks after it are called all the same", function)
         del call, function, arguments

@@ -11,7 +11,7 @@ Two kinds of mistake, two kinds of error::
     │   ├── Cancelled               a motion or program that was given up
     │   └── Closed                  used after close()
     └── RemoteError                 the peer sent nonsense, or went away
-        ├── ConnectFailed           nobody answers, refused, no route             (ConnectionError)
+        ├── ConnectFailed           no answer, refused, no route                  (ConnectionError)
         ├── ConnectionLost          was there, is gone                            (ConnectionError)
         ├── LinkTimeout             nothing came before the deadline              (TimeoutError)
         ├── WrongPeer               somebody else is listening there

@@ -106,7 +106,7 @@ class Lifecycle:
         self._is_running = False
         self._end: dict[str, tuple[Phase, Exception | None]] = {}
         self._future: Future[None] = Future()
-        # So that nobody who awaits it can cancel the future instead of the motion.
+        # So that a task that is cancelled while it awaits cannot cancel the future instead of the motion.
         self._future.set_running_or_notify_cancel()
         self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
@@ -299,7 +299,7 @@ class Handle:
         return [("phase", self.phase.value), ("error", "" if self.error is None else str(self.error))]
 
     def _repr_html_(self) -> str:
-        from .html_view import html_table  # whoever imports us should not pay for it
+        from .html_view import html_table  # imported here: importing the library stays cheap
 
         return html_table(f"{type(self).__name__} {self.name}", (), [row for row in self._shown() if row[1]])
 

@@ -22,7 +22,7 @@ def lazy_names(
         else:
             __getattr__, __dir__, __all__ = lazy_names(__name__, {".robot": "Robot"})
 
-    A name must not be that of a module of the package: whoever imports the module would replace the name.
+    A name must not be that of a module of the package: importing the module would replace the name.
 
     Args:
         package: its `__name__`.

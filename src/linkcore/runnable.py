@@ -118,7 +118,7 @@ class Runnable(ABC):
         return self
 
     def _in_thread(self) -> None:
-        # What ended it is kept in `failure`, for who asks. Raised here it would only be printed.
+        # The exception that ended it is kept in `failure`. Raised here it would only be printed.
         try:
             self._serve_to_end()
         except BaseException:

@@ -21,7 +21,7 @@ __all__ = ["AsyncFeed", "AsyncStream"]
 T = TypeVar("T")
 K = TypeVar("K")
 
-#: Packets that wait for who has to look at each.
+#: Packets that may wait for a consumer that has to look at every one.
 _LAGGARD = 1024
 
 

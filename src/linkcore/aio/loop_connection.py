@@ -3,11 +3,11 @@
     transport -> receiver -> fan-out -> queues -> tasks
     [------------------ event loop ------------------]
 
-What is said of a connection, and what happens to it, is as in `linkcore.streaming.connection`. Only who waits differs:
-no thread does. The loop calls when the socket has bytes, they are handed out at once, and a timer tells of silence.
+Its state and events are those of `linkcore.streaming.connection`, but no thread waits: the loop calls when the socket
+has bytes, they are handed out at once, and a timer measures silence.
 
-Other threads may use it as well, to send and to wait: what commands a robot does. To them the thread of the loop is the
-one that reads. Whatever would wait in that thread is refused, since what it waits for could not come.
+Other threads may use it as well, to send and to wait, as the code that commands a robot does. For them the thread of
+the loop is the reader. A call that would wait in that thread is refused: it would wait for itself.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class LoopConnection(Connection):
                 if self._is_closing:
                     self._finish(None)
                     return
-        except asyncio.CancelledError:  # by whoever ends the loop
+        except asyncio.CancelledError:  # by the end of the loop
             super()._stop()
             self._finish(None)
             raise

@@ -45,7 +45,7 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.number is not None:
-            raise Interrupted(number)  # asked twice: whoever asks does not want to wait for order
+            raise Interrupted(number)  # the second signal: end at once, without tidying up
         self.number = number
 
     def wait(self, seconds: float) -> bool:

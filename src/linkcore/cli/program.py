@@ -70,7 +70,7 @@ def program(
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # Whoever reads has had enough, as `head` has. What is left in the buffer would fail again at exit.
+        # The reader of the pipe has closed it, as `head` does. What is left in the buffer would fail again at exit.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -3,7 +3,7 @@
 It reads at once, stamps the bytes, keeps the newest packet where the other can look at it, and hands all bytes over by
 a pipe. Of what the other does not take, it keeps 16 MiB; then it reads no more, so that nothing is lost.
 
-It ends when the other does: its standard input is a pipe that nobody writes, and ends with the other process. Where
+It ends when the other does: its standard input is a pipe that is never written, and ends with the other process. Where
 a third process has inherited that pipe, it sees that it has another parent.
 """
 

@@ -39,7 +39,7 @@ class AwaitedTcp(TcpTransport):
 
         Raises:
             ConnectFailed: refused, unreachable, or no such host.
-            LinkTimeout: nobody answered in time.
+            LinkTimeout: no answer in time.
         """
         self.abort()
         try:

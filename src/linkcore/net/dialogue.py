@@ -1,7 +1,7 @@
 """Question and answer over TCP, a line or so each, on a connection that is made when it is needed.
 
-Where nothing in an answer says which question it answers, the order is all there is. So threads take turns, and a
-connection on which anything went wrong is closed: whatever comes on it now might be taken for the answer to the next
+An answer does not say which question it belongs to: only the order tells. So threads take turns, and a
+connection on which an exchange failed is closed, since a late answer on it would be taken for the answer to the next
 question. The next one begins on a new connection. A question that may have reached the peer is never asked again.
 """
 

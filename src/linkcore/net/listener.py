@@ -20,7 +20,7 @@ from .transport import TcpTransport, mapped
 
 __all__ = ["TcpListener", "addresses", "bound_socket", "local_address", "numeric_host"]
 
-#: Seconds without a byte after which a connection that was accepted counts as silent, where nobody says otherwise.
+#: Seconds without a byte after which a connection that was accepted counts as silent, by default.
 _SILENCE = 2.0
 
 
@@ -82,7 +82,7 @@ class TcpListener:
         address: (host, port) that it listens on.
 
     Raises:
-        BadAddress: nobody can listen there: taken, not an address of this computer, no such port.
+        BadAddress: it cannot be listened on: taken, not an address of this computer, no such port.
     """
 
     def __init__(self, host: str, port: int = 0) -> None:
@@ -100,9 +100,9 @@ class TcpListener:
         """The next connection, made within `timeout` seconds; 0 takes one that is there already.
 
         Raises:
-            LinkTimeout: nobody came.
+            LinkTimeout: no connection came.
             ConnectFailed: the listener was closed.
-            ConnectionLost: whoever came is gone again.
+            ConnectionLost: the peer that connected has disconnected again.
         """
         listener = self._socket
         where = f"{self.address[0]}:{self.address[1]}"
@@ -112,9 +112,9 @@ class TcpListener:
             listener.settimeout(max(timeout, 0.0))
             connection, peer = listener.accept()
         except BlockingIOError:
-            raise LinkTimeout(f"nobody connected to {where} yet") from None
+            raise LinkTimeout(f"no connection to {where} yet") from None
         except TimeoutError:
-            raise LinkTimeout(f"nobody connected to {where} within {timeout:g} s") from None
+            raise LinkTimeout(f"no connection to {where} within {timeout:g} s") from None
         except ConnectionError as error:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
@@ -122,7 +122,7 @@ class TcpListener:
         return TcpTransport.accepted(connection, numeric_host(peer[0]), peer[1], silence=silence)
 
     def close(self) -> None:
-        """Listen no longer, and wake whoever waits in `accept`. Idempotent; what was accepted stays."""
+        """Listen no longer, and wake a thread that waits in `accept`. Idempotent; what was accepted stays."""
         listener, self._socket = self._socket, None
         if listener is None:
             return

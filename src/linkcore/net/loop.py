@@ -44,7 +44,7 @@ __all__ = ["Connection", "Handler", "ListeningPort", "SelectorLoop"]
 
 _log = logging.getLogger(__name__)
 
-#: Clients of one port, where nobody says otherwise.
+#: Clients of one port, by default.
 MOST_CLIENTS = 100
 #: Seconds after which the slot of a client that neither sends nor takes a byte may go to a new client.
 IDLE = 60.0
@@ -629,7 +629,7 @@ class SelectorLoop:
         while self._calls:
             change, done = self._calls.popleft()
             if not done.set_running_or_notify_cancel():
-                continue  # nobody waits for it any more
+                continue  # its caller waits no longer
             try:
                 change()
             except BaseException as error:
@@ -647,7 +647,7 @@ class SelectorLoop:
             self._drop(connection, f"{type(error).__name__} in its handler", reset=True)
 
     def _drop(self, connection: Connection, reason: str, *, reset: bool = False, by_peer: bool = False) -> None:
-        """Close a connection; its handler is told when the events at hand have been served."""
+        """Close a connection; its handler's `connection_lost` is called when the events at hand have been served."""
         if not connection._is_open:
             return
         connection._is_open = False

@@ -12,7 +12,7 @@ failed. Three settings prevent that:
   collector, the kernel discards what it holds and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
 - `close` is the orderly way: it first waits, for a bounded time, until the peer's kernel has acknowledged everything.
 - `TCP_USER_TIMEOUT` (RFC 5482; Linux): the kernel ends the connection by itself where nothing is acknowledged for as
-  long as the peer may be silent. It works while this process is suspended or held up, when nobody could call `abort`.
+  long as the peer may be silent. It works while this process is suspended or held up, and no thread could call `abort`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Transport(Protocol):
         """Wait until `send_some` can send something; False when time is up; raises `ConnectionLost`."""
 
     def abort(self) -> None:
-        """Disconnect at once, discard what was not delivered, and wake whoever waits. Idempotent, from any thread."""
+        """Disconnect at once, discard what was not delivered, wake threads that wait. Idempotent, from any thread."""
 
     def close(self) -> None:
         """Disconnect once what was sent is delivered, in bounded time; then as `abort`."""
@@ -124,7 +124,7 @@ class TcpTransport:
 
         Raises:
             ConnectFailed: refused, unreachable, or no such host.
-            LinkTimeout: nobody answered in time.
+            LinkTimeout: no answer in time.
         """
         self.abort()
         try:
@@ -278,7 +278,7 @@ class TcpTransport:
         if connection is None:
             return
         # Not SHUT_RDWR: that would put the end of the stream behind the bytes to be discarded, and have both delivered.
-        with contextlib.suppress(OSError):  # already gone: nobody is waiting on it then
+        with contextlib.suppress(OSError):  # already disconnected: no thread waits on it then
             connection.shutdown(socket.SHUT_RD)
         connection.close()
 
@@ -297,11 +297,11 @@ class TcpTransport:
         if connection is None:
             return
         with contextlib.suppress(OSError, ValueError):  # ended by the peer, or by `abort` in another thread
-            connection.shutdown(socket.SHUT_WR)  # whoever still sends is refused from now on
+            connection.shutdown(socket.SHUT_WR)  # another thread that sends gets an error from now on
             until = time.monotonic() + timeout
             # An acknowledgement takes some 50 us on a local network, and up to 40 ms where it is delayed.
             pause = 0.0002
-            # Nothing is added meanwhile. The end of the stream, which nobody has to wait for, counts as one byte.
+            # Nothing is added meanwhile. The FIN, which need not be waited for, counts as one byte.
             while (is_under_way := _unacknowledged(connection) > 1) and time.monotonic() < until:
                 yield pause
                 pause = min(2 * pause, 0.01)
@@ -393,7 +393,7 @@ def _has_room(connection: socket.socket, seconds: float) -> bool:
 
 
 def _unacknowledged(connection: socket.socket) -> int:
-    """Bytes that were sent and not acknowledged, and one for the end of the stream; 0 where nobody can tell."""
+    """Bytes that were sent and not acknowledged, and one for the FIN; 0 where the system does not tell."""
     if sys.platform == "linux":
         # SIOCOUTQ has the number of TIOCOUTQ (linux/sockios.h).
         (count,) = struct.unpack("i", fcntl.ioctl(connection, termios.TIOCOUTQ, bytes(4)))

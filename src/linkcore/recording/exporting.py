@@ -74,7 +74,7 @@ def chosen(
             first_table = next(iter(tables.values()), None)
             if first_table is None:
                 raise BadValue(f"there is no field {field!r}: nothing was recorded")
-            first_table.arrays(field)  # says what is like it
+            first_table.arrays(field)  # adds names that are similar
         else:
             found.setdefault(table, []).append(field)
     kept = {name: table.with_fields(*found[name]) for name, table in tables.items() if name in found}

@@ -45,7 +45,7 @@ class RecordingWriter:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            # Unbuffered: what write() returned from is the operating system's to keep.
+            # Unbuffered: bytes that write() has taken are kept by the operating system, also when this process dies.
             self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115
         except FileExistsError:
             raise BadRecording(f"{self.path} exists; a recording never overwrites one") from None
@@ -128,7 +128,7 @@ class RecordingWriter:
             try:
                 written = self._file.write(data)
                 if written != len(data):
-                    # A full disk takes half a record: readers stop before it, and so do we.
+                    # A full disk takes half a record: readers stop before it, so nothing is written after it.
                     self.failure = f"{self.path}: only {written} of {len(data)} bytes were taken; is the disk full?"
             except OSError as error:
                 self.failure = f"cannot write {self.path}: {_reason(error)}"

@@ -275,7 +275,7 @@ class _Reader:
                 self._places.add(state._layout, place, record)
                 last = state
             else:
-                # It may have said how those that follow are to be read.
+                # It may be a version message, which decides how those that follow are decoded.
                 self.others.append((record, state))
                 last = None
         return last

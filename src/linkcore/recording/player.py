@@ -48,9 +48,9 @@ class ReplayClock:
 class ReplayTransport:
     """One channel of a recording as a source of bytes.
 
-    Chunks come as they were cut, at the recorded times. Their stamps say the recorded wall time, and
-    the present on the monotonic clock. Where the recorded connection was lost, this one is too, and
-    comes back when that one did.
+    Chunks come as they were cut, at the recorded times. Their stamps have the recorded wall time, and
+    the present time of the monotonic clock. Where the recorded connection was lost, this one is too, and
+    it is connected again when the recorded one was.
     """
 
     def __init__(self, recording: Recording, channel: str, clock: ReplayClock) -> None:
@@ -72,7 +72,7 @@ class ReplayTransport:
         """
         self._closed.clear()
         self._clock.start()
-        # The first connection is made at once: who opens a channel that was recorded late is not kept waiting.
+        # The first connection is made at once, also of a channel whose recording began later than others.
         again, self._was_open = self._was_open, True
         while (record := self._peek()) is not None and record.kind is not Kind.BYTES:
             state, error = self._event(record)
@@ -127,7 +127,7 @@ class ReplayTransport:
         return delay <= most
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Refuse: nobody is listening in a recording.
+        """Refuse: a recording has no peer.
 
         Raises:
             BadValue: always.
@@ -143,7 +143,7 @@ class ReplayTransport:
         return False
 
     def abort(self) -> None:
-        """Wake whoever waits."""
+        """Wake threads that wait."""
         self._closed.set()
 
     def close(self) -> None:

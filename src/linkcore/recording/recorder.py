@@ -1,4 +1,4 @@
-"""The recorder: one more subscriber, which writes what it is given to a file."""
+"""The recorder: a subscriber that writes bytes and connection events to a file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Recorder:
 
     In the receive path it costs one hand-over to a queue; the file is written in its own threads.
     Nothing is lost: should the disk fall 1024 chunks behind, the stream waits for it. Should the disk
-    fail, the streams go on, and `close` says so.
+    fail, the streams go on, and `close` raises.
 
     Args:
         path: a file that does not exist yet.

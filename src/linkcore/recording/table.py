@@ -233,7 +233,7 @@ class Table:
         return f"<Table {self.name}: {len(self)} rows, {self._time[0]:.3f} to {self._time[-1]:.3f} s>"
 
     def _repr_html_(self) -> str:
-        from ..html_view import html_table  # whoever imports us should not pay for it
+        from ..html_view import html_table  # imported here: importing the library stays cheap
 
         columns = self._columns.known.values()
         rows = [(column.name, (len(self), *column.shape), column.unit, column.doc) for column in columns]

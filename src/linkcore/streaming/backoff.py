@@ -44,7 +44,7 @@ class Backoff:
         >>> list(Backoff(first=0.1, most=0.3, jitter=0, tries=4).waits())
         [0.1, 0.2, 0.3, 0.3]
         """
-        # Here, because it brings hashlib with it, and whoever imports us should not pay for that.
+        # Imported here: it brings hashlib with it, and importing the library stays cheap.
         import random
 
         wait, done = self.first, 0

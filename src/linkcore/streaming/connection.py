@@ -3,8 +3,8 @@
     transport -> receiver -> fan-out -> queues -> callbacks
     [------ reader thread --------]   [own threads]
 
-It is what the library holds; users hold a `Stream` or a `Feed`, which ask this one. The reader thread holds it too, so
-it lives until it is closed.
+The library holds connections; users hold a `Stream` or a `Feed`, which refer to one. The reader thread refers to its
+connection too, which therefore exists until it is closed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Connection:
         name: for messages and threads.
         transport: where bytes come from.
         protocol: makes the protocol of one connection.
-        fan_out: who gets the packets.
+        fan_out: hands the packets to the subscribers.
         backoff: how to connect again.
         timeout: seconds for a connection to be made.
         silence: seconds without a packet after which a connection counts as lost; None for ever.
@@ -88,7 +88,7 @@ class Connection:
         self._is_launched = False  # something reads, or is about to
         self._is_settled = False  # the first connection was made, or could not be
         self._has_opened = False
-        self._is_patient = False  # whoever began it does not wait: failures are retried
+        self._is_patient = False  # started without waiting for the first connection: failures are retried
         self._is_closing = False
         self._is_finishing = False  # the reader is about to end
         self._is_over = False
@@ -136,7 +136,7 @@ class Connection:
         with self._changed:
             if self._is_finishing or not self._is_settled:
                 self.refuse_to_wait("connecting")
-            # A reader that ends takes its subscribers with it: who comes now is for the next one.
+            # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
             self._changed.wait_for(lambda: not self._is_finishing, self._timeout)
             if self._is_closing:
                 raise Closed(f"{self.name} was closed")
@@ -385,7 +385,7 @@ class Connection:
     # -- what becomes of a connection, whatever reads it -----------------------------------------
 
     def _opened(self) -> Receiver:
-        """The transport is open: everybody is told, and this takes its bytes."""
+        """The transport is open: publish the event, and receive until the connection is lost."""
         protocol = self._protocol()
         self.counters.connected(protocol)
         self._has_opened = True
@@ -483,7 +483,7 @@ class Connection:
         if failure is not None and self._has_opened:
             _log.warning(
                 "%s: given up: %s", self.name, printable(failure)
-            )  # all that some callbacks' owners learn of it
+            )  # for a callback without an error handler, the log is the only report
         self._tell(ConnectionState.IDLE if failure is not None else ConnectionState.CLOSED, failure)
         self.fan_out.end()
         with self._changed:

@@ -1,4 +1,4 @@
-"""What a stream tells beside its packets: how its connection fares, and the bytes as they came."""
+"""What a stream publishes beside packets: changes of its connection, and the bytes as they were received."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ConnectionEvent(NamedTuple):
 
 
 class Traffic:
-    """Everything as it came: subscribe to it for each `Chunk` and each `ConnectionEvent`, in order."""
+    """Base class of `Chunk` and `ConnectionEvent`: a subscription to it gets both, in order."""
 
     IS_EVENT = True
 

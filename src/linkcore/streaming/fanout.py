@@ -1,4 +1,4 @@
-"""Who gets what: every packet of a stream goes to each queue and each inline callback that wants it.
+"""Hands every packet of a stream to each queue and each inline callback that asked for its class.
 
 Called by the thread that reads, which meets no lock here: tuples are replaced and never changed. An asyncio shell can
 use it as it is, with queues of its own.
@@ -57,11 +57,11 @@ class FanOut:
         kind: the main class of packet.
         parts: the packets inside a packet; None if there are none.
         others: base classes of what else comes, parts included.
-        ahead: the newest packet where somebody else knows it before it is published; None if there is none. For a
-            stream without parts.
+        ahead: returns the newest packet where it is known before it is published (`linkcore.isolation`); None if there
+            is none. For a stream without parts.
 
     Attributes:
-        taps: those who get the bytes as they came.
+        taps: subscribers to the bytes as they were received.
     """
 
     def __init__(
@@ -201,7 +201,7 @@ class FanOut:
         return self._deliveries
 
     def add_delivery(self, delivery: Delivery) -> None:
-        """Remember a callback, so that whoever closes the stream can wait for it."""
+        """Remember a callback, so that closing the stream can wait for it."""
         with self._lock:
             self._deliveries = (*self._deliveries, delivery)
 

@@ -19,7 +19,7 @@ __all__ = ["Feed"]
 
 T = TypeVar("T")
 
-#: Packets that wait for who has to look at each.
+#: Packets that may wait for a consumer that has to look at every one.
 _LAGGARD = 1024
 
 
@@ -224,7 +224,7 @@ class Feed(Generic[T]):
             LinkTimeout: nothing came within `seconds`.
             RemoteError, LocalError, Closed: as `subscribe`.
         """
-        from ..plotting import Curves, LivePlot, Plot  # whoever imports us should not pay for it
+        from ..plotting import Curves, LivePlot, Plot  # imported here: importing the library stays cheap
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)

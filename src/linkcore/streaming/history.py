@@ -1,4 +1,4 @@
-"""The last seconds of a stream as arrays: what learning code and filters look back at.
+"""The last seconds of a stream as arrays, for filters and for code that learns.
 
 States are kept as they came, which costs the reader a microsecond each, and are taken apart when an array is asked for.
 """

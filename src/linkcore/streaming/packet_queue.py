@@ -1,12 +1,12 @@
 """The bounded queue between the thread that reads a stream and one consumer.
 
 `queue.Queue` takes a lock and a condition for each packet, in Python, and can neither drop the oldest nor be ended.
-Here the packets are in a `deque`, whose methods are atomic; a consumer that finds it empty says so and sleeps on a
+Here the packets are in a `deque`, whose methods are atomic; a consumer that finds it empty sets a flag and sleeps on a
 `SimpleQueue`, which is woken in C. So a packet that is handed over costs two method calls and a look at a flag, and
 many packets cost hardly more than one.
 
 The bound, the policy, the end and the counters are the same without threads: an asyncio consumer would take with
-`next(0)` and be told by its own loop that something has come.
+`next(0)` when its loop has been woken.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PacketQueue:
         policy: what to do when the consumer falls behind.
 
     Attributes:
-        offered: packets that came here.
+        offered: packets that were offered to this queue.
         evicts: drops the oldest when it is full, rather than making the reader wait.
     """
 
@@ -50,9 +50,10 @@ class PacketQueue:
         self._discarded = 0  # raised under the lock
         self._discarding = threading.Lock()
         self._is_ended = False  # nothing more is to be taken from the reader
-        self._is_over = False  # nobody takes any more
-        # A consumer that finds nothing raises its flag, looks again, and sleeps until a token comes; whoever changes
-        # something looks at the flag afterwards. So one of the two sees the other. The same for a reader without room.
+        self._is_over = False  # its consumer has ended
+        # A consumer that finds nothing raises its flag, looks again, and sleeps until a token comes; a thread that
+        # changes something looks at the flag afterwards. So one of the two sees the other. A reader without room does
+        # the same.
         self._consumer_sleeps = False
         self._reader_sleeps = False
         self._to_consumer: SimpleQueue[None] = SimpleQueue()
@@ -175,7 +176,7 @@ class PacketQueue:
         self._discard()
 
     def _discard(self) -> None:
-        with self._discarding:  # the reader and whoever closes may both come here
+        with self._discarding:  # the reader and a thread that closes the queue may both come here
             while self._packets:
                 try:
                     self._packets.popleft()

@@ -1,9 +1,9 @@
-"""How long a peer has been silent, sans-IO: told by what became of each wait for bytes.
+"""How long a peer has been silent, sans-IO: computed from the result of each wait for bytes.
 
-Only the reader can tell. Time that has passed since the last packet proves nothing: this process may have been
-suspended, or kept by a C call that holds the interpreter's lock, while packets wait in the socket. But when the
+Only the reader thread can measure it. Time that has passed since the last packet proves nothing: this process may have
+been suspended, or kept by a C call that holds the interpreter's lock, while packets wait in the socket. But when the
 kernel's own wait for bytes runs out, nothing has come. So silence is the sum of the waits that ran out since the last
-packet, and a stall of one's own never adds to it.
+packet, and a stall of this process never adds to it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ROUNDING = 1e-6
 
 
 class _Watch:
-    """Somebody who wants to be told of a silence."""
+    """A callback, and the seconds of silence after which it is called."""
 
     def __init__(self, seconds: float, hook: Callable[[float], object]) -> None:
         self.seconds = seconds

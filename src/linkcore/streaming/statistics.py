@@ -5,8 +5,8 @@ Each counter is raised where its event happens, and none is computed from others
 - of a stream: ``received == decoded + failed``
 - of a subscription: ``offered == delivered + dropped + raised + waiting``
 
-There is no lock around them. A thread that is between two of its counters is given a moment by whoever looks, so that
-what does not add up after that has been counted wrongly.
+There is no lock around them. A snapshot waits a moment for a thread that is between two of its
+counters; sums that do not add up after that are an error in counting.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class StreamStatistics:
         received: packets that came off the wire.
         decoded: packets that became typed states, and were handed out.
         failed: packets that could not be decoded.
-        slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and nobody
-            else on this stream gets anything.
+        slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and no
+            other subscriber of this stream gets a packet.
         reconnects: connections after the first.
         rate: packets a second, over the last second or so; 0 in the first half second of a connection.
         bytes: bytes received.
@@ -118,7 +118,7 @@ class StreamCounters:
         self.slow_inline = 0
         self.bytes = 0
         self.connections = 0
-        # Of the connections that are over; what the present one has counted is asked of its protocol.
+        # Of the connections that are over; what the present one has counted stands in its protocol.
         self._skipped = self._resyncs = self._unknown = self._tails = 0
         self._protocol: PacketProtocol | None = None
         self.arrived: float | None = None

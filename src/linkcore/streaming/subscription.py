@@ -1,6 +1,6 @@
-"""A callback and who calls it: a thread of its own, with a queue before it, or the thread that reads the stream.
+"""A callback and the thread that calls it: one of its own, fed by a queue, or the thread that reads the stream.
 
-The threads hold a `Delivery` and never a `Subscription`, so that a stream which nobody holds any more can be collected
+The threads refer to a `Delivery` and never to a `Subscription`, so that a stream without references can be collected
 although its threads still run.
 """
 
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 _NEVER = float("inf")
 
-#: Seconds after which somebody who waits for the end of an inline call looks again.
+#: Seconds between two looks of a thread that waits for the end of an inline call.
 _LOOK = 0.001
 
 
@@ -128,8 +128,8 @@ def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterabl
 class ThreadedDelivery(Delivery):
     """Takes packets out of a queue in a thread of its own.
 
-    A callback that raises costs nobody anything but this packet, whatever it raises: also `SystemExit`, of
-    ``sys.exit()``, which Python lets end a thread without a word.
+    A callback that raises loses this packet and nothing else, whatever it raises: also `SystemExit`, of
+    ``sys.exit()``, by which Python would end the thread without a message.
 
     Args:
         queue: of this callback alone.
@@ -195,7 +195,7 @@ class ThreadedDelivery(Delivery):
             elif self._queue.is_over:
                 return
             elif self._gather:
-                # Nobody waits on the queue meanwhile, so nobody has to be woken by the reader.
+                # No thread waits on the queue meanwhile, so the reader has none to wake.
                 time.sleep(self._gather)
             elif deadline is not None:
                 last = self._last
@@ -219,7 +219,7 @@ class InlineDelivery(Delivery):
         LocalError: a deadline, and the system has no thread left.
     """
 
-    #: After the queues, so that a callback that is slow keeps nobody waiting who has a thread of his own.
+    #: After the queues, so that a slow inline callback does not delay subscribers with threads of their own.
     is_inline = True
     #: What is given to it is called at once: there is nothing that could be delivered later.
     evicts = True
@@ -234,8 +234,8 @@ class InlineDelivery(Delivery):
         super().__init__(callback, **options)
         self._counters = counters
         self._offered = 0
-        # The reader says that it is calling, and then looks whether this is closed. Whoever closes says so, and then
-        # looks whether the reader is calling. So one of the two sees the other, without a lock for each packet.
+        # The reader sets its flag, and then looks whether this is closed. A thread that closes marks it closed, and
+        # then looks at the flag. So one of the two sees the other, without a lock for each packet.
         self._is_closed = False
         self._reads_here = reads_here
         self._closing = threading.Condition()
@@ -323,8 +323,8 @@ class InlineDelivery(Delivery):
 class Subscription:
     """A callback that gets packets, in order and one at a time, until it is closed.
 
-    Made by `Stream.subscribe`; a context manager that closes itself. Whoever does not need it can let it go: the
-    callback is called all the same, for as long as the stream is open.
+    Made by `Stream.subscribe`; a context manager that closes itself. It need not be kept: the
+    callback is called without it too, for as long as the stream is open.
     """
 
     def __init__(self, delivery: Delivery, detach: Callable[[Delivery], object], owner: object = None) -> None:

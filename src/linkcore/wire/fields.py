@@ -38,7 +38,7 @@ class Header:
 
 
 class Field(NamedTuple):
-    """What is declared of one field; `linkcore.wire.packet.wire` says what each entry means."""
+    """The declaration of one field; `linkcore.wire.packet.wire` describes each entry."""
 
     name: str
     shape: Shape

@@ -1,11 +1,11 @@
 """Bytes to frames, sans-IO: a byte stream is cut at its frame boundaries, and a lost boundary is found again.
 
-What a boundary looks like is a `FrameBoundary` of the protocol. The loop, the bounds and the counting are the same for
-every protocol and stand here.
+Each protocol declares its `FrameBoundary`. The loop, the bounds and the counting are the same for every protocol and
+stand here.
 
-The work is linear in the bytes that come, however they are cut into chunks and whoever chose them: the place that is
-looked at only moves forward, a boundary looks at a bounded number of bytes beyond it, and says how many bytes it needs
-before it is worth asking again.
+The work is linear in the bytes that come, however they are cut into chunks, also for bytes that an adversary chose: the
+place that is looked at only moves forward, a boundary looks at a bounded number of bytes beyond it, and returns how
+many bytes it needs before it can decide.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """HTTP/1.1 messages, sans-IO: bytes to requests and responses, and back.
 
-Each connection carries one request and one response (`Connection: close`). What is understood is what a message needs
-to be whole: its headers, and its body by `Content-Length`, by chunks, or, for a response, by the end of the connection.
-Source: RFC 9112. Headers and bodies are bounded, so that no peer can fill the memory.
+Each connection carries one request and one response (`Connection: close`). A message is
+complete with its headers and its body, whose length is given by `Content-Length`, by chunks, or, for a response, by the
+end of the connection. Source: RFC 9112. Headers and bodies are bounded, so that no peer can fill the memory.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class HttpParser:
             if self._kind == "response" and head and not b"HTTP/1.".startswith(head[:7]):
                 raise self._error(f"it begins with {bytes(first[:80])!r}")
             if not end and len(head) < 16 and not lines:
-                return False  # too little to tell
+                return False  # too few bytes to decide
             start = pattern.fullmatch(first)
             if start is None and (end or lines):
                 raise self._error(f"it begins with {first[:80]!r}")

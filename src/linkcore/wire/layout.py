@@ -1,7 +1,7 @@
-"""One order of fields on the wire, lowered to what runs: offsets, sizes, a decoder, an encoder, a numpy dtype.
+"""One order of fields on the wire, lowered to its machine form: offsets, sizes, a decoder, an encoder, a numpy dtype.
 
-Everything in a `Layout` is derived from the declared fields, never written twice. It knows raw numbers and where they
-lie; what becomes of them is told by the shapes. A packet class makes its layouts by itself (`linkcore.wire.packet`).
+Everything in a `Layout` is derived from the declared fields, never written twice. It knows raw numbers and their
+offsets; the shapes define their meaning. A packet class makes its layouts by itself (`linkcore.wire.packet`).
 Where the fields are known only at run time, a layout can be made of them alone::
 
     layout = Layout("DataPackage", [(field, field.shape) for field in fields], header)

@@ -1,7 +1,7 @@
-"""construct's reading of a layout: slow, and made by nobody of this project.
+"""construct's reading of a layout: slow, and independent of this project.
 
-The decoders that run are derived from the same declarations. A property test holds them equal to this one, on bytes
-that nobody chose, for every layout. Only here is construct imported, since importing it takes longer than all else.
+The decoders that run are derived from the same declarations. A property test holds them equal to this one, on random
+bytes, for every layout. Only here is construct imported, since importing it takes longer than all else.
 
 Its `compile()` is not used: it drops bounds checks. Nor are `GreedyRange`, `Optional` and `Select`: they take a broken
 field for the end of the data.

@@ -86,9 +86,9 @@ def wire(
 
 
 class State:
-    """One decoded packet: typed, frozen, and backed by the bytes that came.
+    """One decoded packet: typed, frozen, and backed by the bytes that were received.
 
-    ``State(version, name=value, ...)`` builds one, for tests and simulators: what is not given is
+    ``State(version, name=value, ...)`` builds one, for tests and simulators: fields that are not given are
     zero. Equal states have equal bytes.
     """
 
@@ -173,7 +173,7 @@ class State:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        import html  # notebooks have it already; whoever imports us should not pay for it
+        import html  # notebooks have imported it; importing the library stays cheap
 
         rows = "".join(
             f"<tr><td>{name}</td><td>{html.escape(_short(getattr(self, name)))}</td>"
@@ -256,7 +256,7 @@ class StateLayout(Layout):
 
         def decode(data: bytes, stamp: Stamp | None = None) -> Any:
             # Nothing is swapped before it is asked for: at 500 Hz, with the caches cold, numpy takes 20 to 30 us for
-            # one packet, in the thread that reads, and whoever wants a few numbers of a state needs no array.
+            # one packet, in the thread that reads, and a subscriber that reads a few numbers needs no array.
             if len(data) < size:
                 raise self.too_short(data)
             state = new(packet)

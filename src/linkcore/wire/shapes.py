@@ -1,8 +1,8 @@
-"""What one field looks like on the wire: numbers, coded numbers, a mask of two codings, text, raw bytes.
+"""How one field is coded on the wire: numbers, coded numbers, a mask of two codings, text, raw bytes.
 
-A shape says which number, or which bytes, lie on the wire, and how that becomes what the user holds and back. The fast
-decoder is made of that. The numbers have construct's names, and `linkcore.wire.oracle` builds the same from construct's
-own numbers; a property test holds the two equal.
+A shape says which number, or which bytes, lie on the wire, and how they are converted to the value that users hold, and
+back. The fast decoder is derived from that. The numbers have construct's names, and `linkcore.wire.oracle` builds the
+same from construct's own numbers; a property test holds the two equal.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _MOST_CODES = 256
 
 
 class OpenInt(enum.IntEnum):
-    """An IntEnum that takes numbers it has no name for, since the next release will send one.
+    """An IntEnum that takes numbers without a name, since the next release may send one.
 
     >>> class Mode(OpenInt):
     ...     IDLE = 5
@@ -133,7 +133,7 @@ class Array(Shape):
 
 
 class _Meanings(dict[float, Any]):
-    """number -> what it stands for; what is looked up for the first time is made."""
+    """number -> its meaning, made when it is looked up for the first time."""
 
     def __init__(self, meaning: Callable[[int], Any]) -> None:
         self._meaning = meaning

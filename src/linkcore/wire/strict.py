@@ -1,6 +1,6 @@
 """Strict decoding: bytes that no layout explains are errors, rather than kept and counted.
 
-For tests against new firmware, and never for a robot that is to be used: with the environment variable
+For tests against new firmware, not for the operation of a robot: with the environment variable
 ``URLINK_STRICT=1``, read when this module is imported.
 """
 
@@ -57,7 +57,7 @@ def strictly(decoder: Counting) -> Callable[..., Any]:
     """What `decoder.decode` does, for packets of which every byte is known.
 
     Raises, when it is called:
-        PacketError: no layout holds the packet, or a part of it is of a type, or ends in bytes, that nobody knows.
+        PacketError: no layout holds the packet, or a part of it is of an unknown type, or ends in unknown bytes.
     """
 
     def decode(frame: bytes, stamp: Stamp | None = None) -> Any:
