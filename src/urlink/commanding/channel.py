@@ -1,10 +1,10 @@
-"""The one way by which text that can move the arm leaves.
+"""The only path by which text that can move the arm is sent.
 
-Whether it may leave is decided in the robot's critical section (`urlink.commanding.section`), and within the same
-section the bytes go to the kernel by a system call that does not wait: once a stop has been heard, nothing follows. A
-text nearly always fits into the kernel's buffer whole. Where it does not, because the controller does not read, the
-section is left, room is waited for, and everything is decided anew. If the answer is no by then, the connection is
-aborted: a controller never sees the rest of a text, and nobody else's text in the middle of it.
+The decision is made in the robot's critical section (`urlink.commanding.section`), and within the same section the
+bytes go to the kernel by a system call that does not wait: after a stop was received, nothing is sent. A text nearly
+always fits into the kernel's buffer whole. Where it does not, because the controller does not read, the section is
+left, the sender waits for room, and the decision is made anew. If sending is refused by then, the connection is
+aborted: the controller never receives the rest of that text, nor another text in the middle of it.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class CommandChannel:
             if refusal is None:
                 send()
                 return
-        # Perhaps this program was held up and has not read yet what the robot said meanwhile.
+        # This process may have been held up, and has states to read that arrived meanwhile.
         self._monitor.await_news(moves=True)
         with self._section:
             self._monitor.require(is_stop)
@@ -181,7 +181,7 @@ class CommandChannel:
         if self._unfinished in (None, text):
             return True
         if self._unfinished.thread == threading.get_ident():
-            # This is a signal handler, and its own thread waits for room: the controller reads nothing at all.
+            # A signal handler has interrupted its thread, which waits for room: the controller does not read.
             self._give_up()
             raise ConnectionLost(
                 "the controller had taken only a part of the text before this one, so the connection was aborted"

@@ -1,8 +1,8 @@
-"""The decision whether the arm may be moved, without any input or output of its own.
+"""The decision whether the arm may be moved, sans-IO.
 
-What each stop means is the vendor's; that only NORMAL and REDUCED let an arm be moved is this library's choice: in
-RECOVERY an arm is to be led out of a place it may not be in, slowly and by a person at the pendant, and of safety
-modes that no list names nothing is known.
+The vendor defines each safety mode. That only NORMAL and REDUCED allow motions is this library's choice: in RECOVERY a
+person moves the arm slowly, at the pendant, out of a place where it may not be, and about safety modes that are in no
+list nothing is known.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ __all__ = ["STALE_AFTER", "Interlock", "Policy", "Status"]
 #: Whether a person has to call `enable()`: never; once; at first and after every stop.
 Policy = Literal["never", "on_startup", "always"]
 
-#: Seconds after which what was heard last is no longer believed, where nobody says otherwise: ten states of the primary
-#: interface.
+#: Seconds after which the last state is too old to permit a motion, by default: ten states of the primary interface.
 STALE_AFTER = 1.0
 
 _MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
@@ -40,7 +39,7 @@ _MASTER_STOPS = {
 
 
 class Status(NamedTuple):
-    """What one source says of the robot; None where it says nothing."""
+    """The robot's condition as one interface reports it; None where it does not report it."""
 
     robot_mode: RobotMode | RobotModeCB2 | None = None
     safety_mode: SafetyMode | None = None
@@ -75,24 +74,24 @@ class _Source:
     def __init__(self) -> None:
         self.status: Status | None = None
         self.heard = float("-inf")
-        #: why nothing is known of it: its connection was lost, or the robot fell silent
+        #: why it reports nothing: its connection was lost, or the robot is silent
         self.absence: str | None = None
 
 
 class Interlock:
     """Open or closed, from what the sources say and from the policy.
 
-    Every source has to be connected, fresh and clear. A stop that any of them tells of closes the interlock, and so do
-    a robot mode that is not running, a lost connection, and a robot that falls silent: it may have been stopped
-    meanwhile.
+    Every source (primary and real-time interface) has to be connected, fresh and without a stop. A stop that any of
+    them reports closes the interlock, and so do a robot mode other than running, a lost connection, and silence: the
+    robot may have been stopped meanwhile.
 
-    What is old is not believed either, whoever is to blame. Where this program was held up and has not yet read what
-    the robot said, new motions are refused until it has; those that run go on, since only `fall_silent` tells of a
-    robot that says nothing.
+    An old state permits nothing, whatever made it old. Where this process was held up and has states to read, new
+    motions are refused until they are read; running motions go on, since only `fall_silent` reports that the robot
+    itself is silent.
 
     Args:
         policy: "never", "on_startup" or "always".
-        stale_after: seconds after which what was heard last is no longer believed.
+        stale_after: seconds after which the last state is too old to permit a motion.
 
     Attributes:
         stale_after: the same.

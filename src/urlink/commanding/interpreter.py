@@ -37,24 +37,24 @@ _SINCE = Since("5.10")
 #: Statements after which those before are cleared on the controller, which keeps a limited number of them. As public
 #: clients do it.
 CLEAR_AFTER = 500
-#: Seconds between two questions of something that is waited for.
+#: Seconds between two queries while waiting for the controller.
 _POLL = 0.02
-#: Seconds for each reply, and for each that nobody waits for any more.
+#: Seconds for each reply, also for one whose caller waits no longer.
 _REPLY, _LAST_WORDS = 5.0, 0.5
-#: Seconds that the reason has to arrive for which no program takes statements any more.
+#: Seconds within which the primary interface has to report why interpreter mode has ended.
 _REASON = 1.5
 
 _log = logging.getLogger(__name__)
 
 
 class InterpreterState(NamedTuple):
-    """How far the controller is; numbers of statements count from the first, and are 0 where there is none.
+    """The controller's progress; statements are numbered from 1, and 0 stands for none.
 
     Attributes:
-        last_interpreted: the last that it has taken.
-        last_executed: the last that it has begun.
-        last_cleared: the last that it has forgotten.
-        unexecuted: how many it has taken and not begun.
+        last_interpreted: the last statement that it has accepted.
+        last_executed: the last that it has begun to execute.
+        last_cleared: the last that it has cleared.
+        unexecuted: how many it has accepted and not begun.
     """
 
     last_interpreted: int
@@ -117,7 +117,7 @@ class Interpreter(Program):
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         until = time.monotonic() + seconds
-        # What is last begun says nothing of its end; that something after it has begun does.
+        # `last_executed` is the statement that has begun, not one that has ended; a later one begins when it has ended.
         barrier = self._hand_over("sync()")
         while self._ask("statelastexecuted") < barrier:
             left = until - time.monotonic()
@@ -175,7 +175,7 @@ class Interpreter(Program):
 
     def _close(self) -> None:
         """End the program where it has not ended, and the connection."""
-        # Its life can be over before the program is: in a stop that is only paused, and it would go on one day.
+        # Its handle can fail before the program is over: a program that a stop has paused could be resumed later.
         is_left = isinstance(self.error, (SafetyStop, NotRunning, ConnectionLost))
         self.cancel()
         try:
@@ -307,7 +307,7 @@ class Interpreters:
                 interpreter.wait(0)
                 raise RemoteError(f"{interpreter.name} was over before it began")
             try:
-                # It may not be in the mode yet: that is no news to wait for a reason of.
+                # It may not be in the mode yet, which is no failure.
                 interpreter._hand_over("sync()", reason_within=0.0)
                 return
             except StatementDiscarded:

@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 #: Seconds to wait for a first state.
 _FIRST_STATE = 2.0
-#: Part of its range by which an analogue output may be off: what is shown may be measured.
+#: Part of its range by which an analogue output may be off: the reported value may be a measured one.
 _ANALOG = 0.02
 
 
@@ -91,7 +91,7 @@ class IO:
             board = self._primary.of(MasterboardData).latest
             if board is None:
                 return None
-            # RTDE sets what an output drives along with it: that stays as it is.
+            # RTDE sets the domain (current or voltage) along with the value: the domain is sent as it is.
             types = int(board.analog_output_domain_0) | int(board.analog_output_domain_1) << 1
             return {
                 "standard_analog_output_mask": 1 << number,

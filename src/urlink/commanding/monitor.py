@@ -1,4 +1,4 @@
-"""What the streams of a robot tell the interlock, and who is told when it closes."""
+"""Feeds the interlock with the states of a robot's streams, and calls back when it closes."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from .section import Section
 
 __all__ = ["SafetyMonitor"]
 
-#: Seconds that a source has for its first word.
+#: Seconds that an interface has for its first state.
 _FIRST_WORD = 2.0
-#: Seconds within which every source that speaks at all speaks again: the primary interface does ten times a second.
+#: Seconds within which every working interface sends again: the primary interface does ten times a second.
 _NEXT_WORD = 0.25
 
 _Stop = Callable[[LinkError], object]
 
 
 class _Listening:
-    """What has to be taken back to listen no more."""
+    """The subscriptions of one interface, to be closed when the monitor stops listening."""
 
     def __init__(self) -> None:
         self.is_over = False
@@ -49,17 +49,17 @@ class _Listening:
 
 
 class SafetyMonitor:
-    """Keeps an interlock up to date, and answers for it.
+    """Keeps an interlock up to date from the streams, and answers whether motions may be sent.
 
     It listens from its first use on: to the primary interface at 10 Hz, and from the first motion on to the real-time
-    interface too, so that a stop is heard within a cycle or two. It is called by the threads that read, so that it
-    hears everything in the order in which it came.
+    interface too, so that a stop is received within a cycle or two. It is called by the reader threads, in the order in
+    which packets came.
 
     Args:
         primary, realtime: the connections.
         interlock: decides.
         section: of the robot; the interlock is asked and changed in it.
-        callbacks: where users are called back.
+        callbacks: the thread that calls users' callbacks.
         clock: seconds that only grow.
 
     Attributes:
@@ -81,7 +81,7 @@ class SafetyMonitor:
         self._callbacks = callbacks
         self.clock = clock
         self._listening: dict[str, _Listening] = {}
-        #: of those who wait for news; lists, since appending and removing are one step for signal handlers too
+        #: queues of threads that wait for a change; lists, whose appending and removing is one step for signal handlers
         self._waiting: list[SimpleQueue[None]] = []
         self._hooks: list[_Stop] = []
         self._silence_hooks: list[Callable[[float], object]] = []
@@ -137,7 +137,7 @@ class SafetyMonitor:
         if self._section.may_wait:
             self.wait_for(lambda interlock: interlock.has_word(name), _FIRST_WORD)
         with self._section:
-            # Only now: a source that has just been asked must not close an interlock that was open.
+            # Only now: an interface without a first state must not close an interlock that was open.
             self._interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
@@ -214,7 +214,7 @@ class SafetyMonitor:
         kind: type = State if name == "primary" else RealtimeState
         listening = _Listening()
         try:
-            # The reader tells of silence, and no clock: this program may have been held up itself.
+            # Silence is reported by the reader, not by a clock: this process may have been held up itself.
             seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
             on_event = partial(self._hear_event, name, listening)

@@ -1,12 +1,12 @@
-"""The programs of this robot object that run on the controller: what the controller says, turned into events of lives.
+"""The programs that this robot object runs on the controller: its messages, turned into events of their handles.
 
 The controller tells of a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
-here has a name of its own, so these messages also say which preempted which. That a program came to its own end is told
-by the program itself, see `urlink.urscript.wrapping`. Whether CB2 sends the key messages is not known, so there a
-program begins with its own first word, and is over once the flag in the robot mode data falls.
+here has a name of its own, so these messages also say which preempted which. A program that was executed to its end
+reports that by a `textmsg` (`urlink.urscript.wrapping`). Whether CB2 sends the key messages is not known: there a
+program has begun with its first `textmsg`, and is over once the program flag in the robot mode data is cleared.
 
-Runtime exceptions carry no name. One that comes while a program is awaited is taken for that program's; else it is
-the running program's, unless its text is a compiler's.
+Runtime exceptions carry no name. One that comes while a program has been sent and has not begun is taken for that
+program's; else it is the running program's, unless its text is a compiler's.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ __all__ = ["Programs"]
 
 _log = logging.getLogger(__name__)
 
-#: Seconds after an error within which the controller says that the program is over; then it is taken to be.
+#: Seconds after an error within which the controller reports the end of the program; after that it is taken to be over.
 _AFTERMATH = 1.0
 #: Seconds after the beginning of a program by which the flag in the robot mode data shows it: five states.
 _FLAG_LAG = 0.5
-#: Seconds that news of a stop may come after the end of the program that it stopped: three states.
+#: Seconds by which a stop may be reported later than the end of the program that it stopped: three states.
 _STOP_LAG = 0.3
-#: Seconds before a silence in which what was sent may not have arrived.
+#: Seconds before a silence began, in which a text that was sent may not have arrived.
 _BEFORE = 0.5
 #: rad/s² with which an arm brakes whose motion is cancelled.
 _DECELERATION = 2.0
@@ -64,20 +64,20 @@ class _Run:
 
     Attributes:
         wrapped: as it was sent.
-        life: what becomes of it.
+        life: its life cycle, behind the handle.
         is_motion: it ends as soon as the interlock closes. A program of the user's own ends when the controller says
             so: it may only be paused.
-        moves_late: it may move the arm if it begins after its life is over: it neither asks for permission nor connects
-            to somebody who is there only as long as it lives.
-        left_alone: what it does when nobody can be heard any more, for messages.
-        on_text: called with each line that it says, in the thread that hears it.
+        moves_late: it may move the arm also if it begins after its life is over: it neither asks for permission nor
+            connects back to this computer.
+        left_alone: what it does when the connection is lost, for messages.
+        on_text: called with each line of its `textmsg`, in the reader thread.
         on_finish: called when it has come to its own end.
         sent: when it was.
-        begun: when the controller said so; None as long as it has not.
-        verdict: what it ends with once the controller says that it is over: an error, or True for its own end.
-        is_stopped: the controller said that it is over, and why is not known yet.
+        begun: when the controller reported its beginning; None before that.
+        verdict: its outcome once the controller reports its end: an error, or True if it was executed to its end.
+        is_stopped: the controller reported its end, and the cause is not known yet.
         at: when the verdict was found, or it was stopped.
-        was_seen: in the robot mode data.
+        was_seen: the robot mode data has shown it running.
     """
 
     wrapped: Wrapped
@@ -104,11 +104,11 @@ class Programs:
 
     Args:
         primary: the connection whose messages tell of programs.
-        channel: by which everything leaves.
+        channel: sends their texts.
         monitor: tells when the interlock closes.
         section, callbacks: of the robot.
-        start_timeout: seconds that a program has to begin, and to be let go on.
-        start_flag: number of the flag by which it is; None lets every program begin at once, however late.
+        start_timeout: seconds within which a program has to begin and be permitted.
+        start_flag: number of the flag by which it is permitted; None permits every program, however late it begins.
         who: tells who the controller is.
         clock: seconds that only grow.
     """
@@ -144,7 +144,7 @@ class Programs:
         self._has_keys = False  # this controller sends key messages
         self._is_closed = False
         monitor.on_close(self._interlock_closed)
-        # What was sent while nothing was heard may not have arrived yet, and nobody will want it by then.
+        # A text that was sent during the silence may not have arrived yet, and is not to be carried out later.
         monitor.on_silence(lambda seconds: channel.discard(seconds + _BEFORE))
 
     # -- sending -----------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ class Programs:
             self._runs[run.name] = run
             newest = self._newest()
             if newest is not run and newest is not None and not wrapped.is_secondary:
-                # A signal handler has begun it between these lines: it came later, though it was sent first.
+                # A signal handler has sent it between these lines: it is the later one, though it was sent first.
                 raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
 
         life.on_end(lambda: self._runs.pop(run.name, None))
@@ -343,7 +343,7 @@ class Programs:
                 raise Cancelled(f"{run.life.name} is over")
 
         try:
-            # Without waiting: this thread has more to hear.
+            # Without waiting: this is the reader thread.
             self._channel.motion(wrapping.grant(self._start_flag), claim=claim, wait=False)
         except LinkError as error:
             run.life.fail(error)
@@ -447,7 +447,7 @@ class Programs:
         elif (stop := self._monitor.refusal(is_stop=True)) is not None:
             run.life.fail(stop)
         elif not run.is_stopped:
-            # News of what stopped it may be on its way.
+            # The report of the stop may follow.
             run.is_stopped, run.at = True, self._clock()
 
     def _interlock_closed(self, error: LinkError) -> None:

@@ -1,4 +1,4 @@
-"""`robot.safety`: what the robot says of its safety, and the interlock between every motion and the arm."""
+"""`robot.safety`: the robot's safety state, and the interlock that every motion has to pass."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["Safety"]
 
 
 class Safety:
-    """The interlock between motions and the arm, kept up to date by the robot's own streams.
+    """The interlock that every motion has to pass, kept up to date from the robot's streams.
 
-    Nothing here switches a stop off or resets one: that is for a person at the robot, or for `robot.dashboard`.
+    Nothing here resets a stop: that is done by a person at the robot, or by `robot.dashboard`.
     """
 
     def __init__(self, monitor: SafetyMonitor) -> None:

@@ -1,13 +1,14 @@
-"""The critical section of one robot: what is decided in it holds until what follows from it has been done.
+"""The critical section of one robot: a decision made in it holds until its consequence has been carried out.
 
 Python calls signal handlers in the main thread between any two instructions, so also between two within the section.
-A handler that stops the arm must get in: the lock is re-entrant. If the handler then waits, for the stop to be done,
-other threads have to get in too, or what it waits for could never be told: `waiting` lets the lock go meanwhile.
+A handler that stops the arm must get in: the lock is re-entrant. If the handler then waits for the stop to be done,
+other threads have to enter too, or the event that it waits for could never be delivered: `waiting` releases the lock
+meanwhile.
 
-Nothing in this package waits while it is in the section, so that only a signal handler can be the one that lets it go.
-What the main thread had decided before may be out of date when it goes on. It then sends at most one text or one
+No other code of this package waits while it is in the section, so only a signal handler can release it.
+The decision of the interrupted main thread may be out of date when it goes on. It then sends at most one text or one
 set-point too many, and both are harmless: a text asks for permission before it moves the arm
-(`urlink.urscript.wrapping`), and whoever reads set-points has been stopped by the handler.
+(`urlink.urscript.wrapping`), and the program that reads set-points has been stopped by the handler.
 """
 
 from __future__ import annotations
@@ -25,8 +26,7 @@ class Section:
     """A lock around decisions, as a context manager.
 
     Args:
-        reads_here: each tells whether the current thread reads some stream, and so has to hand over what others wait
-            for.
+        reads_here: each returns whether the current thread is the reader of a stream, which must not wait.
     """
 
     def __init__(self, *reads_here: Callable[[], bool]) -> None:

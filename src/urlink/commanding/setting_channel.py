@@ -1,9 +1,9 @@
-"""The way by which a setting leaves: RTDE inputs where they can be had, URScript text otherwise.
+"""How a setting is sent: by RTDE inputs where they are available, by URScript text otherwise.
 
 An input of RTDE takes effect in the next cycle of the controller, and nothing has to be compiled or run for it. But it
-belongs to one client at a time, and a controller may be too old for it, or its port closed. Text goes always. So RTDE
-is tried for the first setting of a kind on each connection to the robot; where it is refused, text is sent from then
-on, until the robot has been connected anew.
+belongs to one client at a time, and a controller may be too old for it, or its port closed. Text can always be sent.
+So RTDE is tried for the first setting of a kind on each connection to the robot; where it is refused, text is sent from
+then on, until the robot has been connected anew.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from .section import Section
 
 __all__ = ["BriefInputs", "SettingChannel", "Values"]
 
-#: RTDE inputs of a setting, masks included; called when it is known that the robot runs. None where text has to do.
+#: RTDE inputs of a setting, masks included; called when it is known that the robot runs. None where only text will do.
 Values = Callable[[], Mapping[str, Any] | None]
 
-#: Seconds in which a text may still be on its way to being carried out: a package would overtake it.
+#: Seconds in which a text that was sent may not have been executed yet: an RTDE package would overtake it.
 _SETTLED = 0.5
 
 _log = logging.getLogger(__name__)
@@ -51,8 +51,8 @@ class SettingChannel:
     """Sends settings, which move nothing.
 
     Args:
-        channel: by which text leaves.
-        connection: of the robot; what was found out about RTDE holds for as long as it does.
+        channel: sends text.
+        connection: of the robot; whether RTDE is refused is remembered for as long as it lasts.
         section: of the robot.
         inputs: gives those of RTDE; None to send text only.
         clock: seconds that only grow.
@@ -115,7 +115,7 @@ class SettingChannel:
         try:
             write = inputs().claim(tuple(written), wait=wait and self._section.may_wait)
         except LinkError as error:
-            # Imported here, so that whoever only reads states does not pay for it.
+            # Imported here: RTDE is not needed before the first setting.
             from ..interfaces.rtde.protocol import RtdeRefused
 
             names = tuple(written) if isinstance(error, RtdeRefused) else ()

@@ -1,6 +1,6 @@
-"""What moves nothing and stays: payload, tool centre point, speed slider; and whether it has taken effect.
+"""Settings: payload, tool centre point, speed slider; and the confirmation that they have taken effect.
 
-An e-Series controller in local control ignores what comes over the network, without a word. So each setting that the
+An e-Series controller in local control ignores commands of the network without an error. So each setting that the
 robot shows in its own states is waited for there. By the public layouts of the packets, the real-time state shows the
 payload from 5.10 on, the robot state the offset of the tool from 3.2 on, and in every generation the slider, the
 outputs and the voltage of the tool. Popups and flags show nowhere. That the "speed fraction" of CB2 is its slider is
@@ -41,7 +41,7 @@ T = TypeVar("T")
 #: (UR10e from 10 to 12.5 kg, UR20 from 20 to 25 kg); `urlink.models` has the latest figures, this leaves room for the
 #: next.
 _PAYLOAD_MARGIN = 1.25
-#: m, rad, kg: what a setting may differ by from what it was set to; texts carry ten digits.
+#: m, rad, kg: by how much the reported value may differ from the one that was set; texts carry ten digits.
 _EXACT = 1e-6
 #: The same for the slider, whose place on the pendant is a whole percentage.
 _SLIDER = 0.005
@@ -51,12 +51,12 @@ _SHOWS_PAYLOAD, _SHOWS_TCP, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 2), Fir
 
 @dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
 class Echo(Generic[T]):
-    """Where a robot shows a setting.
+    """The packet in which a robot reports a setting.
 
     Attributes:
         kind: class of the packet.
-        shown: what a packet shows; None if it shows nothing of it.
-        is_right: whether that is what was set.
+        shown: the reported value in a packet; None if it does not report it.
+        is_right: whether that is the value that was set.
     """
 
     kind: type[T]
@@ -68,12 +68,12 @@ class Settings:
     """Sends settings, and waits until the robot shows them.
 
     Args:
-        channel: by which they leave.
+        channel: sends them.
         primary, realtime: the connections whose states show them.
         who: tells who the controller is.
         section: of the robot.
-        is_remote: asks whether an e-Series is in remote control; None if nobody can tell. It must be quick.
-        start_flag: the flag by which programs are let go on, which is nobody else's; None if there is none.
+        is_remote: asks whether an e-Series is in remote control; None if that cannot be found out. It must be quick.
+        start_flag: the flag by which programs are permitted, which users may not set; None if there is none.
     """
 
     def __init__(

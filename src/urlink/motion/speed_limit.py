@@ -1,8 +1,8 @@
 """How fast set-points may lead an arm: each joint has a budget of time, and the way that it is led uses it up.
 
-A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is
-bounded here, wherever it was computed. A joint that is led by x rad uses x / (its largest speed) seconds of its budget, and each
-second that passes adds one, up to a ceiling:
+A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is bounded
+here, wherever it was computed. A joint that is led by x rad uses x / (its largest speed) seconds of its budget, and
+each second that passes adds one, up to a ceiling:
 
 - one period of the set-points and `EARLY`, as long as they leave evenly;
 - after a late one, its lateness in addition (`LATE` at most, where nothing else is said), for the set-points that
