@@ -267,7 +267,7 @@ class MessageType(OpenInt):
 
 
 class MessageSource(OpenInt):
-    """Who speaks in a robot message. Signed on the wire; joints are 100-105, 110-115, 120-125."""
+    """The sender of a robot message. Signed on the wire; joints are 100-105, 110-115, 120-125."""
 
     GUI = -5
     SIMULATED_ROBOT = -4

@@ -1,6 +1,6 @@
-"""How the bytes of each interface begin: headers, the sizes that can be true, and who is talking.
+"""How the packets of each interface begin: headers, possible sizes, and by which bytes a peer is recognised.
 
-Shared by the interfaces, since each of them tells a user who took the wrong port.
+Shared by the interfaces, since each of them reports a connection to the wrong port.
 Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/protocols/dashboard.md, section Lines.
 """
 
@@ -32,7 +32,7 @@ REALTIME_SIZES = range(500, 4097)
 #: The largest package seen is 1471 bytes; program state grows with the user's variables.
 PACKAGE_SIZES = range(5, 65537)
 
-#: What the dashboard server begins with.
+#: The first bytes of the dashboard server.
 DASHBOARD_GREETING = b"Connected: Universal"
 
 REALTIME_INTERFACE = "the real-time interface (port 30003)"

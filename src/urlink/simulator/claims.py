@@ -1,4 +1,4 @@
-"""Who may write which RTDE input (docs/protocols/rtde.md, Rules).
+"""Which client may write which RTDE input (docs/protocols/rtde.md, Rules).
 
 One client holds an input, in as many of its recipes as it likes, until its connection ends. A fieldbus that is enabled
 in the installation holds inputs too.
@@ -19,7 +19,7 @@ FIELDBUSES = {"EtherNet/IP": _LOWER, "PROFINET": _LOWER}
 
 
 class InputClaims:
-    """The inputs of one controller and who holds them."""
+    """The inputs of one controller and the clients that hold them."""
 
     def __init__(self) -> None:
         self._owners: dict[str, object] = {}
@@ -27,7 +27,7 @@ class InputClaims:
         self._stale: dict[object, int] = {}
 
     def holder(self, name: str, now: int) -> object | None:
-        """Who holds an input in this cycle; None if nobody does."""
+        """The client that holds an input in this cycle; None if it is free."""
         owner = self._owners.get(name)
         if owner is not None and self._stale.get(owner, now) < now:
             self.release(owner)
@@ -35,7 +35,7 @@ class InputClaims:
         return owner
 
     def claim(self, names: Iterable[str], owner: object) -> None:
-        """Hold these inputs, which nobody else does."""
+        """Claim these inputs, which are free."""
         self._owners.update(dict.fromkeys(names, owner))
 
     def release(self, owner: object) -> None:

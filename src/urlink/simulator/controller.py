@@ -56,7 +56,7 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 # Hosts to listen on that are none to connect to.
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
-# What a port of a real controller speaks.
+# The interfaces of a real controller's ports.
 _NAMES = {number: name for name, number in PORTS.items()}
 #: Lines from clients that are kept.
 RECEIVED = 1000
@@ -203,7 +203,7 @@ class Controller:
 
     @property
     def firmware(self) -> Firmware:
-        """What the controller runs at present."""
+        """The controller's firmware at present."""
         return self._state.firmware
 
     @property
@@ -228,7 +228,7 @@ class Controller:
 
     @property
     def world(self) -> Surroundings:
-        """What the tool touches: planes and springs can be placed, and a load hung at the flange."""
+        """The surroundings of the tool: planes and springs can be placed, and a load hung at the flange."""
         return self._state.surroundings
 
     @property
@@ -279,7 +279,7 @@ class Controller:
 
     @property
     def rtde(self) -> RtdePort:
-        """The RTDE interface: its connections, for a controller that is stepped; and who holds an input."""
+        """The RTDE interface: its connections, for a controller that is stepped; and which client holds an input."""
         return self._rtde
 
     @property
@@ -362,7 +362,7 @@ class Controller:
                 raise LocalError(
                     "a controller that serves its ports cannot be stepped, unless it was made stepped=True"
                 )
-            self.call(lambda: None)  # who has connected by now is accepted before time passes
+            self.call(lambda: None)  # clients that have connected by now are accepted before time passes
             while cycles > 0:
                 # Packets that are late by more than a second would be left out.
                 some = min(cycles, self.firmware.rate // 5)
@@ -454,7 +454,7 @@ class Controller:
         return self._state.outbox.take()
 
     def greeting(self, port: str) -> list[bytes]:
-        """What a connection to this port begins with, packet by packet: nothing on the real-time ports."""
+        """The packets with which a connection to this port begins: none on the real-time ports."""
         return self._ports[interface(port)].greeting()
 
     # -- serving -------------------------------------------------------------------------------------
@@ -466,7 +466,7 @@ class Controller:
 
     @property
     def address(self) -> str:
-        """What `urlink.connect` takes to reach it.
+        """The address for `urlink.connect`.
 
         Raises:
             LocalError: it has not been started.
@@ -498,7 +498,7 @@ class Controller:
             BadAddress: the ports cannot be listened on.
         """
         if self._server is None:
-            # The one module that has sockets is imported by those who want them.
+            # The one module with sockets is imported when the controller begins to serve.
             from .server import Server
 
             server = Server(
@@ -546,7 +546,7 @@ def _numeric(address: str) -> str:
 
 def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[str, int]:
     if ports == "standard":
-        # Port 80 needs rights that few processes have, so it is asked for where something would be served there.
+        # Port 80 needs rights that few processes have, so it is bound only where it would be served.
         needless = "dashboard" if firmware.is_polyscope_x else "robot_api"
         return {name: number for name, number in PORTS.items() if name != needless}
     if ports == "free":

@@ -1,4 +1,4 @@
-"""What the controller says when something happens: as a connection begins, and robot messages.
+"""Robot messages, and the packages with which a connection begins.
 
 Layouts and codes: docs/protocols/primary.md, Robot messages. That a runtime exception carries no time stamp where a
 program does not compile, and that keys, texts and exceptions come from source -3, is on real bytes of 5.4. The source
@@ -45,7 +45,7 @@ _HAS_TOLERANCES = Since("3.10/5.4")
 
 
 def greeting(state: ControllerState, kind: str) -> list[bytes]:
-    """What a connection begins with, package by package: on the primary and secondary interface.
+    """The packages with which a connection on the primary or secondary interface begins.
 
     Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
     3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
@@ -78,7 +78,7 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
 
 
 def safety_messages(state: ControllerState, reason: str = "") -> list[bytes]:
-    """What the primary interface says when the safety mode has changed.
+    """The messages of the primary interface when the safety mode has changed.
 
     A report with a code, and the reason where there is one, then from 3.0 on the safety mode message. The code of a
     protective stop, C153A0 "position deviates from path", is a documented one; the others, the order, the sources and
@@ -127,7 +127,7 @@ def program_stopped(state: ControllerState, name: str) -> bytes:
 
 
 def text_message(state: ControllerState, text: str) -> bytes:
-    """What a program says by `textmsg`."""
+    """The message of a program's `textmsg`."""
     return _message(state, TextMessage, text=text)
 
 

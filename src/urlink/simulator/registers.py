@@ -63,7 +63,7 @@ class _Watchdog:
 
 
 class Watchdogs:
-    """What a program has asked for by `rtde_set_watchdog`. They end with the program."""
+    """The watchdogs that a program has set by `rtde_set_watchdog`. They end with the program."""
 
     def __init__(self) -> None:
         self._dogs: dict[str, _Watchdog] = {}

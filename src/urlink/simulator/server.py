@@ -338,7 +338,7 @@ class Server:
             self._watched.discard(kind)
 
     def receiver(self, name: str, port: Port, client: _Client) -> Receiver:
-        """What takes the bytes of a new client."""
+        """Takes the bytes of a new client."""
         return ReadOnlyReceiver(self._counters) if name.endswith("_readonly") else port.receiver(client)
 
     # -- faults --------------------------------------------------------------------------------------

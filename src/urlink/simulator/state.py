@@ -35,7 +35,7 @@ FLAGS = 32
 
 @dataclass
 class Counters:
-    """What has happened on the ports of a controller since it was made.
+    """Counters of a controller's ports, since it was made.
 
     Attributes:
         connections: accepted.
@@ -101,7 +101,7 @@ class Outbox:
 
 
 class ControllerState:
-    """What a controller is at one moment.
+    """The state of a controller.
 
     Args:
         kinematics: of the arm.
@@ -229,7 +229,7 @@ class ControllerState:
         self.modes.protective_stop()
 
     def take_safety_change(self) -> str | None:
-        """Why the safety mode has changed since this was last asked, "" where nobody said; None if it has not."""
+        """Why the safety mode has changed since the last call, "" for no reason given; None if it has not."""
         reason, self._stop_reason = self._stop_reason, ""
         modes = self.modes
         if modes.safety_mode is self._announced:

@@ -1,4 +1,4 @@
-"""Time of a simulated controller that passes only when somebody says so, while its ports are served."""
+"""The clock of a simulated controller whose time passes only by calls, while its ports are served."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Dashboard`: power, programs, popups and modes, what `robot.dashboard` is.
+"""`robot.dashboard`: power, programs, popups and modes.
 
 It speaks to the dashboard server (port 29999), and on PolyScope X, which has none, to the Robot API (port 80).
 """
@@ -48,7 +48,7 @@ __all__ = ["Dashboard", "DashboardRefused"]
 
 #: Seconds between two looks at the robot mode while it starts.
 _POLL = 0.2
-#: Seconds within which an arm that was told to switch off no longer runs.
+#: Seconds within which an arm no longer runs after the command to switch off.
 _OFF_WITHIN = 5.0
 
 # The beginning of the reply after which a controller wants to be connected to anew.
@@ -56,15 +56,15 @@ _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
 class Dashboard:
-    """What can be asked of the dashboard server of one controller, or of the Robot API of PolyScope X.
+    """A client of the dashboard server of one controller, or of the Robot API of PolyScope X.
 
-    Both have the same methods, as far as the firmware has something for them. The Robot API has a connection for each
-    request, so what is said of connections here is said of the dashboard server.
+    Both have the same methods, as far as the firmware supports them. The Robot API has a connection for each request;
+    the following about connections holds for the dashboard server.
 
     Connects at first use, and again where a connection was lost between two commands. A command that may have reached
-    the controller is never sent a second time: where the reply does not come, the connection is closed and the error
-    says so, and the next command begins on a new one. So it does after the refusal in local mode, as the controller
-    asks for there. Threads may share it; they take turns.
+    the controller is never sent a second time: where the reply does not come, the connection is closed, a
+    `LinkTimeout` or `ConnectionLost` is raised, and the next command begins on a new connection. A new one is also made
+    after the refusal in local mode, since the controller requires it. Threads may share it; they take turns.
 
     All methods that talk to the controller raise
 
@@ -72,14 +72,14 @@ class Dashboard:
       nothing has been sent then;
     - `DashboardRefused` where the controller does not carry it out, as an e-Series does in local mode;
     - `LinkTimeout` where it does not answer in time, `ConnectFailed` and `ConnectionLost` where it is not there,
-      `WrongPeer` where something else is, and `PacketError` where an answer says something that is not known;
+      `WrongPeer` where another service is, and `PacketError` where an answer cannot be read;
     - `Closed` after `close`;
     - what `firmware` raises.
 
     Args:
         host: name or address.
         port: of the dashboard server, 29999 on a real controller; None where it is not served.
-        firmware: says what runs there; asked before each command, since it may have changed in between.
+        firmware: returns the controller's firmware; called before each command, since it may have changed in between.
         api_port: of the Robot API, 80 on a real controller; None where it is not served.
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
@@ -132,7 +132,7 @@ class Dashboard:
         next_step = {RobotMode.POWER_OFF: "power on", RobotMode.IDLE: "brake release"}
         while True:
             mode = self.robot_mode()
-            # An arm that was told to switch off runs on while it comes to rest.
+            # After the command to switch off, the arm is still reported as running while it comes to rest.
             if mode == RobotMode.RUNNING and time.monotonic() - self._switched_off > _OFF_WITHIN:
                 return
             if mode != RobotMode.RUNNING:
@@ -143,7 +143,7 @@ class Dashboard:
                     f"the arm does not run after {timeout:g} s: robot mode {mode.name}, "
                     f"safety mode {self.safety_mode().name}"
                 )
-            # Each step once: a person who switches the arm off while it starts means it.
+            # Each step once: if a person switches the arm off while it starts, it stays off.
             step = next_step.pop(RobotMode(mode), None)
             if step is not None:
                 self._do(step)

@@ -6,7 +6,7 @@ are matched from their beginning and case-insensitively. From elsewhere:
 
 - which commands need remote control beyond those that it names (`stop`, `pause`, `shutdown`, `power off`,
   `restart safety`), and the words of that refusal: reports of users of the e-Series;
-- the bare number with which a CB2 controller says its mode: the vendor's older table and two public clients;
+- the bare number by which a CB2 controller reports its mode: the vendor's older table and two public clients;
 - `No log message to add`, `Failed setting user role` and `Program loaded`: public clients that follow the vendor's
   older table;
 - `could not understand`: the vendor's own client expects it of a controller that does not know a command;
@@ -38,7 +38,7 @@ __all__ = [
     "UserRole",
 ]
 
-#: What the server says first.
+#: The server's greeting.
 GREETING = DASHBOARD_GREETING.decode("ascii") + " Robots Dashboard Server"
 
 #: The reply of an e-Series controller in local mode, to commands that need remote control.
@@ -68,7 +68,7 @@ class Command:
         e: the first of the e-Series; None: none has.
         success: regular expression that a reply matches, from its beginning, if the command was carried out.
         refusals: how replies begin that say that it was not.
-        argument: what follows the name; empty: nothing does.
+        argument: the kind of text that follows the name; empty for none.
         choices: the only values of the argument; empty: any text.
         needs_remote_control: the e-Series refuses it in local mode.
         slow: seconds that the reply may take, where that is longer than a moment.
@@ -168,7 +168,7 @@ _TABLE = (
     Command("power off", (3, 0), (5, 0), "Powering off", needs_remote_control=True),
     Command("brake release", (3, 0), (5, 0), "Brake releasing", needs_remote_control=True),
     Command("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$"),
-    # One list has it from 3.11 on, which nobody has verified.
+    # One list has it from 3.11 on, which is not verified.
     Command("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$"),
     Command(
         "unlock protective stop",

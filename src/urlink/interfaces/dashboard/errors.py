@@ -1,4 +1,4 @@
-"""What a controller refuses to do for `robot.dashboard`."""
+"""The error of commands that a controller refuses."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ __all__ = ["DashboardRefused"]
 
 
 class DashboardRefused(RemoteError):
-    """The controller did not carry out a command, or answered what nobody can read as a yes.
+    """The controller did not carry out a command, or its answer is not one that confirms it.
 
     Attributes:
-        command: what was sent.
+        command: the line that was sent.
         reply: what the controller answered, in its own words.
     """
 

@@ -1,7 +1,7 @@
-"""The dashboard server (29999), sans-IO: lines of text in and out, and what the replies say.
+"""The dashboard server (29999), sans-IO: lines of text in and out, and the meaning of the replies.
 
-A greeting, then one line of reply to each line of command. Nothing in a reply says which command it answers, so the
-order is all there is: who has not received a reply must not ask again on the same connection.
+A greeting, then one line of reply to each line of command. A reply does not say which command it answers: only the
+order tells. After a reply that did not come, the connection must not be used again.
 Source: docs/protocols/dashboard.md, section Lines.
 """
 
@@ -35,7 +35,7 @@ __all__ = [
     "parse_user_role",
 ]
 
-#: Bytes of a line, its end not counted. What a controller takes is not known; paths and messages are shorter.
+#: Bytes of a line, its end not counted. The limit of a controller is not known; paths and messages are shorter.
 LONGEST_COMMAND = 1024
 LONGEST_REPLY = 4096
 
@@ -46,7 +46,7 @@ _Mode = TypeVar("_Mode", RobotMode, RobotModeCB2, SafetyMode)
 
 
 class ProgramStatus(NamedTuple):
-    """What `programState` says.
+    """The reply to `programState`.
 
     Attributes:
         state: STOPPED, PLAYING or PAUSED.
@@ -58,7 +58,7 @@ class ProgramStatus(NamedTuple):
 
 
 class SavedProgram(NamedTuple):
-    """What `isProgramSaved` says.
+    """The reply to `isProgramSaved`.
 
     Attributes:
         is_saved: the loaded program has no unsaved changes.
@@ -118,8 +118,8 @@ class DashboardProtocol:
     """One connection: the greeting, then question and answer in turn; a new one for each connection.
 
     Attributes:
-        is_greeted: the greeting has come, so that something can be asked.
-        settling: None, since a line says where it ends; see `linkcore.net.dialogue`.
+        is_greeted: the greeting was received, so that commands can be sent.
+        settling: None, since each reply ends with a newline; see `linkcore.net.dialogue`.
     """
 
     settling: float | None = None

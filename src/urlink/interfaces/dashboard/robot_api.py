@@ -1,13 +1,13 @@
-"""The Robot API of PolyScope X: the one table of its requests, and who sends them.
+"""The Robot API of PolyScope X: the one table of its requests, and their client.
 
 PolyScope X has no dashboard server. From 10.11 on it takes HTTP requests with bodies in JSON instead. The table has
-them by the names of the dashboard's commands, and what comes back is put into the dashboard server's words, so that
-`Dashboard` reads both alike. Source: the vendor's own client library (docs/protocols/dashboard.md, Robot API). What is
-not in it:
+them by the names of the dashboard's commands, and the answers are translated into replies of the dashboard server, so
+that `Dashboard` reads both alike. Source: the vendor's own client library (docs/protocols/dashboard.md, Robot API).
+What is not in it:
 
 - which of the emergency stops is meant by EMERGENCY_STOP: taken as the robot's own;
 - that `play` does not go on with a paused program: `resume` is sent where it is paused;
-- what is answered where no program is loaded: nothing, an empty name and null are all taken as none.
+- the answer where no program is loaded: an empty body, an empty name and null are all taken as none.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ApiRequest:
         method: GET or PUT.
         path: below `BASE`.
         body: JSON object; an empty value is the command's argument.
-        reply: name of the member of the answer that is asked for; empty: nothing is.
+        reply: name of the member of the answer that is returned; empty for none.
         words: the answer in the dashboard server's words, with the member in it.
         names: values of the member -> what the dashboard server calls them.
         since: the first firmware that has it.

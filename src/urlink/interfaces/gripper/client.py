@@ -1,4 +1,4 @@
-"""`Gripper`: a Robotiq gripper over the port of its URCap (63352), what `robot.gripper` is."""
+"""`robot.gripper`: a Robotiq gripper over the port of its URCap (63352)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _POLL = 0.02
 #: m; how far the fingers of the 2F-85 open.
 _STROKE = 0.085
 
-#: What the numbers of `FLT` mean. From the maker's manual, as far as it is remembered.
+#: The codes of `FLT`. From memory of the maker's manual, not verified.
 FAULTS = {
     5: "the action is delayed: the activation has to be completed first",
     7: "the gripper has to be activated first",
@@ -37,7 +37,7 @@ FAULTS = {
 
 
 class GripperFault(RemoteError):
-    """The gripper is not there, not activated, or has a fault, and did not do what it was told.
+    """The gripper is not there, not activated, or has a fault, and did not carry out a command.
 
     Attributes:
         fault: number of the fault; 0 where it is none of the gripper's own.
@@ -61,7 +61,7 @@ class ObjectStatus(OpenInt):
 
 
 class GripperStatus(NamedTuple):
-    """What a gripper shows.
+    """The state of a gripper.
 
     Attributes:
         is_active: it has been activated.
@@ -107,14 +107,14 @@ class Gripper:
     - `BadValue` for an argument that is none; nothing has been sent then;
     - `GripperFault` where it has a fault, is not activated, or is not connected to the controller;
     - `ConnectFailed` where no URCap serves it, `ConnectionLost`, `LinkTimeout`, `WrongPeer` and `PacketError` where
-      what is there does not answer, or not as a gripper does;
+      the peer does not answer, or not as a gripper does;
     - `Closed` after the robot was closed.
 
     Args:
         host: of the controller.
         port: 63352 on a real one.
         timeout: seconds to connect, and for each reply.
-        refused: what to say beside the error where the connection is refused.
+        refused: returns a hint for the error where the connection is refused.
     """
 
     def __init__(self, host: str, port: int, *, timeout: float = 5.0, refused: Callable[[], str] = str) -> None:

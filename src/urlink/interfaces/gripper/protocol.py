@@ -3,7 +3,7 @@
 `SET NAME VALUE [NAME VALUE ...]` is answered by `ack`, `GET NAME` by `NAME VALUE`. Source: public clients
 (docs/protocols/gripper.md, Lines). Some versions end their replies with a newline and some do not, and `ack` comes
 without one: a value is whole at its newline, or once nothing more has come for `SETTLING`. What is not known: what is
-answered to a name that nobody knows; public clients meet `?` where the gripper is not connected to the controller.
+answered to an unknown name; public clients meet `?` where the gripper is not connected to the controller.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
 __all__ = ["READABLE", "SETTLING", "WRITABLE", "GripperProtocol", "get_line", "set_line", "value_of"]
 
-#: What can be set: name -> largest value.
+#: Variables that can be set: name -> largest value.
 WRITABLE: Mapping[str, int] = {
     "ACT": 1,  # activate, or reset
     "GTO": 1,  # go to the request
@@ -25,7 +25,7 @@ WRITABLE: Mapping[str, int] = {
     "SPE": 255,  # speed
     "POS": 255,  # requested position: 0 open, 255 closed
 }
-#: What can be asked for; newer URCaps have more.
+#: Variables that can be read; newer URCaps have more.
 READABLE = (*WRITABLE, "STA", "PRE", "OBJ", "FLT", "COU")
 #: Seconds without another byte after which a value without a newline counts as whole: the bytes of one reply leave the
 #: URCap together.

@@ -1,4 +1,4 @@
-"""Interpreter mode (port 30020), sans-IO: a statement a line out, and a line back that says what becomes of it.
+"""Interpreter mode (port 30020), sans-IO: one statement per line out, one reply per line back.
 
 `ack: NUMBER: TEXT` or `discard: NUMBER: TEXT` for a statement, `state: NUMBER: TEXT` for a word that asks something;
 public clients match replies loosely. Source: docs/protocols/urscript.md, section Interpreter mode.
@@ -22,7 +22,7 @@ WORDS = (
     "statelastcleared",
     "stateunexecuted",
 )
-#: Bytes. What a controller takes is not known; this is far more than a statement has.
+#: Bytes. The limit of a controller is not known; this is far more than a statement has.
 LONGEST_STATEMENT = 8000
 #: Bytes of a reply: the text of the statement comes back.
 LONGEST_REPLY = LONGEST_STATEMENT + 1000
@@ -31,12 +31,12 @@ _REPLY = re.compile(r"(\w+): *(-?[0-9]{1,9}): *(.*)", re.DOTALL)
 
 
 class Reply(NamedTuple):
-    """What a controller answers.
+    """The reply of a controller.
 
     Attributes:
         word: "ack", "discard" or "state".
-        number: of the statement, or what was asked for.
-        text: what was sent.
+        number: of the statement, or the value that was queried.
+        text: the statement that was sent.
     """
 
     word: str

@@ -59,7 +59,7 @@ class PackageDecoder:
 
     Args:
         version: the firmware whose layouts are the least that will do; None goes by sizes alone.
-        notice: told once of each kind of unknown package or part of one.
+        notice: called once for each kind of unknown package or part of one.
 
     Attributes:
         unknown: packages, messages and sub-packages of a type that no layout is known for, so far.
@@ -116,7 +116,7 @@ class PackageDecoder:
             )
         kind = frame[MESSAGE_HEAD - 1]
         cls: Any = MESSAGES.get(kind, UnknownMessage)
-        # The version message is what tells the version, so only its own bytes can tell its layout.
+        # The version message itself carries the version, so only its own bytes can decide its layout.
         version = None if cls is VersionMessage else self._version_for(cls)
         state = self._package(cls, frame, version, stamp)
         if cls is UnknownMessage:

@@ -22,10 +22,10 @@ _HEAD_AND_FIRST = struct.Struct(">iBi")  # of a robot state, with the size of it
 _ROBOT_STATE, _ROBOT_MESSAGE = int(PackageType.ROBOT_STATE), int(PackageType.ROBOT_MESSAGE)
 _KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
 
-#: Bytes of what every robot message begins with: size, type, timestamp, source, message type.
+#: Bytes of the common header of robot messages: size, type, timestamp, source, message type.
 MESSAGE_HEAD = 15
 
-# Out of step, and of types that nobody knows, larger packages are not believed. The largest one seen has 1471 bytes.
+# Out of step, and for unknown types, larger sizes are not believed. The largest one seen has 1471 bytes.
 _LARGEST_BELIEVED = 8192
 
 # The sub-packages of a robot state that are added up. 14 types are known, and no state seen holds one twice. What has
@@ -40,7 +40,7 @@ _CANDIDATE_BYTES = 5
 class PackageBoundary:
     """Frame boundaries of the package stream.
 
-    Types that nobody knows are taken once a known one has come, where another package follows them.
+    Packages of unknown types are taken once a known one has come, where another package follows them.
     """
 
     largest = PACKAGE_SIZES.stop - 1 + _HEAD.size
@@ -90,7 +90,7 @@ class PackageBoundary:
             if not _HEAD.size <= next_size <= _LARGEST_BELIEVED:
                 return 0, 0
         elif kind == _ROBOT_STATE and not _add_up(buffer, at, size)[0]:
-            # If a package follows where this one says that it ends, it is the inside that is damaged.
+            # If a package follows where this one should end, its size is right and its inside is damaged.
             if there < size + _HEAD.size:
                 return size, size + _HEAD.size
             if not _is_header(buffer, at + size):

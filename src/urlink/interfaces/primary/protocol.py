@@ -26,7 +26,7 @@ class PrimaryProtocol:
     """Bytes in, typed states out; a new one for each connection.
 
     Attributes:
-        firmware: what the controller said of itself on this connection, or None so far.
+        firmware: from the version message of this connection; None before it.
     """
 
     def __init__(self) -> None:

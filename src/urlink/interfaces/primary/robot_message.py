@@ -42,7 +42,7 @@ NO_TIMESTAMP = 0xFFFFFFFFFFFFFFFF
 
 @packet(header=PACKAGE, type=20)
 class RobotMessage(State):
-    """What every robot message begins with; subscribe to it to get them all."""
+    """The common part of all robot messages; subscribe to it to get them all."""
 
     IS_EVENT = True
 
@@ -148,7 +148,7 @@ class RuntimeExceptionMessage(RobotMessage):
 
 @packet(header=PACKAGE, type=20, message_type=12)
 class UnnamedMessage12(RobotMessage):
-    """Follows the version message on every capture since 3.3; nobody says what it is."""
+    """Follows the version message on every capture since 3.3; its meaning is not documented."""
 
     first: int = wire(Int32sb, "", "489 on 3.3, 510 on 3.10, 0 on simulators")
     second: int = wire(Int32sb, "", "239 on 3.3, 259 on 3.10, 0 on simulators")

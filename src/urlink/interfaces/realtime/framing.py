@@ -80,7 +80,7 @@ class RealtimeBoundary:
 
     def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
         """As `check`, by the size alone, which is believed whatever follows it."""
-        if len(buffer) - at <= _SIZE_BYTES:  # one byte more than the size: it tells another interface from this one
+        if len(buffer) - at <= _SIZE_BYTES:  # one byte more than the size: by it another interface is recognised
             return 0, _SIZE_BYTES + 1
         size = int.from_bytes(buffer[at : at + _SIZE_BYTES], "big")
         is_believed = size == self._size if self._size else size in REALTIME_SIZES and size % 8 == 4

@@ -14,14 +14,14 @@ from ..headers import interface_of
 
 __all__ = ["LONGEST_NAMES", "REPLY_SIZES", "REQUEST_SIZES", "RtdeBoundary"]
 
-#: Bytes of names in one request, says the vendor.
+#: Bytes of names in one request (vendor's guide).
 LONGEST_NAMES = 2048
 
 # Larger packages are not believed. All 406 variables have 2.9 kB, and their names some 10 kB, in several requests;
 # 1024 unknown names of one letter would be answered by 10 kB of NOT_FOUND.
 _LARGEST = 1 << 14
 
-#: Type byte -> the sizes that what a client sends can have, header included.
+#: Type byte -> possible sizes of a client's packages, header included.
 REQUEST_SIZES: Mapping[int, range] = MappingProxyType(
     {
         ord("V"): range(5, 6),
@@ -35,7 +35,7 @@ REQUEST_SIZES: Mapping[int, range] = MappingProxyType(
     }
 )
 
-#: Type byte -> the sizes that what a controller sends can have, header included.
+#: Type byte -> possible sizes of a controller's packages, header included.
 REPLY_SIZES: Mapping[int, range] = MappingProxyType(
     {
         ord("V"): range(4, 5),
@@ -51,7 +51,7 @@ REPLY_SIZES: Mapping[int, range] = MappingProxyType(
 
 _HEAD = struct.Struct(">HB")
 
-# Bytes by which another interface is told.
+# Bytes by which another interface is recognised.
 _PEER = 5
 
 
@@ -62,7 +62,7 @@ class RtdeBoundary:
         sizes: type byte -> sizes that a package of it can have: `REPLY_SIZES` for what a controller sends,
             `REQUEST_SIZES` for what a client sends.
 
-    Types that nobody knows are taken once a known one has come, where another package follows them.
+    Packages of unknown types are taken once a known one has come, where another package follows them.
     """
 
     largest = _LARGEST + _HEAD.size
@@ -98,7 +98,7 @@ class RtdeBoundary:
             return size, size
         if sizes is None and self._is_begun and _HEAD.size <= size < _LARGEST:
             return self._followed(buffer, at, size)
-        # At the very beginning the peer may be somebody else, which takes some bytes more to tell.
+        # At the beginning the peer may be another service, which takes some bytes more to recognise.
         return 0, 0 if self._is_begun else _PEER
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:

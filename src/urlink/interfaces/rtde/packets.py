@@ -50,7 +50,7 @@ __all__ = [
 #: The versions of the protocol. 1 holds until 2 has been asked for and accepted.
 Protocol = Literal[1, 2]
 
-#: What every package begins with. The size counts these three bytes too.
+#: The header of every package. The size counts these three bytes too.
 HEADER = Header(size=Int16ub, type=Int8ub)
 
 _BOOL = Coded(Int8ub, bool)
@@ -146,7 +146,7 @@ class ControllerVersionReply(State):
 
 @packet(header=HEADER, type=ord("O"))
 class OutputsReply(State):
-    """The types of what was asked for. Under protocol 1 a refusal is seen by the types alone."""
+    """The types of the outputs that were asked for. Under protocol 1 a refusal shows in the types alone."""
 
     recipe: int | None = wire(Int8ub, "", "number of the recipe; 0: refused", since="2.0")
     types: str = wire(Text(), "", _TYPES_DOC, since="1.0")
@@ -154,7 +154,7 @@ class OutputsReply(State):
 
 @packet(header=HEADER, type=ord("I"))
 class InputsReply(State):
-    """The types of what was claimed."""
+    """The types of the inputs that were claimed."""
 
     recipe: int = wire(Int8ub, "", "number of the recipe; 0: refused")
     types: str = wire(Text(), "", _TYPES_DOC)
@@ -169,7 +169,7 @@ class StartReply(State):
 
 @packet(header=HEADER, type=ord("P"))
 class PauseReply(State):
-    """Whether data packages will come no more; the vendor says that it is always accepted."""
+    """Whether the pause was accepted, after which no data packages come; by the vendor's guide it always is."""
 
     accepted: bool = wire(_BOOL, "", "whether data packages will come no more")
 
@@ -198,7 +198,7 @@ class DataPackage(State):
 
 # -- by type byte --------------------------------------------------------------------------------
 
-#: Type byte -> what a client means by it.
+#: Type byte -> the class of a client's package.
 REQUESTS: Mapping[int, type[State]] = MappingProxyType(
     {
         ord("V"): ProtocolRequest,
@@ -212,7 +212,7 @@ REQUESTS: Mapping[int, type[State]] = MappingProxyType(
     }
 )
 
-#: Type byte -> what a controller means by it.
+#: Type byte -> the class of a controller's package.
 REPLIES: Mapping[int, type[State]] = MappingProxyType(
     {
         ord("V"): ProtocolReply,
@@ -226,7 +226,7 @@ REPLIES: Mapping[int, type[State]] = MappingProxyType(
     }
 )
 
-# What a client sends of these has one form, whichever protocol holds.
+# Of these a client's package has one form in both versions of the protocol.
 _ALWAYS_V2 = frozenset(b"MU")
 
 

@@ -1,10 +1,10 @@
-"""The client's side of an RTDE connection, sans-IO: what to ask, what the answers mean, and the data packages.
+"""The client's side of an RTDE connection, sans-IO: requests, their replies, and data packages.
 
     V -> v -> O (again without what the controller lacks) -> I for each claim -> S -> data packages
 
-The same object serves a live connection, where somebody sends what `requests` hands out, and a recorded one, where
-nobody does: the answers alone tell what was asked, since it follows from the plan. Text may come at any time, and a
-data package in place of a reply; neither is taken for one (docs/protocols/rtde.md, section What clients really send).
+The same object serves a live connection, on which the packages of `requests` are sent, and a recorded one, on which
+nothing is sent: the requests follow from the plan, so the replies alone suffice. Text may come at any time, and a data
+package in place of a reply; neither is taken for one (docs/protocols/rtde.md, section What clients really send).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _LEVELS = {
 
 
 class RtdeRefused(RemoteError):
-    """The controller does not do what was asked over RTDE.
+    """The controller refuses a request of RTDE.
 
     Attributes:
         names: the variables that it refuses; empty where it does not say.
@@ -70,7 +70,7 @@ class RtdeRefused(RemoteError):
 
 
 class NoSuchVariable(RtdeRefused):
-    """The controller does not have a variable: it answered NOT_FOUND, or a type that nobody knows."""
+    """The controller does not have a variable: it answered NOT_FOUND, or an unknown type."""
 
 
 class InputInUse(RtdeRefused):

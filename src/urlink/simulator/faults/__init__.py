@@ -1,4 +1,4 @@
-"""What can go wrong with a simulated controller: with its arm, its connections and the bytes on them."""
+"""The faults of a simulated controller: of its arm, its connections and the bytes on them."""
 
 from __future__ import annotations
 

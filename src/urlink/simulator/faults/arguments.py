@@ -1,4 +1,4 @@
-"""What faults ask of their arguments, given by a program or read off a command line."""
+"""Checks of the arguments of faults, from a program or from a command line."""
 
 from __future__ import annotations
 

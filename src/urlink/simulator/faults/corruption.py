@@ -76,6 +76,6 @@ class Segmenter:
         return ready
 
     def rest(self) -> bytes:
-        """What waits, to be sent as it is."""
+        """The bytes that are kept back, to be sent unchanged."""
         held, self._held, self._waiting = self._held, b"", 0
         return held

@@ -1,4 +1,4 @@
-"""What can go wrong, on demand.
+"""The faults, as methods.
 
 Faults of the arm change its modes, as on a real controller. Faults of the link change the bytes or the connections; the
 controller itself runs on. All methods may be called from any thread, and have happened when they return.
@@ -109,7 +109,7 @@ class Faults:
         self._do(lambda: self._link.cut(names))
 
     def stall(self, seconds: float, port: str | None = None) -> None:
-        """Stay connected and silent for so long. What would have been sent is lost; who connects waits.
+        """Stay connected and silent for so many seconds. The packets of that time are lost; new clients wait.
 
         Raises:
             BadValue: the time is negative or not finite.

@@ -1,4 +1,4 @@
-"""What is wrong with the link at present: silence, cut connections, segments, and bytes that should not be there.
+"""The faults of the connections at present: silence, cut connections, segments, and bytes that should not be there.
 
 The server asks it what a port sends in place of each packet. The controller itself runs on.
 """
@@ -113,7 +113,7 @@ class LinkFaults:
         return packet if added is None else corruption.with_sub_package(packet, *added)
 
     def on_the_wire(self, port: str, packet: bytes) -> bytes:
-        """What this port sends in place of a packet; what happens once has then happened."""
+        """The bytes that this port sends in place of a packet. Uses up faults that happen once."""
         packet = self.lasting(port, packet)
         inside, before = self._inside[port], self._before[port]
         if inside:

@@ -1,4 +1,4 @@
-"""What an interface of the controller is to the server that carries its bytes, and the input that several share.
+"""An interface of the controller, as the server that carries its bytes uses it; and the input that several share.
 
 A `Port` is sans-IO. The server asks it in which cycle it has something to send and for the packets, and hands what a
 client sends to the `Receiver` that the port has made for this client.
@@ -23,7 +23,7 @@ class Client(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """What is sent still reaches it."""
+        """The connection is open."""
 
     @property
     def pending(self) -> int:
@@ -56,13 +56,13 @@ class Port(Protocol):
         """The firmware that runs at present has this interface; without it connections are refused."""
 
     def greeting(self) -> list[bytes]:
-        """What a connection begins with, packet by packet."""
+        """The packets with which a connection begins."""
 
     def next_cycle(self, cycle: int) -> int | None:
         """The first cycle after this one in which all clients are sent something; None if that is not known."""
 
     def packets(self, cycle: int) -> list[bytes]:
-        """What all clients are sent in this cycle. Asked for once in each cycle, while a client is connected.
+        """The packets for all clients in this cycle. Called once in each cycle, while a client is connected.
 
         A port whose clients are sent different things sends these to each client, and gives nothing back.
         """
@@ -71,11 +71,11 @@ class Port(Protocol):
         """No client is connected in this cycle: what only these would have been sent is forgotten."""
 
     def receiver(self, client: Client) -> Receiver:
-        """What takes the bytes of a new client."""
+        """Takes the bytes of a new client."""
 
 
 class AnsweringPort:
-    """What a port is beside its `receiver` whose clients are sent nothing but answers."""
+    """Base class of a port whose clients are sent nothing but answers; it adds `receiver`."""
 
     def is_offered(self) -> bool:
         return True
@@ -151,7 +151,7 @@ class ScriptReceiver(LineReceiver):
     """Makes programs of the lines that come: of the primary, secondary and real-time interface.
 
     Args:
-        client: who sends.
+        client: the sender.
         counters: where text that is thrown away is counted.
         on_line: called with each line.
         on_program: called with the text of each whole program; False where it is thrown away.

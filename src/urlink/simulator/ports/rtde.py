@@ -65,7 +65,7 @@ _log = logging.getLogger("urlink.simulator")
 SINCE = Since("3.3/5.0")
 #: Data packages a second under protocol 1.
 RATE_1 = 125
-#: Who says what the simulator says.
+#: The source of the simulator's text messages.
 SOURCE = "simulator"
 #: Bytes of names in one request, says the vendor.
 MOST_NAMES = 2048
@@ -75,7 +75,7 @@ UNREAD = 2.0
 
 @dataclass
 class Disturbance:
-    """What goes wrong with this interface at present; see `urlink.simulator.Faults`.
+    """The faults of this interface at present; see `urlink.simulator.Faults`.
 
     Attributes:
         hello: text that each connection begins with; "" for none.
@@ -130,7 +130,7 @@ class RtdePort:
         return min(wanted, default=None)
 
     def packets(self, cycle: int) -> list[bytes]:
-        """Nothing for all: each client is sent what it has asked for."""
+        """None: each client is sent the outputs of its own recipes."""
         for session in list(self.sessions):
             session.advance(cycle)
         return []

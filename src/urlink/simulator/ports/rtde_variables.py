@@ -1,4 +1,4 @@
-"""What RTDE's variables mean to the simulated controller: outputs read off its state, inputs that change it.
+"""RTDE's variables of the simulated controller: outputs read from its state, inputs that change it.
 
 Everything that another interface sends too comes from the same place, so that it is the same number in the same cycle.
 `timestamp` alone differs from the real-time interface's `time`, by `UPTIME`: controllers have been up for a while when

@@ -31,7 +31,7 @@ __all__ = ["LineAssembler", "ProgramLoader", "ProgramQueue", "obey"]
 
 _log = logging.getLogger("urlink.simulator")
 
-#: Characters of a program; with more it is thrown away, to its `end`. The compiler takes fewer, and says so.
+#: Characters of a program; with more it is thrown away, to its `end`. The compiler's limit is lower.
 LONGEST_PROGRAM = 1 << 20
 #: Characters from which on a program is compiled in a thread: some 20 ms of work.
 LONG = 1 << 13

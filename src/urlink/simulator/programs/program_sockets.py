@@ -57,7 +57,7 @@ class ProgramSockets:
         return connection is not None and connection.send(data)
 
     def received(self, name: str) -> bytearray:
-        """What has come and was not taken; who takes some deletes it here."""
+        """Bytes that were received and not taken; the caller deletes those that it takes."""
         connection = self._connections.get(name)
         return bytearray() if connection is None else connection.receive()
 

@@ -1,4 +1,4 @@
-"""What runs on a controller: the program that commands the arm, and the secondary ones that run beside it.
+"""The programs that run on a controller: the one that commands the arm, and the secondary ones beside it.
 
 In each cycle the threads of the program run first; then its motion generator makes one set-point of what they have
 commanded. The arm follows that set-point, and knows nothing of programs.
@@ -124,7 +124,7 @@ class ProgramRunner:
 
     @property
     def statements(self) -> StatementQueue[StatementCode] | None:
-        """What clients hand to the program that runs in interpreter mode; None where none runs."""
+        """The statements of clients for the program in interpreter mode; None where there is none."""
         return self.main.statements if self.main is not None and self.main.is_program else None
 
     # -- beginning and ending ------------------------------------------------------------------------

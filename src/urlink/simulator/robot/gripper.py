@@ -149,7 +149,7 @@ class SimulatedGripper:
             self.fault, self._calibration = 0, [255.0, 0.0]
         elif not self._is_active and self.registers["GTO"]:
             self.fault = _NOT_ACTIVATED
-        # What stopped the last motion says nothing of a new one.
+        # The object status of the last motion does not hold for a new one.
         if self._is_active and not self.registers["GTO"]:
             self._stop = _AT_REQUEST
         elif self._is_active and values.keys() & {"POS", "GTO"}:

@@ -41,7 +41,7 @@ class Power(enum.Enum):
 
 
 class Stop(enum.Enum):
-    """What keeps the arm from moving."""
+    """The causes for which an arm may not move."""
 
     NONE = "none"
     PROTECTIVE = "protective"
@@ -86,7 +86,7 @@ _SCALES_TO_ZERO = Since("3.10/5.0")
 
 
 class Modes:
-    """What the controller is doing, as one small state machine.
+    """Robot mode, safety mode and program state, as one state machine.
 
     Attributes:
         power: how far the arm is powered.

@@ -1,4 +1,4 @@
-"""What the sensors of an arm show, worked out from its set-points.
+"""The sensors of an arm, computed from its set-points.
 
 What is behind the numbers:
 

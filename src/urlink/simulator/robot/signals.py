@@ -1,4 +1,4 @@
-"""What is wired to the control box and the tool: digital and analogue inputs and outputs."""
+"""The digital and analogue inputs and outputs of control box and tool."""
 
 from __future__ import annotations
 

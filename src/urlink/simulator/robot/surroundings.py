@@ -1,4 +1,4 @@
-"""What the tool of a simulated arm touches, carries and is pushed by: planes, springs, loads and hands.
+"""The surroundings of a simulated arm's tool: planes and springs that it touches, loads, and forces that push it.
 
 A plane pushes back along its normal where the TCP is below it: `stiffness` times the depth and `damping` times the
 speed into it, never pulling. Along the plane it rubs: `friction` times that force, against the direction of sliding. A
@@ -108,7 +108,7 @@ class Spring:
 
 
 class Surroundings:
-    """What is about the arm of one controller. It outlives a reboot.
+    """The surroundings of the arm of one controller. A reboot does not change them.
 
     Each method may be called from any thread; what it changes counts from the next cycle on.
 
@@ -156,7 +156,7 @@ class Surroundings:
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """What was placed, in that order."""
+        """The planes and springs, in the order in which they were placed."""
         return self._contacts
 
     def push(self, wrench: Sequence[float]) -> None:
@@ -214,7 +214,7 @@ class Surroundings:
         return self._torques
 
     def wrench(self, position: Sequence[float], velocity: Sequence[float]) -> list[float]:
-        """What acts on a TCP at a position in m that moves at a velocity in m/s: (6,) N and Nm."""
+        """The wrench on a TCP at a position in m that moves at a velocity in m/s: (6,) N and Nm."""
         total = list(self._wrench)
         for contact in self._contacts:
             for axis, part in enumerate(contact.force(position, velocity)):

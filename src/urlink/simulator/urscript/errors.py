@@ -1,4 +1,4 @@
-"""What is wrong with a program, in the words of a controller.
+"""The errors of a program, in the words of a controller.
 
 Words of real controllers, each seen in a log or a capture:
 
@@ -22,7 +22,7 @@ ANOTHER_THREAD = "Another thread is already controlling the robot"
 
 
 class ScriptError(Exception):
-    """What stops a program from being compiled, or from running on.
+    """An error of compiling or of running a program.
 
     Attributes:
         line, column: where, counted from 1.

@@ -258,7 +258,7 @@ def join(handle: Function, destination: int, after: int) -> Instruction:
 
 
 def halt() -> Instruction:
-    """End the program, whichever thread says so."""
+    """End the program, from any of its threads."""
 
     def run(f: Frame) -> int:
         thread: ScriptThread = f[THREAD]

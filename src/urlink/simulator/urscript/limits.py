@@ -1,4 +1,4 @@
-"""What a program may use before it is stopped. All figures are guesses, wide enough for the programs in the field.
+"""The limits of a program, beyond which it is stopped. All are guesses, wide enough for the programs in the field.
 
 They bound the work of one controller cycle and the memory of one program, whatever the program is.
 """

@@ -86,7 +86,7 @@ def constant(value: Any) -> Function:
 
 
 def temporary(slot: int) -> Function:
-    """What an earlier instruction left in a slot."""
+    """The value that an earlier instruction left in a slot."""
     return itemgetter(slot)
 
 

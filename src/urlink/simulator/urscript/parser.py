@@ -341,7 +341,7 @@ class _Parser:
         return value
 
     def _member(self, base: Expression) -> Expression:
-        """What follows a dot, which a keyword may be too: `program.end()`."""
+        """The name after a dot, which may be a keyword too: `program.end()`."""
         name = self._texts[self._at]
         if not name.isidentifier():
             raise self._unexpected()

@@ -28,11 +28,11 @@ LONGEST = 1 << 13
 
 
 class Reply(NamedTuple):
-    """What a client is answered.
+    """The reply to a client.
 
     Attributes:
         word: ack, discard or state.
-        number: of the statement, or what was asked for.
+        number: of the statement, or the value that was queried.
     """
 
     word: str

@@ -1,4 +1,4 @@
-"""What a program is made of, as the parser finds it: expressions and statements, each with its place."""
+"""The syntax tree of a program: expressions and statements, each with its place in the text."""
 
 from __future__ import annotations
 

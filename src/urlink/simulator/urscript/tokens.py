@@ -96,7 +96,7 @@ class Source:
 
 
 class Tokens(NamedTuple):
-    """What a text consists of.
+    """The tokens of a text.
 
     Attributes:
         kinds: of the tokens; the last is `END`.

@@ -1,7 +1,7 @@
-"""What variables hold, and what operators make of it.
+"""The values of variables, and the operators on them.
 
 A value is a Python number, truth value or string, a tuple for a list, a `Pose`, or the handle of a thread. All are
-immutable, so that passing one on costs nothing and hands nobody another's list; assigning an element makes a new one.
+immutable, so that passing one on costs nothing and shares no list; assigning an element makes a new one.
 
 Known: a number is a condition too (a driver's program has `if has_qnear:` of a quotient), which holds unless it is
 zero; numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces
@@ -84,7 +84,7 @@ class Struct:
 
 
 class RpcHandle:
-    """What `rpc_factory` makes: where the server of its methods is."""
+    """The result of `rpc_factory`: the address of the server of its methods."""
 
     __slots__ = ("host", "path", "port", "url")
 
@@ -96,7 +96,7 @@ class RpcHandle:
 
 
 class Unset:
-    """What a variable holds before anything was assigned."""
+    """The value of a variable before anything was assigned."""
 
 
 UNSET = Unset()

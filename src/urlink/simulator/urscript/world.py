@@ -1,6 +1,6 @@
-"""What a program asks of the controller that runs it.
+"""The controller, as a program sees it.
 
-Sequences are read-only and are copied by whoever keeps them.
+Sequences are read-only; a caller that keeps one copies it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Move(Protocol):
 
 
 class MotionCommands(Protocol):
-    """What makes the arm's targets; each function begins a command and returns at once."""
+    """The commands that move the arm; each begins a motion and returns at once."""
 
     @property
     def is_standing(self) -> bool:
@@ -90,7 +90,7 @@ class Sockets(Protocol):
         """False: it is not open."""
 
     def received(self, name: str) -> bytearray:
-        """What has come and was not taken; who takes some deletes it here."""
+        """Bytes that were received and not taken; the caller deletes those that it takes."""
 
     def close(self, name: str) -> None:
         """Close it, if it is open."""
@@ -189,7 +189,7 @@ class World(Protocol):
 
     @property
     def external_torques(self) -> Sequence[float]:
-        """What turns the joints from outside, Nm."""
+        """External torques on the joints, Nm."""
 
     def force_mode(self, task: ForceTask) -> None:
         """Yield along some axes until a force is there."""
@@ -223,7 +223,7 @@ class World(Protocol):
 
     @property
     def has_popup(self) -> bool:
-        """One is on the pendant and nobody has closed it."""
+        """One is on the pendant and was not closed."""
 
     def protective_stop(self, reason: str) -> None:
         """Stop the arm; the program is not advanced until someone unlocks it."""

@@ -54,7 +54,7 @@ _UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 @dataclass(frozen=True)
 class ForceTask:
-    """What `force_mode` was told.
+    """The arguments of `force_mode`.
 
     Attributes:
         frame: (6,) pose in the base frame whose axes count.

@@ -1,4 +1,4 @@
-"""What moves the arm of one program: its motion generator, and force mode or freedrive on top of it.
+"""Makes the set-points of one program: its motion generator, and force mode or freedrive on top of it.
 
 In force mode the program goes on to command the arm, which follows along the axes that are not compliant. In freedrive
 with every axis free, what the program commands does not count.

@@ -1,4 +1,4 @@
-"""What a controller does not let an arm do, and the arguments that it cannot make sense of.
+"""The limits that a controller enforces on an arm, and the arguments that it refuses.
 
 A controller stops an arm protectively when a joint is about to leave its range or to go faster than it may, or when
 no arm could follow. How much it tolerates is a guess here.

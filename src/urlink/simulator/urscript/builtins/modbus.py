@@ -1,7 +1,7 @@
 """Modbus signals: named values that programs add, read and set. No device is connected to them; see `robot.modbus`.
 
 Parameters are those of the manual, as far as they are remembered; whether a secondary program asks makes no difference
-here. What is out of range, and a signal that nobody has added, end the program (a guess).
+here. Arguments out of range, and a signal that was not added, end the program (a guess).
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any)
 
 @FAMILY.declare(since="3.0")
 def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
-    """Checked, and sent to nobody."""
+    """Checked, and not sent."""
     what = "modbus_send_custom_command"
     string(IP, f"{what}: IP")
     integer(slave_number, f"{what}: slave_number", 0, 255)

@@ -120,7 +120,7 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
 
 @FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
 def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
-    """Of CB2: how far it looks ahead and how hard it follows cannot be said, which the drive is told by zeros."""
+    """Of CB2: how far it looks ahead and how hard it follows cannot be given, for which the drive takes zeros."""
     return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 

@@ -52,7 +52,7 @@ def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
 def popup(
     thread: ScriptThread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
 ) -> Waiting:
-    """A blocking one waits until somebody closes it."""
+    """A blocking one waits until it is closed."""
     waits = boolean(blocking, "popup: blocking")
     thread.world.popup(
         made(thread, to_str(s)),

@@ -1,4 +1,4 @@
-"""What the arm shows, and what it carries."""
+"""Queries of the arm's state and of its load."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[
         raise type_error(f"{type_name(base)} has no method '{name}'")
     if name == "closeXMLRPCClientConnection":
         return None
-    # Loaded by who needs it: it brings a good part of the standard library along.
+    # Imported where it is used: it brings a good part of the standard library along.
     from xmlrpc.client import dumps
 
     body = dumps(tuple(map(_sent, arguments)), methodname=name).encode()
