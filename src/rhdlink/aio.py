@@ -85,7 +85,7 @@ class AsyncRobot(Generic[R]):
 
 
 class _Connecting(Generic[R]):
-    """What `connect_async` returns: to be awaited, or entered."""
+    """The result of `connect_async`: to be awaited, or entered by ``async with``."""
 
     def __init__(self, address: str, variables: type[R], options: dict[str, Any]) -> None:
         self._arguments = address, variables, options

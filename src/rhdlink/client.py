@@ -38,7 +38,7 @@ __all__ = ["Access", "Variables", "connect"]
 
 _log = logging.getLogger(__name__)
 
-#: "r" reads what the robot knows; "w" is its master and tells it what to do.
+#: "r" reads the robot's variables; "w" is its master and writes them too.
 Access = Literal["r", "w"]
 
 R = TypeVar("R", bound="Variables")
@@ -164,7 +164,7 @@ class Variables(Declarations):
         refuse_hiding(cls, Variables)
 
     def __setattr__(self, attribute: str, value: object) -> None:
-        # A slip of the pen would set an attribute that nobody sends.
+        # A misspelt name would set an attribute that is never sent.
         if not attribute.startswith("_") and not hasattr(type(self), attribute):
             raise NotThere(f"{type(self).__name__} declares no {attribute}{similar(attribute, list(self.declared()))}")
         super().__setattr__(attribute, value)
@@ -211,7 +211,7 @@ class Variables(Declarations):
         """
         replica = self._known()
         if self._access != "w":
-            replica.find_to_set(name)  # of two mistakes the one of the name is told
+            replica.find_to_set(name)  # of two mistakes, the wrong name is the one that is reported
             self._require_write_access(name)
         replica.set(name, value)
 
@@ -227,7 +227,7 @@ class Variables(Declarations):
         return [] if self._transport is None else self._known().names()
 
     def stamp(self, name: str) -> TimeStamp:
-        """When a variable was set last, by the clock of who set it; raises `NotThere`."""
+        """When a variable was set last, by the clock of the side that set it; raises `NotThere`."""
         replica = self._known()
         with replica.lock:
             table, identity = replica.find(name)
@@ -265,7 +265,7 @@ class Variables(Declarations):
 
     @property
     def access(self) -> Access:
-        """What the robot granted: "r", or "w" for its master."""
+        """The access that the robot granted: "r", or "w" for its master."""
         self._known()
         return "w" if self._access == "w" else "r"
 
@@ -382,7 +382,7 @@ class Variables(Declarations):
             Closed: after `close`.
         """
         replica = self._known()
-        # A name that the robot lacks would never be told of, and nobody would know why.
+        # For a name that the robot lacks the callback would never be called, without any error.
         for name in names:
             replica.find(name)
         return self._subscribers.subscribe(
@@ -417,7 +417,7 @@ class Variables(Declarations):
             return
         timeout = check_seconds(timeout, "timeout")
         until = time.monotonic() + timeout
-        # In this order: who is in `sync` finds the flag when closing the transport wakes it, and raises Closed.
+        # In this order: a thread in `sync` finds the flag when closing the transport wakes it, and raises Closed.
         self._closing.set()
         self._transport.close()
         if self._sync_thread is not None:
@@ -435,7 +435,7 @@ class Variables(Declarations):
         self.close()
 
     def __del__(self) -> None:
-        # A connection that never stood, or was closed in a parent process, is nobody's loss.
+        # A connection that was never made, or was closed in a parent process, needs no warning.
         if self._connection is not None and not self._closing.is_set() and os.getpid() == self._process:
             try:
                 warnings.warn(f"{self!r} was dropped without close()", ResourceWarning, source=self, stacklevel=2)

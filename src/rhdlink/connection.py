@@ -21,7 +21,7 @@ _MOST_UNSOLICITED_WAIT = 0.1
 
 
 class Transport(Protocol):
-    """What carries the bytes: `linkcore.net.transport.TcpTransport`."""
+    """The transport of a connection: `linkcore.net.transport.TcpTransport`."""
 
     name: str
 
@@ -38,10 +38,10 @@ class Transport(Protocol):
         """Send all of it."""
 
     def abort(self) -> None:
-        """Disconnect at once: what the peer has not acknowledged is discarded. Wakes who waits."""
+        """Disconnect at once: bytes that the peer has not acknowledged are discarded. Wakes waiting threads."""
 
     def close(self) -> None:
-        """Disconnect; waits a moment for the peer to acknowledge what was sent. Wakes who waits."""
+        """Disconnect; waits a moment for the peer to acknowledge what was sent. Wakes waiting threads."""
 
 
 class Connection:
@@ -63,12 +63,12 @@ class Connection:
 
     Attributes:
         access: what was granted, "r" or "w".
-        handshake: what the server said.
+        handshake: of the server.
         received: when the newest bytes came.
 
     Raises:
         AccessDenied: write access was refused, and there is no fallback.
-        ConnectFailed, ConnectionLost, LinkTimeout: nobody is there, or no longer, or silent.
+        ConnectFailed, ConnectionLost, LinkTimeout: the server is not there, is gone, or is silent.
         WrongPeer: something else is listening.
         PacketError: what came is no handshake.
     """

@@ -31,7 +31,7 @@ def svg(world: World, title: str = "") -> str:
     def place(x: float, y: float) -> str:
         return f"{_MARGIN + x * scale:.1f},{_MARGIN + (world.size - y) * scale:.1f}"
 
-    # A grid of more lines than pixels helps nobody.
+    # A grid of more lines than pixels shows nothing.
     step = 10.0 ** max(math.ceil(math.log10(world.size / 50.0)), 0)
     marks = np.arange(0.0, world.size, step)[1:]
     lines = "".join(

@@ -47,7 +47,7 @@ _CLOSE_TIMEOUT = 5.0
 
 
 class _Command:
-    """A motion that was asked for.
+    """A motion that was requested.
 
     Args:
         begin: is called in the thread that drives, before the motion begins.
@@ -60,7 +60,7 @@ class _Command:
 
 
 class _Motions:
-    """The program of a `Drive`: the motion that was asked for last."""
+    """The program of a `Drive`: the motion that was requested last."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -76,7 +76,7 @@ class _Motions:
 
     @property
     def is_idle(self) -> bool:
-        """Nothing is asked for, and nothing is under way."""
+        """No motion is requested, and none is under way."""
         return self._next is None and self._current is None
 
     def put(self, command: _Command) -> None:
@@ -123,7 +123,7 @@ class _Motions:
         control.target = control.pose.copy()
 
     def end(self, error: Exception) -> None:
-        """Nothing is driven any more: not what was asked for, and not what will be."""
+        """End the motion under way, and refuse those that are requested later."""
         with self._lock:
             self._error = self._error or error
             ended, self._next, self._current = [self._next, self._current], None, None
@@ -355,7 +355,7 @@ class Drive:
 
     @property
     def _stands(self) -> bool:
-        """It has no speed, and the robot was told so."""
+        """It has no speed, and the robot has received that."""
         return not self._vehicle.has_speed and self._execution.is_told
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What can go wrong with a robot besides what can go wrong with any peer.
+"""The errors of a robot, beside those of any peer.
 
 Branches of the tree in `linkcore.errors`::
 

@@ -25,7 +25,7 @@ __all__ = ["Replica", "Unsent", "database_of", "similar"]
 
 _log = logging.getLogger(__name__)
 
-#: What becomes of values that were set and not sent when the connection is lost.
+#: Whether values that were set and not sent are kept when the connection is lost.
 Unsent = Literal["discard", "send"]
 
 #: A writer's request that sets nothing holds a data package all the same, as librhd's does.
@@ -132,7 +132,7 @@ class Replica:
     def changes(
         self, names: frozenset[str] | None, declared: Mapping[str, Declaration[Any, Any]], order: Order
     ) -> dict[str, Change]:
-        """What came with another time stamp or value in the newest batch; of these variables, or of all for None."""
+        """The variables whose time stamp or value has changed in the newest batch; of these, or of all for None."""
         by_name = _by_name(declared)
         changes: dict[str, Change] = {}
         with self.lock:

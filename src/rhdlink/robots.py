@@ -38,7 +38,7 @@ class Smr(Variables):
 
 
 class VelocityOmega(Variables):
-    """A robot that is told its speed and its turn rate, such as the iRobot ATRV-Jr."""
+    """A robot that is commanded by its speed and its turn rate, such as the iRobot ATRV-Jr."""
 
     tick = Read(Int32, doc="rounds of the server", optional=True)
     cmdtransvel = Write(Scaled(1e-5, unit="m/s"), doc="forward speed")

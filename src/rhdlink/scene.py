@@ -1,4 +1,4 @@
-"""What lies and stands in a turtle's world: tape on the floor, which line sensors see, and walls.
+"""The objects in a turtle's world: tape on the floor, which line sensors see, and walls.
 
 Both are made of straight pieces. They come from points, or from an SVG drawing: its lines, polylines, polygons,
 rectangles and paths are tape as wide as their strokes, black or white by the stroke's colour; those whose `class`
@@ -34,7 +34,7 @@ _FEW = 20
 _SPOT = 0.01
 #: Straight pieces that a curve is cut into.
 _CURVE = 24
-#: m of a tape where nothing is said: the usual insulating tape is twice 19 mm. Line sensors are 2 cm apart.
+#: m, width of a tape by default: the usual insulating tape is twice 19 mm. Line sensors are 2 cm apart.
 _WIDTH = 0.038
 
 

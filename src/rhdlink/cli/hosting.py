@@ -129,7 +129,7 @@ def _limit(text: str) -> tuple[str, int]:
 
 
 def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """What was said on the command line, which has the last word; `limits` hold where it says nothing of them."""
+    """The options of the command line; `limits` hold for those that it does not give."""
     names = ("width", "resend", "client_timeout", "inactivity_timeout")
     said = {name: value for name in names if (value := getattr(args, name)) is not None}
     return {**said, "limits": replace(limits, **dict(args.limit))}

@@ -81,7 +81,7 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Do what was asked for.
+    """Carry out the command.
 
     Raises:
         LinkError: the script, the robot or a file is at fault.

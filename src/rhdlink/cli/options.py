@@ -1,4 +1,4 @@
-"""What several commands have: the address of a robot, and a line for people."""
+"""The common part of several commands: the address of a robot, and a status line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def add_address(parser: argparse.ArgumentParser) -> None:
 
 
 def add_world(parser: argparse.ArgumentParser) -> None:
-    """What lies and stands in a turtle's world, and where the turtle is in it."""
+    """The options of a turtle's world: tape, walls, and the turtle's pose."""
     parser.add_argument(
         "--floor", metavar="FILE.svg", help="tape and walls of the turtle's world: lines of the drawing, walls by class"
     )
@@ -37,7 +37,7 @@ def add_world(parser: argparse.ArgumentParser) -> None:
 
 
 def world(args: argparse.Namespace) -> World:
-    """The world that was asked for.
+    """The world of the options.
 
     Raises:
         BadValue: the drawing cannot be read, or the start is outside.

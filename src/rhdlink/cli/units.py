@@ -1,4 +1,4 @@
-"""What the words of a variable mean, where its name is one that everybody uses.
+"""The meaning of a variable's words, by the names that are in common use.
 
 A robot tells names and lengths, and neither types nor units. The ready-made classes know them for the conventional
 names; they are taken where direction and length are theirs, too.
@@ -62,7 +62,7 @@ def in_units(direction: str, name: str, words: Words) -> str:
 
 
 def words_of(value: int | Words) -> Words:
-    """The words of a variable that was declared by nobody, as `rhdlink.Variable` has it: an int or an array."""
+    """The words of a variable that was not declared, as `rhdlink.Variable` has it: an int or an array."""
     return np.atleast_1d(np.asarray(value, np.int32))
 
 
@@ -117,7 +117,7 @@ def as_columns(variable: Variable) -> tuple[str, ...]:
 
 
 def update_as_json(update: Update) -> dict[str, Any]:
-    """What was set, and when it came."""
+    """The value, and when it was received."""
     return {
         "received": update.received.wall,
         "variables": {name: words_of(change.value).tolist() for name, change in update.changes.items()},

@@ -99,7 +99,7 @@ def _word(text: str) -> int:
 
 def _list(args: argparse.Namespace) -> int:
     with connect(args.address, timeout=args.timeout) as robot:
-        # What came with the handshake is the newest there is.
+        # The values of the handshake are the newest.
         found = robot.variables
         if args.json:
             for variable in found:

@@ -1,4 +1,4 @@
-"""What `watch` shows of a robot at one moment: the newest values, and how often each is set."""
+"""The view of `watch`: the newest values, and how often each is set."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class View:
         robot: its address.
         connection: what the connection is doing.
         age: seconds since the newest values came.
-        rate: syncs that brought something, a second; None where that cannot be told yet.
+        rate: syncs with new values, a second; None where that is not known yet.
         rates: name -> how often a second it was set.
         variables: those that are watched.
         reconnects: connections after the first.

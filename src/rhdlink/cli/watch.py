@@ -140,7 +140,7 @@ _Draw = Callable[[View], None]
 
 
 def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], float]:
-    """What shows views, and how many seconds apart."""
+    """The function that shows views, and the seconds between two of them."""
     if plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
         return _plain(), 1.0
     try:

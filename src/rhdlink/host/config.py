@@ -177,7 +177,7 @@ class PluginEntry:
         try:
             module = importlib.import_module(module_name)
         except Exception as error:
-            # Whatever an imported module does wrong is the plugin's trouble, and is named with its place in the file.
+            # Any exception of an imported module is reported as the plugin's error, with its place in the file.
             raise BadConfiguration(
                 f"{_place(self.config.source, self.config.line)}<{self.name}>: cannot import {module_name}: {error}"
             ) from error
@@ -194,12 +194,12 @@ class PluginEntry:
 
 @dataclass(frozen=True)
 class Configuration:
-    """What an `rhdconfig.xml` says. What it leaves out has the value given here, not the original's zero.
+    """The contents of an `rhdconfig.xml`. What it leaves out has the default given here, not the original's zero.
 
     Attributes:
         period: of the tick, seconds.
         scheduler: type of the scheduler as the file names it.
-        realtime_priority: whether it asks for real-time priority; this host does not take it, and says so.
+        realtime_priority: whether it asks for real-time priority; this host does not use it, and logs a warning.
         port: TCP port.
         address: to listen on; ``<server> <address value="0.0.0.0"/>``. The original has no such element and listens
             everywhere.
@@ -379,7 +379,7 @@ class _Tree:
         except (LookupError, ValueError) as error:
             if isinstance(error, BadConfiguration):
                 raise
-            self._fail(f"an encoding that nobody knows: {error}")
+            self._fail(f"unknown encoding: {error}")
         return self._root
 
     def _fail(self, reason: str) -> NoReturn:

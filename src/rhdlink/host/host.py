@@ -2,7 +2,7 @@
 
 One round, as in the original (docs/protocols/rhd.md, Server tick)::
 
-    periodic(tick) of every plugin -> wait, serving sockets -> tick += 1 -> take what came, answer who asked
+    periodic(tick) of every plugin -> wait, serving sockets -> tick += 1 -> take requests, answer them
 
 One thread does all of it and never waits for a client.
 """
@@ -47,7 +47,7 @@ _CLOSE_TIMEOUT = 10.0
 
 
 class HostFailed(LocalError):
-    """A host has ended by something that nobody foresaw; `__cause__` says what was raised.
+    """A host has ended by an unexpected exception, which is its `__cause__`.
 
     Its plugins have been terminated in order.
     """
@@ -115,14 +115,14 @@ class Host(Runnable):
         plugins: are initialised in this order, and run in the reverse order, as in the original.
         period: of the tick, s.
         port: TCP port, 0 for a free one.
-        address: to listen on; "" for every IPv4 address of this computer. Whoever can connect can drive the robot, so
-            by default only this machine can.
+        address: to listen on; "" for every IPv4 address of this computer. Every client that can connect can drive
+            the robot, so by default only this machine can.
         clients: how many may be connected.
         allwriters: whether every client may write, rather than the first that asks.
         synchronized: whether each tick waits for the request of the one writer, at most one period more.
         pacing: "period"; "free" for one tick after the other; "lockstep" for one with each request of the one writer,
             or of any client while there is none: deterministic, and as fast as the client.
-        resend: "changed" tells a client what was set since it was last told; "original" all that ever was.
+        resend: "changed" sends a client what was set since its last reply; "original" all that was ever set.
         width: words of a time stamp, 2 or 4, as the clients have it.
         limits: what a client may ask for.
         client_timeout: seconds that a client may leave a request half sent, or a reply unread, before it is closed.
@@ -132,13 +132,13 @@ class Host(Runnable):
     Attributes:
         database: the variables; more can be made until the host runs.
         period: as given.
-        tick: the number of the round, as clients are told.
+        tick: the number of the round, as clients receive it.
         failure: why it ended by itself, or None.
 
     Raises:
         BadValue: an argument that cannot be. When it is run: PluginFailed, a critical plugin raised; BadAddress, the
             port cannot be listened on; LocalError, plugins declare what cannot be together; HostFailed, it ended
-            because of something that nobody foresaw.
+            because of an unexpected exception.
     """
 
     def __init__(
@@ -407,7 +407,7 @@ class Host(Runnable):
 
     def _wait_for_tick(self, service: Service, server: Server) -> None:
         if self._pacing == "lockstep":
-            # No deadline: in lockstep time stands still until somebody asks; `stop` wakes it.
+            # No deadline: in lockstep time stands still until a request comes; `stop` wakes it.
             server.serve(None, lambda: self._is_stopping or service.is_asked)
             return
         if self._pacing == "free":
@@ -449,5 +449,5 @@ def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
 
 
 def _wrapped(tick: int) -> int:
-    """A tick as the 32-bit counter that clients are told, which wraps after 248 days at 10 ms."""
+    """A tick as the 32-bit counter that clients receive, which wraps after 248 days at 10 ms."""
     return int(np.int64(tick).astype(np.int32))

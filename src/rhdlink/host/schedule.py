@@ -1,4 +1,4 @@
-"""When the ticks of a host are due, and how late they came. Has no clock: who uses it says what time it is."""
+"""When the ticks of a host are due, and how late they came. Has no clock: the caller passes the time."""
 
 from __future__ import annotations
 

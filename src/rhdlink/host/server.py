@@ -51,8 +51,8 @@ class Server:
         self._inactivity_timeout = inactivity_timeout
         self._handlers: dict[Client, _ClientHandler] = {}
         self._loop = SelectorLoop()
-        # The service knows its slots, and who is idle. `_accept` lets nobody in without a free slot, and at most
-        # MOST_NEW be in their handshake: so there are fewer connections than the limit, and the loop refuses nobody.
+        # The service knows its slots and which clients idle. `_accept` refuses a client without a free slot, and at most
+        # MOST_NEW are in their handshake: so there are fewer connections than the limit, and the loop refuses none.
         try:
             listening = self._loop.listen(
                 host,
@@ -88,8 +88,8 @@ class Server:
             handler.send(data)
 
     def resume(self) -> None:
-        """After a sync and its replies: read again from those who had sent ahead, give those time who did not read, and
-        close those who sent what cannot be.
+        """After a sync and its replies: read again from clients that had sent ahead, give time to those that did not
+        read, and close those that sent invalid data.
         """
         for handler in list(self._handlers.values()):
             handler.update()
@@ -112,7 +112,7 @@ class Server:
         return _ClientHandler(self, connection, client)
 
     def _evict(self) -> None:
-        """Take the slot of the reader that has not asked for anything for longest, if that is long enough."""
+        """Take the slot of the reader whose last request is the longest ago, if that is long enough."""
         readers = [handler for client, handler in self._handlers.items() if client.access == "r"]
         if not readers:
             return

@@ -1,4 +1,4 @@
-"""A variable database served to many clients, sans-IO: who may write, and who is told what.
+"""A variable database served to many clients, sans-IO: which of them may write, and what each is sent.
 
 `Server` brings the bytes of each connection and takes the replies away. A request is answered at the next `sync`, as by
 the original: what it writes is seen by the plugins in the round that follows, and what they set then goes out with the
@@ -26,7 +26,7 @@ __all__ = ["Client", "Resend", "Service"]
 
 _log = logging.getLogger(__name__)
 
-#: What of the read variables a reply holds: those set since the client's last one, or, as in the original, all that
+#: The read variables in a reply: those set since the client's last one, or, as in the original, all that
 #: were ever set.
 Resend = Literal["changed", "original"]
 
@@ -46,7 +46,7 @@ class Client:
         refused_writes: values that it sent without the right to.
         failure: why its connection is to be closed, or None.
         is_reading: whether it has taken all that was sent to it; until then it gets no more.
-        dirty_read: the read variables that it has not been told of yet; there once access has been granted.
+        dirty_read: the read variables that it has not been sent yet; there once access has been granted.
         dirty_write: likewise the write variables, set by others.
     """
 
@@ -102,7 +102,7 @@ class Service:
         clients: how many may be connected.
         allwriters: whether every client that asks for it may write, rather than the first only.
         resend: what of the read variables a reply holds.
-        width: words of a time stamp, 2 or 4; what the clients have, since nothing they send tells.
+        width: words of a time stamp, 2 or 4; that of all clients, since their requests do not show it.
         limits: what a client may ask for; by default no more than all write variables at once, and a little.
 
     Attributes:
@@ -133,7 +133,7 @@ class Service:
         self._allwriters = allwriters
         self._resend = resend
         self._width = width
-        # All variables once, and a kilobyte of empty packages: nobody needs more, and it is the longest that is parsed.
+        # All variables once, and a kilobyte of empty packages: a longer batch is not needed, and not parsed.
         layout = database.write.layout
         self._limits = limits or Limits(batch=WORD * (256 + layout.words + layout.count * (1 + width)))
         ClientDecoder(layout, width=width, limits=self._limits)
@@ -256,7 +256,7 @@ class Service:
     # -- one round ------------------------------------------------------------------------------------
 
     def sync(self) -> list[tuple[Client, bytes]]:
-        """Take what clients have written, and answer those who asked: one request of each client."""
+        """Take what clients have written, and answer one request of each client."""
         database = self._database
         # What was written in the round before is news to the plugins no longer (docs/protocols/rhd.md, Server tick).
         database.write.begin_round()
@@ -309,7 +309,7 @@ class Service:
         self.refused_writes += count
 
     def _spread_dirty(self) -> None:
-        """What the robot has set is news to every client."""
+        """Variables that the robot has set are to be sent to every client."""
         dirty = self._database.read.dirty.take()
         for client in self._slots:
             if client is not None:

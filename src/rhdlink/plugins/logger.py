@@ -107,7 +107,7 @@ class Logger(Plugin):
 
     @property
     def stats(self) -> SubscriptionStatistics | None:
-        """What became of the entries; None before the first tick."""
+        """Counters of written and dropped entries; None before the first tick."""
         return None if self._delivery is None else self._delivery.statistics
 
     def init(self, config: Element) -> None:

@@ -95,7 +95,7 @@ class Topics:
         pose: where the robot is; its values have an x, a y and a heading among them.
         command: its velocity, with a linear and an angular one.
         alive: what its master says.
-        read: all that the robot tells, the pose among it.
+        read: all variables from the robot, the pose among them.
     """
 
     pose: Topic
@@ -299,7 +299,7 @@ class MqttRobot(VelocityBridge):
 
     @property
     def mqtt(self) -> MqttStatistics | None:
-        """What has passed; None before `init`."""
+        """Counters of messages; None before `init`."""
         return None if self._broker is None else self._broker.statistics
 
     def init(self, config: Element) -> None:
@@ -321,7 +321,7 @@ class MqttRobot(VelocityBridge):
         self._began = time.time()
 
     def periodic(self, tick: int) -> None:
-        """Take what the robot has told, and tell it what programs want."""
+        """Take the robot's messages, and send it the velocity that programs want."""
         broker, now = self._broker, self._clock()
         assert broker is not None
         pose = self._topics.pose
@@ -370,7 +370,7 @@ class MqttRobot(VelocityBridge):
 
 
 class MqttTurtle(Plugin):
-    """A robot in a square world that talks MQTT as DTU's do: it tells its pose, and obeys its master.
+    """A robot in a square world that talks MQTT as DTU's do: it publishes its pose, and obeys its master.
 
     Its master is whoever's alive message came first; the same value in it is the same master. 2 s after its last one it
     stops, and another may be.

@@ -34,7 +34,7 @@ _DIRECTIONS = tuple(map(math.radians, (90.0, 22.5, 0.0, -22.5, -90.0)))
 
 
 class _InWorld(Plugin):
-    """What the two have in common.
+    """The common part of the two turtles.
 
     Args:
         world: to be driven in; an 11 x 11 m one, from its middle, by default.

@@ -97,11 +97,11 @@ class VelocityBridge(Plugin):
 
     @property
     def stats(self) -> SubscriptionStatistics | None:
-        """What became of the velocities; None before `init`, and without an own thread."""
+        """Counters of velocities; None before `init`, and without an own thread."""
         return None if self._delivery is None else self._delivery.statistics
 
     def update_pose(self, x: float, y: float, theta: float) -> None:
-        """The robot is there: m, m, rad. From any thread; programs are told at the next tick.
+        """Set the pose of the robot: m, m, rad. From any thread; programs receive it at the next tick.
 
         Raises:
             BadValue: not finite, or beyond 1000 km or a million rad.

@@ -37,7 +37,7 @@ class Moment:
     is_handshake: bool
 
     def update(self, names: frozenset[str] | None = None) -> Update:
-        """What came with another time stamp or value than before; of these variables, or of all."""
+        """The variables whose time stamp or value has changed; of these, or of all."""
         changes: dict[str, Change] = {}
         # Of a read and a write variable with the same name the read variable stands.
         for table in (self.database.write, self.database.read):
@@ -49,7 +49,7 @@ class Moment:
 
 
 def received(recording: Recording, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
-    """What a robot sent, as it came: the number of the connection, from 1, and the record with the bytes.
+    """The bytes of a robot, as they were received: the number of the connection, from 1, and the record.
 
     Args:
         progress: called with the part that is read, 0 to 1.

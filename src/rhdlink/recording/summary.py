@@ -1,4 +1,4 @@
-"""What is in a recording of a robot, in figures."""
+"""The contents of a recording of a robot, in figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Summary", "summarise"]
 
 @dataclass
 class Summary:
-    """What is in a recording.
+    """The contents of a recording.
 
     Attributes:
         file: its name.

@@ -15,7 +15,7 @@ from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.linked import LinkedProgram
-from urlink.urscript.programs import InputRegisters, ReverseSocket
+from urlink.urscript.links import InputRegisters, ReverseSocket
 
 
 class Talk:

@@ -107,12 +107,12 @@ def test_registers_are_claimed_for_the_first_program_alone() -> None:
 
     port = RegisterPort(claim)
     assert claimed == []
-    links = [port.open() for _ in range(3)]
+    opened = [port.open() for _ in range(3)]
     assert claimed == [NAMES]
     # Each has a token of its own, which no register holds by itself.
-    tokens = {link.endpoint.token for link in links}
+    tokens = {link.endpoint.token for link in opened}
     assert len(tokens) == 3
-    assert all(0 < token < programs.TOKENS for token in tokens)
+    assert all(0 < token < links.TOKENS for token in tokens)
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
