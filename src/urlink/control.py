@@ -1,4 +1,4 @@
-"""All that commands one robot, wired up: the interlock, the channel, and who sends by it."""
+"""The parts that command one robot, wired up: the interlock, the command channel, and the senders that use it."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ _TELLS_CONTROL = Since("5.6/10.12")
 
 
 class Control:
-    """What a robot is commanded by; nothing connects before it is used.
+    """The commanding side of a robot; nothing connects before it is used.
 
     Args:
         name: of the robot, for threads.
         host: where the controller is.
         ports: name of each port that it serves -> number.
-        primary, realtime: the streams. Nothing here keeps a robot alive that nobody holds any more: what the threads
-            that read call back refers to the connections, and not to the streams.
-        who: tells who the controller is.
+        primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
+            refer to the connections, and not to the streams.
+        who: identifies the controller.
         options: of the user.
         timeout: seconds for a connection to the dashboard.
         rtde: gives the robot's RTDE.
@@ -168,7 +168,7 @@ class Control:
         return self._grippers.setdefault("one", made)
 
     def _is_remote(self) -> bool | None:
-        """Whether the robot is in remote control, asked on a connection of its own; None if nobody can tell."""
+        """Whether the robot is in remote control, asked on a connection of its own; None if that is not known."""
         firmware = self._who.identity.firmware
         port = "robot_api" if firmware.is_polyscope_x else "dashboard"
         if port not in self._ports or firmware not in _TELLS_CONTROL:

@@ -122,5 +122,5 @@ def _realtime_decoder(version: Firmware | None) -> Callable[[bytes], RealtimeSta
 
 @lru_cache
 def _package_decoder(version: Firmware | None) -> PackageDecoder:
-    """One that is kept, since it learns how the packages of a size are cut; nobody asks for its counters."""
+    """One that is kept, since it learns how the packages of a size are cut; its counters are not used."""
     return PackageDecoder(version)

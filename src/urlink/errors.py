@@ -1,4 +1,4 @@
-"""What can go wrong when a robot is commanded: the part of the error tree that knows robots.
+"""The errors of commanding a robot: the part of the error tree that knows robots.
 
 They hang below a branch of `linkcore.errors`::
 
@@ -6,7 +6,7 @@ They hang below a branch of `linkcore.errors`::
     └── RemoteError                 the peer sent nonsense, or went away, or refused
         ├── SafetyStop              a stop holds, or came in between: `cause` says which
         │   └── NotEnabled          all is clear, but `safety.enable()` has to be called first
-        ├── NotRunning              the robot does not run, or nobody knows whether it does; nothing was sent
+        ├── NotRunning              the robot does not run, or that is not known; nothing was sent
         ├── NotConfirmed            a setting was sent, and the robot's states do not show it
         ├── ToleranceExceeded       the arm left its path, or did not arrive where it should
         ├── NoContact               a movement that was to end at a contact came to its end without one
@@ -14,7 +14,7 @@ They hang below a branch of `linkcore.errors`::
         │   ├── CompileError        it did not begin
         │   └── ScriptFailed        it failed while it ran
         ├── StatementDiscarded      interpreter mode does not take a statement: `statement`, `number`
-        └── ProgramStopped          stopped from elsewhere: pendant, dashboard, somebody else's program
+        └── ProgramStopped          stopped from elsewhere: pendant, dashboard, another client's program
 """
 
 from __future__ import annotations
@@ -116,4 +116,4 @@ class StatementDiscarded(RemoteError):
 
 
 class ProgramStopped(RemoteError):
-    """The program was stopped before its end: at the pendant, by the dashboard, or by somebody else's program."""
+    """The program was stopped before its end: at the pendant, by the dashboard, or by another client's program."""

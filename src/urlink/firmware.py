@@ -201,7 +201,7 @@ RELEASES: tuple[Release, ...] = (
     ),
 )
 
-#: The newest firmware of the e-Series that the table knows: what an arm is simulated with unless it is told otherwise.
+#: The newest firmware of the e-Series that the table knows: the default of a simulated arm.
 NEWEST = [row.since for row in RELEASES if row.since.major == 5][-1]
 
 

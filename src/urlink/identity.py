@@ -1,4 +1,4 @@
-"""Who is there: what a controller says of itself on connecting."""
+"""The identity of a controller: firmware, model and calibration, from its first packets."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Identity:
 
     @property
     def arm(self) -> Model | None:
-        """Geometry and limits of the arm; None where the controller does not say which it is, or nobody knows it."""
+        """Geometry and limits of the arm; None where the controller does not report its model, or it is not known."""
         return None if self.model is None else MODELS.get(self.model)
 
     @cached_property
@@ -81,7 +81,7 @@ class Identity:
             raise WrongPeer(f"the controller of a {arm.name} sends unusable DH parameters: {error}") from None
 
     def description(self) -> dict[str, Any]:
-        """What a recording has to say of the controller, since its first state, which has this too, is seldom recorded.
+        """The identity as a recording stores it, since the first state, which has it too, is seldom recorded.
 
         JSON can hold it.
         """
@@ -93,7 +93,7 @@ class Identity:
 
 
 def described_identity(said: Mapping[str, Any]) -> Identity:
-    """What `Identity.description` has told of a controller, in a recording.
+    """The identity that `Identity.description` has stored in a recording.
 
     Raises:
         BadRecording: it names no firmware, or what it has under ``dh_table`` are no DH parameters.
@@ -115,7 +115,7 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
 
 
 class KnownIdentity:
-    """Who the controller was when it was asked last; it is asked anew after each reconnect.
+    """The last known identity of the controller; it is asked anew after each reconnect.
 
     Args:
         ask: asks it.
@@ -148,7 +148,7 @@ class KnownIdentity:
 
 
 def identify(host: str, port: int, timeout: float) -> Identity:
-    """Connect to a primary or secondary interface, read who is there, and disconnect.
+    """Connect to a primary or secondary interface, read the controller's identity, and disconnect.
 
     Raises:
         ConnectFailed: nobody answers there.
@@ -173,7 +173,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
 
 
 class Introduction:
-    """What a controller says as a connection begins, sans-IO.
+    """The packets with which a controller begins a connection, sans-IO.
 
     Args:
         name: of the peer, for messages.
@@ -220,7 +220,7 @@ class Introduction:
             self._until = min(self._until, time.monotonic() + _GRACE)
 
     def lose(self, error: ConnectionLost) -> None:
-        """The connection was lost: what was not said will not be."""
+        """The connection was lost: nothing more will come."""
         self._lost = error
 
     @property

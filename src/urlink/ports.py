@@ -26,5 +26,5 @@ PORTS: Mapping[str, int] = MappingProxyType(
 
 
 def interface(port: str) -> str:
-    """What a port speaks: its own name, but for a read-only port, which speaks what its twin does."""
+    """The interface of a port: its own name; of a read-only port, that of its writable twin."""
     return port.removesuffix("_readonly")

@@ -1,4 +1,4 @@
-"""`connect()` and `Robot`: what the user holds."""
+"""`connect()`, and `Robot`, the object that users hold."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def connect(
 
 
 class Wanted(NamedTuple):
-    """What `connect` was asked for, checked.
+    """The checked arguments of `connect`.
 
     Attributes:
         place: what the address means.
@@ -598,7 +598,7 @@ class Robot:
         self._commanded().settings.zero_force_sensor()
 
     def popup(self, text: str, title: str = "Popup", *, warning: bool = False, error: bool = False) -> None:
-        """Show a text on the pendant. Nothing waits for its being read, and nothing tells whether it is shown.
+        """Show a text on the pendant, without waiting; the controller does not report whether it is shown or read.
 
         Raises:
             BadValue, NotRunning: as `set_payload`. A text can hold no quotes, backslashes or line breaks.
@@ -644,7 +644,7 @@ class Robot:
             warnings.warn(f"{self!r} was not closed; its simulator goes on", ResourceWarning, source=self, stacklevel=2)
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # whoever imports us should not pay for it
+        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
 
         rows = [
             (name, stream.connection.value, f"{stream.stats.rate:.0f} Hz", stream.stats.received)
@@ -665,7 +665,7 @@ class Robot:
 
 
 def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
-    """What gives the RTDE of a robot, and does not keep it alive."""
+    """A function that returns the RTDE of a robot, and does not keep the robot alive."""
     held = weakref.ref(robot)
 
     def rtde() -> Rtde:
@@ -678,7 +678,7 @@ def _rtde_of(robot: Robot) -> Callable[[], Rtde]:
 
 
 def _recorder(path: str | os.PathLike[str]) -> Recorder:
-    """What records into a file, by its suffix."""
+    """The recorder for a file, by its suffix."""
     suffix = PurePath(path).suffix.lower()
     if suffix in (".csv", ".parquet", ".mat", ".h5", ".hdf5"):
         raise BadValue(f"{os.fspath(path)}: {suffix} is not written live; record a .urlog, and export it")

@@ -15,7 +15,7 @@ _SINCE = Firmware(5, 17)
 
 
 def refusal_hint(firmware: Firmware | None) -> str:
-    """What to say where a controller refuses a connection; nothing for one that has no such setting.
+    """The hint for a connection that a controller refuses; "" for a controller without a setting for it.
 
     Args:
         firmware: of the controller; None where nobody knows it.

@@ -33,16 +33,16 @@ __all__ = ["Source", "networked"]
 
 
 class Source(NamedTuple):
-    """What a robot's streams are made of.
+    """The parts of a robot's streams.
 
     Attributes:
-        ask: asks the controller who it is.
+        ask: asks the controller for its identity.
         transport: makes the transport of an interface.
         backoff: how streams connect again; None for the usual.
         timeout: seconds for a connection to be made.
         silence: seconds without a packet after which a connection counts as lost; None for ever.
-        is_lossless: who takes packets without naming a policy makes the source wait.
-        channel: what a recording says of the channel of an interface; None where nothing was recorded.
+        is_lossless: a consumer that names no policy makes the source wait.
+        channel: the description of an interface's channel in a recording; None where nothing was recorded.
         connection: makes what keeps a connection up, with the arguments of `Connection`.
         rtde: makes the transport of a connection on RTDE; None for the usual.
     """
@@ -130,7 +130,7 @@ def networked(
         return last[0]
 
     def transport(interface: str) -> Transport:
-        # RTDE has no read-only twin: who only asks for outputs writes nothing.
+        # RTDE has no read-only twin: a client without inputs writes nothing.
         port = "rtde" if interface == "rtde" else interface + suffix
         if interface != "rtde" and interface not in INTERFACES:
             raise BadValue(f"no interface {interface!r}; expected one of {', '.join(INTERFACES)}")

@@ -58,7 +58,7 @@ def is_continuous(column: Column) -> bool:
 
 
 class Columns(Protocol):
-    """Where a table has its columns from."""
+    """The source of a table's columns."""
 
     @property
     def known(self) -> Mapping[str, Column]:

@@ -51,8 +51,8 @@ class Server:
         self._inactivity_timeout = inactivity_timeout
         self._handlers: dict[Client, _ClientHandler] = {}
         self._loop = SelectorLoop()
-        # The service knows its slots and which clients idle. `_accept` refuses a client without a free slot, and at most
-        # MOST_NEW are in their handshake: so there are fewer connections than the limit, and the loop refuses none.
+        # The service knows its slots and which clients idle. `_accept` refuses a client where no slot is free, and at
+        # most MOST_NEW are in their handshake: there are fewer connections than the limit, so the loop refuses none.
         try:
             listening = self._loop.listen(
                 host,

@@ -84,11 +84,11 @@ class AsyncRobot:
 
     @property
     def identity(self) -> Identity:
-        """Who the controller was when it was asked last; `identify` asks again."""
+        """The last known identity of the controller; `identify` asks again."""
         return self._robot._who.last
 
     async def identify(self) -> Identity:
-        """Who the controller is; it is asked anew where it was connected to anew since.
+        """The identity of the controller, asked anew after a reconnect.
 
         Raises:
             RemoteError: it had to be asked, and did not answer.
@@ -234,7 +234,7 @@ class AsyncRobot:
 
 
 class _Connecting:
-    """What `connect_async` returns: to be awaited, or entered."""
+    """The result of `connect_async`: to be awaited, or entered by ``async with``."""
 
     def __init__(self, address: str | os.PathLike[str], options: dict[str, Any]) -> None:
         arguments = inspect.signature(threaded.connect).bind(address, **options)

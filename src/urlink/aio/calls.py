@@ -1,4 +1,4 @@
-"""What commands a robot, for programs that use asyncio: each method of `robot.motion` and its like, to be awaited.
+"""Commands for programs that use asyncio: each method of `robot.motion` and its like, to be awaited.
 
 Commands go through the same interlock, channel and state machines as those of `urlink.connect`. These wait: for what
 the robot says, and for what it takes. So each call is made in a thread of the robot, while the event loop, which reads
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class Call(Generic[T]):
-    """Something that a robot was told, which has been begun: await its result.
+    """A command that has been begun: await its result.
 
     Of what gives a `Handle`, such as a motion, that is its end: ``await robot.motion.move_joints(q)`` goes on when the
     arm has arrived, and raises what `Handle.wait` raises. `begun` gives the handle as soon as the robot was told.

@@ -1,4 +1,4 @@
-"""`robot.rtde`: outputs as streams, inputs, registers, and who holds which input."""
+"""`robot.rtde`: outputs as streams, inputs, registers, and the claims of inputs."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ _FIRST = Firmware(3, 2)
 #: Packages a second on a connection that is there for its inputs: they say that the controller is alive.
 _HEARTBEAT = 10.0
 
-#: The least that a controller can be asked for, says the vendor.
+#: The lowest frequency that a controller accepts (vendor's guide).
 _LEAST_FREQUENCY = 1.0
 
 
 class Rtde:
-    """What a controller offers on RTDE (port 30004). Nothing connects before it is used.
+    """The RTDE interface of a controller (port 30004). Nothing connects before it is used.
 
     Each recipe of outputs and each set of inputs has a connection of its own.
 
@@ -257,7 +257,7 @@ class Rtde:
         return {name: said[type] for name, type in zip(INPUTS, types, strict=True) if type in said}
 
     def missing(self) -> tuple[str, ...]:
-        """The outputs of the table that this controller does not have; it is asked for all of them.
+        """The outputs of the table that this controller does not have, found out by a request for all of them.
 
         Raises:
             RemoteError: the controller cannot be reached, or does not answer.

@@ -40,7 +40,7 @@ _MASKS = frozenset(masked.mask for masked in _MASKED.values())
 _ANALOG_TYPE = "standard_analog_output_type"
 _FRACTIONS = frozenset({"speed_slider_fraction", "standard_analog_output_0", "standard_analog_output_1"})
 
-#: What the integer types hold.
+#: The ranges of the integer types.
 _RANGES = {"UINT8": (0, 2**8 - 1), "UINT32": (0, 2**32 - 1), "INT32": (-(2**31), 2**31 - 1)}
 
 
@@ -116,7 +116,7 @@ class Inputs:
 
     @property
     def connection(self) -> ConnectionState:
-        """What the connection is doing."""
+        """The state of the connection."""
         return self._connection.state
 
     @property

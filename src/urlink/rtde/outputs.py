@@ -75,7 +75,7 @@ def _no_parts(packet: State) -> tuple[State, ...]:
 
 
 def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Plan:
-    """What was asked for when a recording was made, from what it says of its channel.
+    """The plan of a recorded stream, from the description of its channel.
 
     Raises:
         BadRecording: it does not say what it should.
@@ -125,7 +125,7 @@ class OutputStream(Stream[T]):
 
     @property
     def controller(self) -> Firmware | None:
-        """What the controller said of itself on this connection; None before the first, and of a recording."""
+        """The controller's version, from this connection; None before the first, and of a recording."""
         dialogue = self._dialogue
         return None if dialogue is None else dialogue.controller
 

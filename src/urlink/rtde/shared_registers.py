@@ -103,7 +103,7 @@ class Claims:
             self._lock.release()
 
     def _dialogue(self) -> RtdeProtocol:
-        """What was said on the present connection, or on the one before if there is none."""
+        """The dialogue of the present connection, or of the one before if there is none."""
         dialogue = self._transport.dialogue
         if dialogue is None:
             raise ConnectionLost(f"{self._connection.name} is not connected")

@@ -1,4 +1,4 @@
-"""The program that moves the arm at the speeds that it is told, and brakes where nothing comes.
+"""The program that moves the arm at the speeds of its words, and brakes where none comes.
 
 It gets the same words as `urlink.urscript.streaming`, with speeds in the place of positions.
 """

@@ -43,7 +43,7 @@ __all__ = [
 
 #: How many tokens there are: what a signed 32-bit integer holds.
 TOKENS = 1 << 31
-#: What a set-point is multiplied by.
+#: Factor between rad or rad/s and the integers of a word.
 SCALE = 1_000_000
 #: The last of the thirteen numbers: brake and end, go to this set-point, or do nothing yet.
 STOP, FOLLOW, WAIT = 0, 1, 2
@@ -62,7 +62,7 @@ class ReverseSocket(NamedTuple):
 
     Attributes:
         host, port: where it reaches this computer.
-        token: by which it tells that it is the program that is waited for.
+        token: by which the program proves to be the expected one.
     """
 
     host: str
@@ -159,7 +159,7 @@ def word_loop(
     return lines(text)
 
 
-#: What the thread that reads the socket hands over to the one that moves the arm.
+#: The variables by which the thread that reads the socket hands words to the one that moves the arm.
 _SHARED = f"""
     target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     target_speed = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -260,5 +260,5 @@ def missable(watchdog: float, rate: int) -> int:
 
 
 def introduction(token: int) -> str:
-    """What a program says first over its connection: four bytes, the highest first."""
+    """The statement that sends the token: four bytes, the highest first."""
     return f"socket_send_int({integer(token, 0, TOKENS - 1)})"

@@ -53,7 +53,7 @@ def _how(speed: float, acceleration: float, time: float | None, blend: float) ->
 
 
 def segment(index: int) -> str:
-    """What a path says before its movement `index`; where the one before blends into it, as the blend begins.
+    """The `textmsg` before movement `index` of a path; after a blend it is executed as the blend begins.
 
     A `textmsg` takes no time. That it does not end a blend, as no statement does that takes none, is how the vendor's
     own programs look, which set outputs between blended waypoints.

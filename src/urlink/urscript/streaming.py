@@ -105,7 +105,7 @@ def streaming(
 
 
 def _eased(firmware: Firmware) -> str:
-    """How far a joint goes in a cycle where nobody smooths set-points: before 3.0 ``servoj`` has no look-ahead.
+    """How far a joint goes in a cycle where the controller does not smooth: before 3.0 ``servoj`` has no look-ahead.
 
     As far as the set-point, if the speed changes by no more than `_HARDEST` allows. Else as fast towards it as can be
     braked until there, beside the speed with which the set-point itself goes on. Several set-points that come at once,

@@ -1,4 +1,4 @@
-"""What a user wants run, checked and wrapped so that its end can be told from its being stopped.
+"""A user's source, checked and wrapped so that its end can be told from a stop.
 
 A program says by itself when it begins and when it comes to its end: its first and last statement are a `textmsg`.
 What the user wrote stands between as a function that is called, so that its own `return` is an end too, while
@@ -40,7 +40,7 @@ _NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
 
 
 class Permission(NamedTuple):
-    """What a program waits for before it moves the arm.
+    """The permission that a program waits for before it moves the arm.
 
     Attributes:
         flag: number of the flag that is set to let it go on.
@@ -93,22 +93,22 @@ class _Item(NamedTuple):
 
 
 def start_marker(name: str) -> str:
-    """What a program says first."""
+    """The first `textmsg` of a program."""
     return f"{name} started"
 
 
 def finish_marker(name: str) -> str:
-    """What a program says last."""
+    """The last `textmsg` of a program."""
     return f"{name} finished"
 
 
 def expiry_marker(name: str) -> str:
-    """What a program says that ends because it was not let go on."""
+    """The `textmsg` of a program that ends because it was not permitted."""
     return f"{name} was not permitted to go on"
 
 
 def grant(flag: int) -> str:
-    """What lets a program go on that waits for this flag: it runs beside the program, and takes no time."""
+    """The secondary program that permits a program which waits for this flag; it takes no time."""
     return f"sec urlink_permission():\n{_INDENT}set_flag({flag}, True)\nend\n"
 
 

@@ -20,7 +20,7 @@ from .text import each, lines, number, pose, quoted, vector
 
 __all__ = ["CONTACT", "NO_CONTACT", "contact_of", "force_mode", "freedrive", "torque", "until_contact"]
 
-#: What a movement to a contact says at its end; after the first of them come the joint positions.
+#: The messages of a movement to a contact at its end; the first is followed by the joint positions.
 CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"
 
