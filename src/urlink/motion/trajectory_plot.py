@@ -45,13 +45,13 @@ def plot(trajectory: Trajectory, model: Model | None) -> Figure:
     )
     limits = (None, None, None) if model is None else (None, model.max_speed, model.max_acceleration)
     for axes, values, label, most in zip(rows, trajectory.at(times), _LABELS, limits, strict=True):
-        lines = axes.plot(times, values, linewidth=1.0)
+        lines = axes.plot(times, values)
         axes.set_ylabel(label)
         if most is not None:
             for line, limit in zip(lines, most.tolist(), strict=True):
                 for sign in (-1.0, 1.0):
-                    axes.axhline(sign * limit, color=line.get_color(), linewidth=0.6, linestyle=(0, (4, 4)))
-    rows[0].plot(trajectory.time, trajectory.q, ".", color="black", markersize=4)
-    rows[0].legend(lines, JOINTS, frameon=False, ncols=6, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
+                    axes.axhline(sign * limit, color=line.get_color(), linestyle="dotted")
+    rows[0].plot(trajectory.time, trajectory.q, ".", color="black")
+    figure.legend(lines, JOINTS, ncols=6, loc="outside upper center", fontsize="small")
     rows[2].set_xlabel("time, s")
     return figure

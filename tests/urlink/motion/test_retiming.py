@@ -145,6 +145,16 @@ def test_it_is_planned_anew_only_where_the_path_bends(end: float, rounds: int, m
     assert planned.count(len(retimed)) == rounds
 
 
+def test_two_steps_are_planned() -> None:
+    q = np.array([[0.0] * 6, [0.15] * 6, [0.3] * 6])
+    time, places, speeds = retime(
+        q, np.array([[0.0] * 6, [1.0] * 6, [0.0] * 6]), np.full(6, 9.0), np.full(6, 2.0), 2e-4
+    )
+    assert time[-1] == pytest.approx(2.0 * math.sqrt(0.3 / 2.0))
+    assert len(places) == 3
+    assert speeds[1] == pytest.approx([math.sqrt(2.0 * 2.0 * 0.15)] * 6)
+
+
 def test_where_it_rests_it_rests() -> None:
     there_and_back = Trajectory.from_arrays([0, 3, 9], [[0.0] * 6, [1.0, 0.5, 0.0, 0.0, 0.0, 0.0], [0.0] * 6])
     retimed = there_and_back.retimed(1.0, 2.0)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from linkcore.errors import BadValue, LocalError
 from urlink.models import model
 from urlink.motion.trajectory import Trajectory, TrajectoryPoint
-from urlink.vectors import FloatArray
+from urlink.vectors import JOINTS, FloatArray
 
 UR5E = model("UR5e")
 
@@ -414,13 +414,28 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
 def test_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of positions, speeds and accelerations, with the limits of the arm."""
     pytest.importorskip("matplotlib")
-    path = Trajectory.from_arrays([0, 1, 2], [[0.0] * 6, [0.3] * 6, [0.0] * 6])
-    rows = path.plot(model("UR5e")).axes
-    assert [len(row.lines) for row in rows] == [12, 18, 18]
+    path = Trajectory.from_arrays([0, 1, 3], [[0.0] * 6, [0.3] * 6, [0.0] * 6])
+    figure = path.plot(UR5E)
+    rows = figure.axes
+    assert [row.get_ylabel() for row in rows] == ["position, rad", "speed, rad/s", "acceleration, rad/s²"]
+    assert rows[2].get_xlabel() == "time, s"
+    assert rows[0].get_shared_x_axes().joined(rows[0], rows[2])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == list(JOINTS)
     for row, values in zip(rows, path.at(path.time), strict=True):
-        times, drawn_values = (np.asarray(each, dtype=float) for each in row.lines[2].get_data())
-        drawn = np.interp(path.time, times, drawn_values)
-        assert drawn == pytest.approx(values[:, 2], abs=1e-3)
+        times, drawn = (np.asarray(each, dtype=float) for each in row.lines[2].get_data())
+        assert (times[0], times[-1]) == (0.0, 3.0)
+        assert np.diff(times).max() < 3.01e-3
+        assert np.interp(path.time, times, drawn) == pytest.approx(values[:, 2], abs=1e-3)
+    # At a point the acceleration jumps: both of its values are drawn.
+    _, _, (before, after) = path.at([1.0 - 1e-9, 1.0])
+    assert drawn[np.abs(times - 1.0) < 1e-5] == pytest.approx([before[2], after[2], after[2]], abs=1e-3)
+    assert after[2] > before[2] + 1.0
+    for row, limits in zip(rows[1:], (UR5E.max_speed, UR5E.max_acceleration), strict=True):
+        heights = [float(np.asarray(line.get_ydata())[0]) for line in row.lines[6:]]
+        assert sorted(heights) == pytest.approx(sorted([*limits, *-limits]))
+        assert [line.get_color() for line in row.lines[6::2]] == [line.get_color() for line in row.lines[:6]]
+    assert [line.get_ydata()[1] for line in rows[0].lines[6:]] == [0.3] * 6  # type: ignore[index]
+    assert [len(row.lines) for row in path.plot().axes] == [12, 6, 6]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(LocalError, match=r"pip install 'urlink\[plot\]'"):
         path.plot()
