@@ -1,4 +1,4 @@
-"""What is wrong with a script before it runs: every line is read, and what can be known is compared.
+"""The errors of a script that can be found before it runs: every line is parsed and checked.
 
 Whether a system variable exists depends on the robot, so that is found only where a robot is given.
 """

@@ -35,7 +35,7 @@ class Signature:
         return self.least <= count <= (MOST_PARAMETERS if self.most == 9 else self.most)
 
     def mistake(self, number: int, operand: Operand) -> str:
-        """What is wrong with a parameter, counted from 0; "" if nothing is."""
+        """The error of a parameter, counted from 0; "" for none."""
         kind = self.kinds[min(number, len(self.kinds) - 1)]
         if kind == "s" and not isinstance(operand, Text):
             return f'parameter {number + 1} has to be a text, as in "name"'

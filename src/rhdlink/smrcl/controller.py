@@ -39,7 +39,7 @@ _WARM_UP = 20
 
 
 class Program(Protocol):
-    """What a controller executes: a script, or a dialogue with clients."""
+    """The program of a controller: a script, or a dialogue with clients."""
 
     @property
     def run(self) -> Run | None:
@@ -148,13 +148,13 @@ class Controller:
         return None if self._program is None else self._program.run
 
     def take_said(self) -> list[Said]:
-        """What the mission said since the last call."""
+        """The output of the mission since the last call."""
         return self._outbox.take()
 
     # -- cycles -----------------------------------------------------------------------------------------
 
     def first_request(self) -> dict[str, list[int]]:
-        """What is to be written before the first answer."""
+        """The variables that are written before the first answer."""
         self.vehicle.reset_motors()
         return self.vehicle.take_changed()
 

@@ -83,7 +83,7 @@ class Session:
                     return
 
     def take(self) -> bytes:
-        """What is to be sent, which is then forgotten."""
+        """The bytes to be sent, which are then removed here."""
         answers, self._answers = bytes(self._answers), bytearray()
         return answers
 
@@ -105,7 +105,7 @@ class Session:
     # -- what the client is told ----------------------------------------------------------------------
 
     def event(self, plain: str, xml: str) -> None:
-        """Send an event in the xml form, or keep it until it is asked for.
+        """Send an event in the xml form, or keep it until it is requested.
 
         Of more than `MOST_EVENTS` the newest are lost, as in MRC.
         """
@@ -115,7 +115,7 @@ class Session:
             self._events.append(plain)
 
     def command_event(self, number: int, status: str, condition: float | None = None) -> None:
-        """What has become of a command."""
+        """The outcome of a command."""
         if condition is None:
             self.event(f"ID{number} {status}\n", f'<cmd id="{number}" status="{status}" />\n')
         else:
@@ -125,7 +125,7 @@ class Session:
             )
 
     def answer_command(self, number: int, status: str) -> None:
-        """What is told about a command at once."""
+        """The immediate answer to a command."""
         self.send(f'<cmd id="{number}" status="{status}" />\n' if self.uses_xml else f"ID{number} {status}\n")
 
     def ask_event(self, seconds: float) -> None:
@@ -216,7 +216,7 @@ class Dialogue:
         vehicle: what moves.
         interpreter: executes lines.
         effects: what commands do.
-        outbox: is told what MRC prints, and takes the place of a client that has gone.
+        outbox: gets the output that MRC prints, and replaces a client that has gone.
         exit_ends: a client's `exit` ends the dialogue, as it ends MRC; otherwise only that client.
 
     Attributes:
@@ -285,7 +285,7 @@ class Dialogue:
 
     @property
     def run(self) -> Run | None:
-        """What is executed."""
+        """The program that is executed."""
         return self._run
 
     # -- cycles ---------------------------------------------------------------------------------------

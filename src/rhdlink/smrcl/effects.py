@@ -1,4 +1,4 @@
-"""What the commands of the language do.
+"""The effects of the language's commands.
 
 One method for each command, by its name. It returns `Outcome.WAIT` for a line that takes time, and sets the default end
 of that line, or `Outcome.NEXT` for one that does not. Commands that are done at once have a default end that is true.
@@ -77,7 +77,7 @@ class Client(Protocol):
 
 
 class Watch:
-    """A condition that is tested in every cycle, and tells when it rises."""
+    """A condition that is tested in every cycle, and sends an event when it becomes true."""
 
     def __init__(self, name: str, conditions: Sequence[Value]) -> None:
         self.name = name
@@ -107,7 +107,7 @@ class MissionEffects:
     Args:
         vehicle: what moves.
         interpreter: whose lines they are.
-        output: is told what MRC prints.
+        output: gets the output that MRC prints.
         client: receives texts, events, streams and logs.
         hooks: what fulfils commands that need hardware, by the name of the command.
 

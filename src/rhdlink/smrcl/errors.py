@@ -1,4 +1,4 @@
-"""What can go wrong with a mission.
+"""The errors of a mission.
 
 Branches of the tree in `linkcore.errors`::
 

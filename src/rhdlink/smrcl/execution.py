@@ -33,12 +33,12 @@ _STAND_TIMEOUT = 0.5
 
 
 class Callbacks:
-    """What a user's program is asked and told. All of it is called between two ticks, so it has to be quick.
+    """The callbacks of a user's program. All of them are called between two ticks, so they have to be quick.
 
     Attributes:
         hooks: what fulfils commands that need hardware, by the name of the command.
         observers: functions that are called with texts, by kind: "line", "values", "message", "text", "event".
-        readers: functions that are called with everything that is said.
+        readers: functions that are called with all output.
         providers: of sensors and system variables, by name.
         functions: for expressions, by name.
     """
@@ -180,7 +180,7 @@ class Execution:
             self._save_log("log", log.text)
 
     def stand(self) -> None:
-        """Have the robot stand, if it still can be told. Never raises."""
+        """Have the robot stand, if it can still be reached. Never raises."""
         request = self.controller.vehicle.stand()
         # The first exchange sends it, the second one shows that it was taken.
         with contextlib.suppress(LinkError):
@@ -209,13 +209,13 @@ def error_of(failure: Failure) -> MissionFailed:
 
 
 def log_saver(folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:
-    """What saves logs in a folder, and nowhere else; None for no folder."""
+    """Saves logs in a folder, and nowhere else; None for no folder."""
     if folder is None:
         return None
     place = Path(folder)
 
     def save(name: str, text: str) -> None:
-        # A script, or whoever sent it, may name any file.
+        # A script, also one of an untrusted client, may name any file.
         if not name or name in (".", "..") or Path(name).name != name or "\\" in name:
             raise MissionFailed(f"a log cannot be saved as {name!r}; expected a name without a folder")
         try:

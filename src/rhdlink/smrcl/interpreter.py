@@ -55,14 +55,14 @@ class Output(Protocol):
         """A line is about to be executed; `number` counts all lines executed so far."""
 
     def values(self, text: str) -> None:
-        """What `eval` has computed."""
+        """The values of `eval`."""
 
     def message(self, text: str) -> None:
-        """What a command, or an error, has to say."""
+        """The text of a command or of an error."""
 
 
 class Effects(Protocol):
-    """What commands do; see `rhdlink.smrcl.effects`."""
+    """The effects of commands; see `rhdlink.smrcl.effects`."""
 
     def perform(self, name: str, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]) -> Outcome:
         """Execute a command.
@@ -111,7 +111,7 @@ class Failure:
 
 
 class _Stage(enum.Enum):
-    """What a run does in its next cycle."""
+    """The step of a run in its next cycle."""
 
     FETCH = "reads lines"
     WAIT = "tests the end of a line"
@@ -193,12 +193,12 @@ class Interpreter:
 
     Args:
         vehicle: what moves, and has the variables.
-        output: is told what is executed and said.
+        output: gets the executed lines and the messages.
         functions: further functions for expressions, by name.
         limits: bounds.
 
     Attributes:
-        effects: what commands do; set by whoever makes both.
+        effects: of commands; set by the code that makes both.
         executed: lines so far.
         default_end: of the last command.
         time: ``$time``, s.

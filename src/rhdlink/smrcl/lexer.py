@@ -25,7 +25,7 @@ _PAIRS = frozenset(("==", "!=", ">=", "<=", "@v", "@a"))
 
 
 class TokenType(enum.Enum):
-    """What a token is."""
+    """The kind of a token."""
 
     NUMBER = "a number"
     STRING = "a text"

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Debugger", "Mission", "MissionRun", "Robot", "read_script", "suitable_conf"]
 
-#: What a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
+#: The robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
 Robot = Variables | Plugin | RobotLink | str
 
 #: Seconds that a process which ends gives a robot to stand.

@@ -1,4 +1,4 @@
-"""What a mission says in a cycle, in the order in which it says it."""
+"""The output of a mission in a cycle, in its order."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from .plan import PlanLine
 
 __all__ = ["Outbox", "Said", "SaidKind"]
 
-#: Things said in one cycle that are kept; a script can say 20000.
+#: Messages of one cycle that are kept; a script can print 20000.
 _MOST = 50_000
 
 
 class SaidKind(enum.Enum):
-    """What was said."""
+    """The kind of an output."""
 
     #: A line is about to be executed.
     LINE = "line"
@@ -35,7 +35,7 @@ class SaidKind(enum.Enum):
 
 @dataclass(frozen=True)
 class Said:
-    """Something that a mission said.
+    """One output of a mission.
 
     Attributes:
         kind: what it is.
@@ -58,14 +58,14 @@ class Said:
 
 
 class Outbox:
-    """Collects what is said. It is the output of the interpreter, and the client where there is none."""
+    """Collects the output of the interpreter; it takes the place of a client where there is none."""
 
     def __init__(self) -> None:
         self._said: list[Said] = []
         self._streamed = 0
 
     def take(self) -> list[Said]:
-        """What was said since the last call."""
+        """The output since the last call."""
         said, self._said = self._said, []
         return said
 
@@ -80,7 +80,7 @@ class Outbox:
         self._add(SaidKind.LINE, line.text, number, line.number)
 
     def values(self, text: str) -> None:
-        """What `eval` has computed."""
+        """The values of `eval`."""
         self._add(SaidKind.VALUES, text)
 
     def message(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""What MRC knows of a robot: its kind, its scales and its gains, as `robot.conf` has them.
+"""The configuration of a robot for MRC: its kind, its scales and its gains, as `robot.conf` has them.
 
 Defaults are MRC's own without a file, except where it has none. The elements of the file are found wherever they stand
 in it; those for hardware that missions here do not have (``<filter>``, ``<gpsmouse>``, ...) are passed over.
@@ -54,7 +54,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class RobotConf:
-    """What MRC knows of a robot.
+    """The configuration of a robot for MRC.
 
     Attributes:
         drive: how it is driven.
@@ -141,7 +141,7 @@ VELOMEGA = RobotConf(
 
 
 def read_robot_conf(path: str | os.PathLike[str]) -> RobotConf:
-    """What a `robot.conf` says.
+    """The configuration in a `robot.conf`.
 
     Args:
         path: the file; or a folder with `robot.conf` in it, as `calib/` is. Then the calibrations of this computer
@@ -173,7 +173,7 @@ def read_robot_conf(path: str | os.PathLike[str]) -> RobotConf:
 
 
 def parse_robot_conf(data: bytes | str, source: str = "robot.conf") -> RobotConf:
-    """What the text of a `robot.conf` says.
+    """The configuration in the text of a `robot.conf`.
 
     Raises:
         BadConfiguration: it is none, or says what cannot be.

@@ -171,7 +171,7 @@ class MotionControl:
 
     @property
     def motion(self) -> Motion:
-        """What moves the robot."""
+        """The motion that is under way."""
         return self._motion
 
     def start(self, motion: Motion) -> None:
