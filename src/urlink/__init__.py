@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from .firmware import Firmware as Firmware
     from .interfaces.dashboard.client import Dashboard as Dashboard, DashboardRefused as DashboardRefused
     from .interfaces.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
+    from .interfaces.dashboard.stored_programs import StoredProgram as StoredProgram
     from .interfaces.gripper.client import (
         Gripper as Gripper,
         GripperFault as GripperFault,
@@ -203,6 +204,7 @@ else:
             ".firmware": "Firmware",
             ".interfaces.dashboard.client": "Dashboard DashboardRefused",
             ".interfaces.dashboard.protocol": "ProgramStatus SavedProgram",
+            ".interfaces.dashboard.stored_programs": "StoredProgram",
             ".interfaces.gripper.client": "Gripper GripperFault GripperStatus ObjectStatus",
             ".interfaces.enums": """
                 AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState

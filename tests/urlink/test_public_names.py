@@ -117,6 +117,7 @@ NAMES = [
     "Stamp",
     "State",
     "StatementDiscarded",
+    "StoredProgram",
     "Stream",
     "SubPackage",
     "Subscription",
@@ -200,10 +201,11 @@ SURFACES = {
     "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
         wait_until_clear""",
     "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup
-        generate_flight_report generate_support_file is_in_remote_control is_program_saved load load_installation
-        loaded_program operational_mode pause play polyscope_version popup power_off power_on program_state quit
-        restart_safety robot_mode robot_model running safety_mode safety_status save_log send serial_number
-        set_operational_mode set_user_role shutdown start stop unlock_protective_stop user_role version""",
+        download_program generate_flight_report generate_support_file is_in_remote_control is_program_saved load
+        load_installation loaded_program operational_mode pause play polyscope_version popup power_off power_on
+        program_state programs quit restart_safety robot_mode robot_model running safety_mode safety_status
+        save_log send serial_number set_operational_mode set_user_role shutdown start stop
+        unlock_protective_stop upload_program user_role version""",
     "robot.rtde": "close inputs is_recorded missing outputs registers who_holds",
     "robot.registers": "read_bit read_float read_integer write_bit write_float write_integer",
     "urlink.Trajectory.from_arrays([0, 1], [[0] * 6] * 2)": """at check duration from_arrays from_csv from_poses

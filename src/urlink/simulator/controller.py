@@ -155,7 +155,7 @@ class Controller:
         self._control = ControlLoop(state, self._runner, self._schedule, source)
         self._states = RobotStates(state)
         self._dashboard = DashboardPort(state, self.pendant)
-        self._robot_api = RobotApiPort(state, self._dashboard)
+        self._robot_api = RobotApiPort(state, self._dashboard, self.pendant)
         self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
         self._realtime = RealtimePort(state, lambda client: self._script_receiver("realtime", client))
         self._ports: dict[str, Port] = {

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,6 +22,7 @@ from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
 from urlink.interfaces.dashboard.protocol import ProgramStatus
 from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, RobotApi
+from urlink.interfaces.dashboard.stored_programs import StoredProgram, encode_form, parse_form, parse_programs
 from urlink.interfaces.enums import ProgramState, RobotMode, SafetyMode
 from urlink.ports import PORTS
 from urlink.simulator import Controller, Still
@@ -90,6 +93,69 @@ def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller
         robot.dashboard.play()
     with pytest.raises(urlink.NotConfirmed, match="in local control"):
         robot.set_payload(1.0)
+
+
+def test_programs_are_listed_stored_and_fetched(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
+    desk, file = robot.dashboard, tmp_path / "pl ace.urpx"
+    file.write_text("def place():\n  sleep(30)\nend\n", newline="")
+    assert desk.upload_program(file) == "pl ace"
+    assert [each.name for each in desk.programs()] == ["pick", "pl ace"]
+    assert desk.download_program("pl ace") == file.read_bytes()
+    desk.load("pl ace")
+    assert desk.loaded_program() == "pl ace"
+    with pytest.raises(DashboardRefused, match=r"POST /programs/v1/.*409 Conflict"):
+        desk.upload_program(file)
+    file.write_bytes(b"sync()\n")
+    assert desk.upload_program(file, replace=True) == "pl ace"
+    assert desk.download_program("pl ace") == b"sync()\n"
+    with pytest.raises(DashboardRefused, match="404 Not Found"):
+        desk.upload_program(file.rename(tmp_path / "new.urpx"), replace=True)
+    with pytest.raises(DashboardRefused, match=r"GET /programs/v1/no%2Fwhere.*404"):
+        desk.download_program("no/where")
+    with pytest.raises(BadValue, match="cannot read"):
+        desk.upload_program(tmp_path / "nothing.urpx")
+    with pytest.raises(BadValue, match="needs the name of a program"):
+        desk.download_program("")
+    controller.remote_control = False
+    with pytest.raises(DashboardRefused, match="403"):
+        desk.upload_program(tmp_path / "new.urpx")
+    del controller.pendant.files["pl ace"]
+    for firmware, error in (
+        (X11, "has the programs on it is 10.12"),
+        (Firmware(5, 11), "has a dashboard server, which"),
+    ):
+        with pytest.raises(LocalError, match=error):
+            Dashboard("no-such-host.invalid", 1, lambda firmware=firmware: firmware).programs()  # type: ignore[misc]
+
+
+FILE_NAMES = st.text(
+    st.characters(codec="utf-8", exclude_categories=("Cc", "Cs"), exclude_characters='"\\/'), min_size=1
+)
+
+
+@pytest.mark.property
+@given(FILE_NAMES, st.binary(max_size=300), st.binary(max_size=300))
+def test_a_file_in_a_form_comes_out_as_it_went_in(name: str, content: bytes, garbage: bytes) -> None:
+    content += b"\r\n--urlink"
+    kind, body = encode_form(name[:50], content)
+    assert parse_form(kind, body) == (name[:50], content)
+    with contextlib.suppress(PacketError):
+        parse_form(kind, garbage)
+
+
+def test_a_list_of_programs_holds_nulls_and_is_looked_at() -> None:
+    entry = {"name": "a", "description": None, "createdDate": 5, "programState": "SAVED"}
+    assert parse_programs(json.dumps({"programs": [entry]})) == (StoredProgram("a", created=5, state="SAVED"),)
+    for said in (
+        "",
+        "[]",
+        "{}",
+        '{"programs": [1]}',
+        '{"programs": [{"name": null}]}',
+        '{"programs": [{"name": "a", "createdDate": "x"}]}',
+    ):
+        with pytest.raises(PacketError):
+            parse_programs(said)
 
 
 #: Commands that the Robot API does not have, and what the error has to name.

@@ -6,9 +6,11 @@ It speaks to the dashboard server (port 29999), and on PolyScope X, which has no
 from __future__ import annotations
 
 import math
+import os
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
@@ -40,6 +42,7 @@ from .protocol import (
     parse_user_role,
 )
 from .robot_api import RobotApi
+from .stored_programs import StoredProgram
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -207,6 +210,34 @@ class Dashboard:
         """Whether the loaded program has been saved since it was changed, and its name."""
         return parse_is_program_saved(self._do("isProgramSaved"))
 
+    def programs(self) -> tuple[StoredProgram, ...]:
+        """The programs on the controller; from 10.12 on (PolyScope X)."""
+        return self._api.programs(self._with_programs())
+
+    def upload_program(self, path: str | os.PathLike[str], *, replace: bool = False) -> str | None:
+        """Store a program of this computer's, a file of PolyScope X (.urpx), on the controller; from 10.12 on.
+
+        Args:
+            path: of the file.
+            replace: the program is there, and is replaced; otherwise it is a new one.
+
+        Returns:
+            the name that the controller says it has, by which it is loaded; None where it does not say so.
+
+        Raises:
+            BadValue: the file cannot be read.
+        """
+        firmware, file = self._with_programs(), Path(path)
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise BadValue(f"cannot read {file}: {error.strerror or error}") from error
+        return self._api.upload(file.name, content, bool(replace), firmware)
+
+    def download_program(self, name: str) -> bytes:
+        """A program on the controller, as the controller sends it; from 10.12 on (PolyScope X)."""
+        return self._api.download(name, self._with_programs())
+
     # -- safety --------------------------------------------------------------------------------------
 
     def robot_mode(self) -> RobotMode | RobotModeCB2:
@@ -346,6 +377,17 @@ class Dashboard:
         if self._dialogue.is_closed:
             raise Closed(f"{self._name} was closed")
         return self._firmware()
+
+    def _with_programs(self) -> Firmware:
+        """What runs there, if it is asked for its programs over the Robot API."""
+        firmware = self._present()
+        if not firmware.is_polyscope_x:
+            raise LocalError(
+                f"firmware {firmware} has a dashboard server, which neither lists nor takes programs; the Robot API of "
+                "PolyScope X does"
+            )
+        self._check_served(self._api_port, "Robot API")
+        return firmware
 
     def _check_served(self, port: int | None, what: str) -> None:
         if port is None:

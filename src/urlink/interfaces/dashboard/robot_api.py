@@ -17,21 +17,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
+from urllib.parse import quote
 
 from linkcore.errors import BadValue, LocalError, PacketError
 from linkcore.net.http_client import HttpClient
-from linkcore.wire.http import HttpRequest
+from linkcore.wire.http import HttpRequest, HttpResponse
 from linkcore.wire.version import Version, version_text
 
 from ...firmware import Firmware
 from .errors import DashboardRefused
+from .stored_programs import PROGRAMS, StoredProgram, encode_form, parse_programs, parse_uploaded
 
-__all__ = ["BASE", "REQUESTS", "ROBOT_API", "ApiRequest", "RobotApi", "find"]
+__all__ = ["BASE", "REQUESTS", "ROBOT_API", "STORED_PROGRAMS", "ApiRequest", "RobotApi", "find"]
 
 #: Where it lies on the controller.
 BASE = "/universal-robots/robot-api"
-#: The first firmware that has it.
+#: The first firmware that has it, and the first whose programs it lists and takes.
 ROBOT_API: Version = (10, 11)
+STORED_PROGRAMS: Version = (10, 12)
 
 _STATE, _PROGRAM, _LOADED = "/robotstate/v1/state", "/program/v1/state", "/program/v1/loaded"
 
@@ -113,6 +116,8 @@ _INSTEAD = {
 }
 #: Characters of an answer that an error quotes.
 _QUOTED = 200
+#: Seconds that a program may take to be sent, and to be stored. A guess.
+_TRANSFER = 60.0
 
 
 class RobotApi:
@@ -132,7 +137,7 @@ class RobotApi:
 
         Raises:
             LocalError: this firmware has no request for it; BadValue: it needs an argument. Nothing was sent.
-            DashboardRefused: the controller answered with another status than 200.
+            DashboardRefused: the controller answered with a status that is none of success.
             PacketError: what it answered says something else.
             RemoteError: what `HttpClient.ask` raises.
         """
@@ -146,6 +151,34 @@ class RobotApi:
         if name == "programState" and find("get loaded program", firmware) is not None:
             words += " " + self._value("get loaded program", None, firmware).removeprefix("Loaded program: ")
         return words.rstrip()
+
+    # -- the programs on the controller ----------------------------------------------------------------
+
+    def programs(self, firmware: Firmware) -> tuple[StoredProgram, ...]:
+        """All of them; raises as `do`."""
+        return parse_programs(_text(self._programs("GET", "", firmware)))
+
+    def download(self, name: str, firmware: Firmware) -> bytes:
+        """One of them, as the controller sends it; raises as `do`."""
+        return self._programs("GET", quote(_argument("download_program", name), safe=""), firmware).body
+
+    def upload(self, file_name: str, content: bytes, replaces: bool, firmware: Firmware) -> str | None:
+        """Store another one, or replace one; the name that the controller says it has. Raises as `do`."""
+        form = encode_form(file_name, content)
+        return parse_uploaded(_text(self._programs("PUT" if replaces else "POST", "", firmware, *form)))
+
+    def _programs(
+        self, method: str, name: str, firmware: Firmware, content_type: str = "", body: bytes = b""
+    ) -> HttpResponse:
+        if firmware < STORED_PROGRAMS:
+            which = version_text(STORED_PROGRAMS)
+            raise LocalError(f"firmware {firmware}: the first whose Robot API has the programs on it is {which}")
+        headers = {"Accept": "application/json"} | ({"Content-Type": content_type} if content_type else {})
+        path = PROGRAMS + name
+        asked = HttpRequest(method, BASE + path, headers, body)
+        return self._exchange(asked, f"{method} {path}", _TRANSFER)
+
+    # --------------------------------------------------------------------------------------------------
 
     def _value(self, name: str, argument: str | None, firmware: Firmware) -> str:
         request = find(name, firmware)
@@ -164,12 +197,7 @@ class RobotApi:
         headers = {"Accept": "application/json"} | ({"Content-Type": "application/json"} if body else {})
         data = json.dumps(body).encode() if body else b""
         asked = HttpRequest(request.method, BASE + request.path, headers, data)
-        response = self._client.ask(asked, max(self._timeout, request.slow))
-        text = response.body.decode("utf-8", "backslashreplace")
-        if response.status != 200:
-            command = " ".join([request.method, request.path, *body.values()])
-            reply = f"{response.status} {response.reason}".rstrip() + (f": {text[:_QUOTED]}" if text else "")
-            raise DashboardRefused(command, reply)
+        text = _text(self._exchange(asked, " ".join([request.method, request.path, *body.values()]), request.slow))
         if not request.reply:
             return {}
         try:
@@ -179,6 +207,19 @@ class RobotApi:
         if not isinstance(answer, dict):
             raise PacketError(f"{text[:_QUOTED]!r} is no object", packet=f"answer to GET {request.path}")
         return answer
+
+    def _exchange(self, request: HttpRequest, command: str, slow: float) -> HttpResponse:
+        """The answer, where it says that it was done."""
+        response = self._client.ask(request, max(self._timeout, slow))
+        if not 200 <= response.status < 300:
+            text = _text(response)
+            reply = f"{response.status} {response.reason}".rstrip() + (f": {text[:_QUOTED]}" if text else "")
+            raise DashboardRefused(command, reply)
+        return response
+
+
+def _text(response: HttpResponse) -> str:
+    return response.body.decode("utf-8", "backslashreplace")
 
 
 def find(name: str, firmware: Firmware) -> ApiRequest | None:

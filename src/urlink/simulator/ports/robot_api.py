@@ -3,7 +3,8 @@
 What it takes is in the one table of `urlink.interfaces.dashboard.robot_api`; it does what the dashboard's command of
 that name does. Guesses, all of them: the status and body of an answer that says no (400 for what cannot be read, 403 in
 local control, 404 for what is not there, 405 for another method, 409 for what cannot be done now); that actions are
-answered at once; the version of the API before 10.12; the name of the control mode that is not REMOTE.
+answered at once; the version of the API before 10.12; the name of the control mode that is not REMOTE; that a program
+that was uploaded has the name of its file, and is sent back as it came; and that nothing else is known of it.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from typing import Any
+from urllib.parse import unquote
 
 from linkcore.errors import PacketError
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
-from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, ROBOT_API, ApiRequest, find
+from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, ROBOT_API, STORED_PROGRAMS, ApiRequest, find
+from urlink.interfaces.dashboard.stored_programs import PROGRAMS, parse_form
 
+from ..programs.pendant import Pendant
 from ..state import ControllerState
 from .dashboard import DashboardPort
 from .port import AnsweringPort, Client, Receiver
@@ -41,13 +45,15 @@ class RobotApiPort(AnsweringPort):
     Args:
         state: of the controller.
         dashboard: whose commands it carries out.
+        pendant: has the programs.
 
     Attributes:
         operational_mode: "AUTOMATIC" or "MANUAL".
     """
 
-    def __init__(self, state: ControllerState, dashboard: DashboardPort) -> None:
+    def __init__(self, state: ControllerState, dashboard: DashboardPort, pendant: Pendant) -> None:
         self._state = state
+        self._pendant = pendant
         self._dashboard = dashboard
         self.operational_mode = "AUTOMATIC"
 
@@ -63,6 +69,8 @@ class RobotApiPort(AnsweringPort):
         if path == f"{BASE}/openapi.json":
             version = "3.1.4" if self._state.firmware >= (10, 12) else "3.0.0"
             return _answer(200, {"openapi": "3.0.3", "info": {"title": "Robot API", "version": version}})
+        if path.startswith(BASE + PROGRAMS.rstrip("/")) and self._state.firmware >= STORED_PROGRAMS:
+            return self._programs(request, path.removeprefix(BASE + PROGRAMS.rstrip("/")).strip("/"))
         known = {name: each for name in REQUESTS if (each := find(name, self._state.firmware)) is not None}
         there = {name: each for name, each in known.items() if BASE + each.path == path}
         if not there:
@@ -74,6 +82,36 @@ class RobotApiPort(AnsweringPort):
             ((name, asked),) = fitting.items()
             return _answer(200, {asked.reply: self._value(name)})
         return self._change(fitting, request.body)
+
+    def _programs(self, request: HttpRequest, name: str) -> HttpResponse:
+        """The programs at the pendant: listed, sent, and taken."""
+        files = self._pendant.files
+        if name:
+            wanted = unquote(name)
+            if request.method != "GET":
+                return _refusal(405, f"{request.method} is not taken there")
+            if wanted not in files:
+                return _refusal(404, f"there is no program {wanted[:200]}")
+            return HttpResponse(200, _REASONS[200], {"Content-Type": "text/plain"}, files[wanted].encode())
+        if request.method == "GET":
+            absent = dict.fromkeys(("description", "createdDate", "lastModifiedDate", "lastSavedDate", "programState"))
+            return _answer(200, {"programs": [{"name": each, **absent} for each in files]})
+        if request.method not in ("POST", "PUT"):
+            return _refusal(405, f"{request.method} is not taken there")
+        if not self._state.remote_control:
+            return _refusal(403, "the robot is not in remote control")
+        try:
+            file_name, content = parse_form(request.headers.get("content-type", ""), request.body)
+            text = content.decode("utf-8")
+        except (PacketError, UnicodeDecodeError) as error:
+            return _refusal(400, str(error))
+        stored = file_name.removesuffix(".urpx")
+        if (stored in files) is (request.method == "POST"):
+            return _refusal(
+                409 if stored in files else 404, f"{stored[:200]} is {'' if stored in files else 'not '}there"
+            )
+        files[stored] = text
+        return _answer(200, {"programName": stored})
 
     def _change(self, fitting: Mapping[str, ApiRequest], body: bytes) -> HttpResponse:
         try:
