@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, PacketError
 from rhdlink.variables.database import Database, TimeStamp
-from rhdlink.wire.data import Selection, TableLayout
+from rhdlink.wire import decoder as decoder_module
+from rhdlink.wire.data import DataPackage, Selection, TableLayout
 from rhdlink.wire.decoder import ClientDecoder, Limits, ServerDecoder
 from rhdlink.wire.messages import (
     END,
@@ -192,6 +193,58 @@ def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
     assert (database.write.value(0).tolist(), database.write.stamp(0)) == ([20], (3, 4))
 
 
+@pytest.mark.parametrize(
+    ("ids", "is_ordered", "values"),
+    [
+        ([], True, [0, 0, 0, 0, 0]),
+        ([2], True, [0, 0, 0, 10, 0]),
+        ([1, 2], True, [0, 10, 11, 12, 0]),
+        ([0, 3], True, [10, 0, 0, 0, 11]),
+        ([2, 1], False, [0, 11, 12, 10, 0]),
+        ([1, 1], False, [0, 12, 13, 0, 0]),
+        ([0, 0, 2], False, [11, 0, 0, 12, 0]),  # as far from first to last as three in a row
+    ],
+)
+def test_values_are_those_of_their_variables(ids: list[int], is_ordered: bool, values: list[int]) -> None:
+    database = Database(write=[Row("a", 1), Row("b", 2), Row("c", 1), Row("d", 1)])
+    table = database.write
+    found = Selection(table.layout, np.array(ids, np.int64), 2)
+    assert found.is_ordered == is_ordered
+    value = itertools.count(10)
+    entries = [struct.pack(">3i", each, 0, 0) + b"".join(_int32(value, table.rows[each].length)) for each in ids]
+    stream = ClientDecoder(table.layout)
+    stream.feed(b"awdw" + struct.pack(">i", len(ids)) + b"".join(entries) + b"ee")
+    stream.take_access()
+    request = stream.take_request()
+    assert request is not None
+    table.receive(request.data[0])
+    assert table.values.tolist() == values
+
+
+@pytest.mark.parametrize("ids", [[], [0], [0, 1, 2], [1, 2], [2, 0]])
+@pytest.mark.parametrize("sizes", [[2, 2, 2], [1, 3, 2]])
+@pytest.mark.parametrize("width", [2, 4])
+def test_entries_there_and_back(ids: list[int], sizes: list[int], width: int) -> None:
+    """Of variables of one length, which are moved as a table, and of others."""
+    layout = TableLayout(sizes)
+    values = np.arange(-3, layout.words - 3, dtype=np.int32)
+    high = 7 << 32 if width == 4 else 0
+    times = np.array([[high + 2**31 + each, high + each] for each in range(3)], np.int64)
+    selection = Selection(layout, np.array(ids, np.int64), width)
+    raw, own = b"", []
+    for each in ids:
+        words = [word for number in times[each].tolist() for word in (number & 0xFFFFFFFF, number >> 32)[: width // 2]]
+        own += values[sum(sizes[:each]) : sum(sizes[: each + 1])].tolist()
+        raw += struct.pack(f">i{width}I{sizes[each]}i", each, *words, *own[len(own) - sizes[each] :])
+    assert selection.pack(values, times) == raw
+    package = DataPackage.read("r", selection, b"head" + raw, 4)
+    assert (package.values.tolist(), package.stamps.tolist()) == (own, times[ids].tolist())
+
+
+def _int32(values: Iterator[int], count: int) -> Iterator[bytes]:
+    return (struct.pack(">i", next(values)) for _ in range(count))
+
+
 def test_no_more_than_there_are_variables_in_one_package() -> None:
     raw = b"awdw" + struct.pack(">i", 2) + 2 * struct.pack(">iiii", 0, 0, 0, 0) + b"ee"
     assert "counts 2; expected 0 to 1" in str(read_client([raw], TableLayout([1]), 2)[-1])
@@ -305,6 +358,10 @@ def test_limits() -> None:
         (Limits(batch=100), "no end within 100 bytes"),
     ):
         assert reason in str(read_server([HANDSHAKE], limits=limits)[-1])
+    # By its tables a handshake is too large before its values have come.
+    assert "no end within" in str(read_server([HANDSHAKE[:DW]], limits=Limits(batch=len(HANDSHAKE) - 1))[-1])
+    assert read_server([HANDSHAKE[:DW]], limits=Limits(batch=len(HANDSHAKE))) == []
+    assert Limits() == Limits(variables=8192, length=4096, words=1_048_576, batch=16_777_216)
     (found,) = read_server([HANDSHAKE], limits=Limits(variables=2, length=8, words=9, batch=len(HANDSHAKE)))
     assert not isinstance(found, str)
 
@@ -329,7 +386,9 @@ def test_a_package_that_is_going_to_be_too_large_is_refused_before_it_has_come()
         assert ("no end within" in str(found[-1])) == (len(rows) > 1000)
 
 
-def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_before() -> None:
+def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Nine kinds of packages: the first is forgotten when the ninth comes."""
     layout = TableLayout([1] * 9)
     decoder = ClientDecoder(layout)
@@ -344,7 +403,9 @@ def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_be
         return request.data[0].selection
 
     kinds = [send(count) for count in range(1, 9)]
-    assert [send(count) for count in range(1, 9)] == kinds
+    with monkeypatch.context() as patched:
+        patched.setattr(decoder_module, "Cursor", None)  # nobody looks at single entries
+        assert [send(count) for count in range(1, 9)] == kinds
     send(9)
     assert send(1) is not kinds[0]
     assert send(8) is kinds[7]
@@ -372,6 +433,10 @@ def test_widths_that_cannot_be(width: int) -> None:
         ClientDecoder(TableLayout([1]), width=width)
 
 
+def test_the_largest_row() -> None:
+    assert encode_table("r", [Row("n" * 32, 2**31 - 1)]) == b"tr\0\0\0\1\x7f\xff\xff\xff" + b"n" * 32 + b"\0"
+
+
 @pytest.mark.parametrize("row", [Row("n" * 33, 1), Row("a\0b", 1), Row("€", 1), Row("a", 0), Row("a", 1 << 31)])
 def test_rows_that_cannot_be(row: Row) -> None:
     with pytest.raises(BadValue):
@@ -389,6 +454,44 @@ def test_taken_in_the_wrong_order() -> None:
         ServerDecoder().take_batch()
     with pytest.raises(BadValue, match="before the access request"):
         ClientDecoder(TableLayout([1])).take_request()
+
+
+def bytewise(data: bytes) -> list[bytes]:
+    return [data[at : at + 1] for at in range(len(data))]
+
+
+def test_it_does_not_matter_how_a_connection_is_cut() -> None:
+    table = encode_table("r", [Row("tick", 1), Row("line", 8)])
+    one = b"dr" + struct.pack(">i4i", 1, 0, 5, 6, 7)
+    server = HANDSHAKE + one + b"ee" + table + one + b"dw\0\0\0\0ex" + b"ee"
+    told = ("r", [0], [[5, 6]], [7])
+    found = [[told], [told, ("w", [], [], [])], []]
+    for width in (2, None):
+        assert read_server([server], width)[1:] == read_server(bytewise(server), width)[1:] == found
+    two = b"dw" + struct.pack(">i4i6i", 2, 0, 1, 2, 3, 1, 4, 5, 6, 7, 8)
+    client = b"aw" + b"rwee" + two + b"rree" + two + b"ee" + b"rrrwee"
+    written = ("w", [0, 1], [[1, 2], [4, 5]], [3, 6, 7, 8])
+    requests = ["w", ("w", []), ("r", [written]), (None, [written]), ("w", [])]
+    for cuts in ([client], bytewise(client)):
+        assert read_client(cuts, TableLayout([1, 3]), 2) == requests
+    assert read_client([b"ar"], TableLayout([1]), 2) == ["r"]
+
+
+def test_what_comes_in_pieces_is_appended_and_not_copied_for_each() -> None:
+    decoder = ClientDecoder(TableLayout([1]))
+    decoder.feed(b"aw")
+    decoder.take_access()
+    for piece in (b"r", b"r"):
+        decoder.feed(piece)
+    buffer = decoder._buffer
+    for _ in range(100):
+        decoder.feed(b"dw\0\0\0\0")
+        assert decoder._buffer is buffer
+    # What was taken makes room when more comes.
+    decoder.feed(b"eer")
+    assert decoder.take_request() is not None
+    decoder.feed(b"r")
+    assert decoder.waiting == len(decoder._buffer) == 2
 
 
 # -- any bytes ---------------------------------------------------------------------------------

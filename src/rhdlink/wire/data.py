@@ -85,7 +85,7 @@ class Selection:
         head = 1 + width  # words of an entry before its data: id and stamp
         lengths = layout.lengths[ids]
         sums = np.cumsum(lengths)
-        total = int(sums[-1]) if count else 0
+        total = int(lengths.sum())
         self.ids = ids
         self._key = ids.tobytes()
         self._expected = ids.astype(np.int32).tobytes()
@@ -93,15 +93,14 @@ class Selection:
         self.starts: Ids = sums - lengths
         self.at: Ids = self.starts + head * np.arange(count)
         self.size = total + head * count
-        first = int(ids[0]) if count else 0
-        self.is_ordered = count == 0 or bool((np.diff(ids) > 0).all())
-        is_contiguous = count == 0 or (self.is_ordered and int(ids[-1]) - first == count - 1)
-        # A slice where that is possible: numpy copies it several times as fast as an array of indices.
-        self.rows: slice | Ids = slice(first, first + count) if is_contiguous else ids
-        if is_contiguous:
-            begin = int(layout.offsets[first]) if count else 0
+        self.is_ordered = bool((np.diff(ids) > 0).all())
+        if count and self.is_ordered and ids[-1] - ids[0] == count - 1:
+            # A slice where that is possible: numpy copies it several times as fast as an array of indices.
+            first, begin = int(ids[0]), int(layout.offsets[ids[0]])
+            self.rows: slice | Ids = slice(first, first + count)
             self.cells: slice | Ids = slice(begin, begin + total)
         else:
+            self.rows = ids
             self.cells = np.arange(total) + np.repeat(layout.offsets[ids] - self.starts, lengths)
         # With all lengths equal a package is a table of so many columns; otherwise each word's place is listed.
         self._stride = None if layout.uniform is None else head + layout.uniform
@@ -181,7 +180,8 @@ class DataPackage:
     @classmethod
     def empty(cls, direction: str, layout: TableLayout, width: int) -> DataPackage:
         """A package without entries."""
-        return cls(direction, Selection(layout, np.empty(0, np.int64), width), np.empty(0, np.int32))
+        selection = Selection(layout, np.empty(0, np.int64), width)
+        return cls(direction, selection, np.empty(selection.size, np.int32))
 
     @classmethod
     def read(cls, direction: str, selection: Selection, buffer: bytes | bytearray, start: int) -> DataPackage:

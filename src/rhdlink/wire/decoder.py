@@ -11,8 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import NoReturn
 
-import numpy as np
-
 from linkcore.errors import BadValue, PacketError
 
 from .data import Cursor, DataPackage, Selection, TableLayout
@@ -236,11 +234,7 @@ class ServerDecoder(_Decoder):
             return None
         data = []
         for direction in "wr":
-            layout = self._layouts[direction]
-            # The handshake has every variable once and in order, so its packages need not be looked through.
-            if layout.count:
-                self._remember(direction, Selection(layout, np.arange(layout.count), width))
-            package = self._take_data(direction, layout, width)
+            package = self._take_data(direction, self._layouts[direction], width)
             assert package is not None  # the probe has seen all of it
             data.append(package)
         self._end_batch(self._at + 2)
@@ -280,7 +274,6 @@ class ServerDecoder(_Decoder):
                     break
                 if table != self._rows[direction]:
                     self._refuse(f"another table 't{direction}' than in the handshake", start)
-            self._bound(self._at - self._start)
         self._bound(self.waiting)
         return None
 
@@ -329,12 +322,11 @@ class ServerDecoder(_Decoder):
         for probe in self._probes:
             if probe.wrong is None:
                 return probe.width if probe.is_complete else None
-        last = max(self._probes, key=lambda probe: (probe.wrong or 0, -probe.width))
-        assert last.wrong is not None
+        offset, expected = max(probe.wrong for probe in self._probes if probe.wrong is not None)
         widths = " or ".join(str(width) for width in self._widths)
         self._refuse(
-            f"the values after the tables fit stamps of {widths} words no longer; expected {last.expected!r}",
-            self._at + last.wrong,
+            f"the values after the tables fit stamps of {widths} words no longer; expected {expected!r}",
+            self._at + offset,
         )
 
 
@@ -343,16 +335,14 @@ class _WidthProbe:
 
     Attributes:
         width: the words.
-        wrong: offset of the first letter, count or id that does not fit, or None.
-        expected: what should stand there.
+        wrong: offset of the first letter, count or id that does not fit, and what should stand there; or None.
         size: bytes of the data packages, with the end.
         is_complete: all have come and fit.
     """
 
     def __init__(self, width: int, write: TableLayout, read: TableLayout) -> None:
         self.width = width
-        self.wrong: int | None = None
-        self.expected = b""
+        self.wrong: tuple[int, bytes] | None = None
         self._marks: list[tuple[int, bytes]] = []
         at = 0
         for direction, layout in (("w", write), ("r", read)):
@@ -375,7 +365,7 @@ class _WidthProbe:
             if at + len(expected) > end:
                 return
             if buffer[start + at : start + at + len(expected)] != expected:
-                self.wrong, self.expected = at, expected
+                self.wrong = at, expected
             self._next += 1
         self.is_complete = self.wrong is None and self.size <= end
 
@@ -449,5 +439,5 @@ class ClientDecoder(_Decoder):
                 self._data.append(package)
             else:
                 self._refuse_package("'rr', 'rw', 'dw' or 'ee'")
-            self._bound(self._at - self._start)
+        self._bound(self.waiting)
         return None

@@ -131,7 +131,7 @@ class _Dissector:
             piece.error = str(reason)
             piece.meaning = piece.meaning or "no package"
             # Nobody can know where the next package begins.
-            self._add(piece, len(self.data) - self.at, "", {})
+            self._add(piece, len(self.data), "", {})
         return piece
 
     def _package(self, piece: Piece, letters: str) -> Package:
@@ -155,9 +155,10 @@ class _Dissector:
         return "end of the batch"
 
     def _add(self, piece: Piece, size: int, meaning: str, content: dict[str, Any]) -> None:
-        if size:
-            piece.parts.append(Part(self.at, self.data[self.at : self.at + size], meaning, content))
-            self.at += size
+        """The next bytes, at most so many as there are, with what they mean."""
+        if data := self.data[self.at : self.at + size]:
+            piece.parts.append(Part(self.at, data, meaning, content))
+            self.at += len(data)
 
     def _add_count(self, piece: Piece, most: int, what: str) -> int:
         if len(self.data) - self.at < HEAD_SIZE:
@@ -182,14 +183,11 @@ class _Dissector:
         self._tables[direction] = tuple(rows)
 
     def _add_data(self, piece: Piece, direction: str) -> None:
-        rows = self._tables.get(direction)
         what = f"values of {_DIRECTION[direction]} variables"
-        if rows is None:
+        if direction not in self._tables and self.data[self.at + 2 : self.at + HEAD_SIZE] != INT.pack(0):
             piece.meaning = what
-            if self.data[self.at + 2 : self.at + HEAD_SIZE] == INT.pack(0):
-                self._add_count(piece, 0, what)
-                return
             raise _Broken("no table says how long the variables are; --tables names the file with the server's bytes")
+        rows = self._tables.get(direction, ())
         for number in range(self._add_count(piece, len(rows), what)):
             found, size = self._item(DATA, f"entry {number}", rows)
             identity, stamp, words = found["id"], found["stamp"], found["data"]
@@ -208,14 +206,15 @@ class _Dissector:
         found: dict[str, Any] = {}
         size = 0
         for declared in package.item:
-            words = 1
+            code = declared.code
             if declared.words == "width":
-                words = self._width
+                code = f"{self._width}{code}"
             elif declared.words == "length":
                 words = rows[found["id"]].length
                 if words < 0:
                     raise _Broken(f"{what} is of a variable of {words} words")
-            layout = struct.Struct(f">{words}{declared.code}" if declared.words else f">{declared.code}")
+                code = f"{words}{code}"
+            layout = struct.Struct(f">{code}")
             if len(self.data) - self.at - size < layout.size:
                 raise _Broken(f"cut off in {what}, in its {declared.name}")
             values = layout.unpack_from(self.data, self.at + size)

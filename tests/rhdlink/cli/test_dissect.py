@@ -122,8 +122,17 @@ def test_what_is_missing_is_said(run: Run, tmp_path: Path) -> None:
 
 
 def test_nothing_is_declared_of_a_client_that_sends_no_values() -> None:
-    (*_, data, end) = dissect(b"awrwdw\0\0\0\0ee", "client")
-    assert (data.error, data.size, end.package) == (None, 6, "ee")
+    (*_, data, end, again) = dissect(b"awrwdw\0\0\0\0eerr", "client")
+    assert (data.error, data.size, end.package, again.package) == (None, 6, "ee", "rr")
+    # What the values are is not known, but that they are values is.
+    (piece,) = dissect(b"dw\0\0\0\1", "client")
+    assert (piece.package, piece.meaning, piece.size) == ("dw", "values of write variables", 6)
+    (piece,) = dissect(b"xx", "client")
+    assert (piece.package, piece.meaning, piece.size) == ("", "no package", 2)
+
+
+def test_a_server_that_grants_nothing_is_known_by_its_table() -> None:
+    assert guess_sender(server()[2:]) == "server"
 
 
 @pytest.mark.parametrize(
