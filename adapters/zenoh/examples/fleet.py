@@ -1,18 +1,22 @@
 """A fleet on one computer: simulated robots in several processes, a router, and a collector that records all of them.
 
     python fleet.py --robots 8 --processes 2 --seconds 20
+    python fleet.py --robots 100 --processes 4 --speed 0.1 --seconds 30 --each
     python fleet.py --robots 100 --processes 4 --pace 0.1 --seconds 30
 
-Half-way the router dies, and comes back two seconds later. At the end it says what reached the collector of each robot,
-what was lost while there was no router, and how much processor time each part took.
+Half-way the router dies, and comes back two seconds later. At the end it says, of each robot, how many packets were
+offered to the collector, how many it received and how many were lost, and the longest gap between two in its recording;
+and how much processor time each part took.
 
-A simulated arm takes some 5 % of a processor at 125 Hz, so a hundred of them need more than one computer. With --pace
-the robots are recordings of a simulated arm, played so many times as fast: 0.1 makes 12.5 packets a second.
+A simulated arm takes some 5 % of a processor at 125 Hz, with whoever reads and publishes it, so a hundred of them need
+more than two processors. With --speed their time passes so many times as fast: 0.1 makes 12.5 cycles and packets a
+second of each. With --pace the robots are recordings of a simulated arm, played so many times as fast.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import socket
@@ -23,10 +27,12 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 import urlink
 import urlink_zenoh
 from urlink import Chunk, RecordingWriter, Stamp
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Still
 
 FIRMWARE = "3.15"
 #: Seconds from the start within which every robot has to be seen.
@@ -38,7 +44,10 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=4)
     parser.add_argument("--processes", type=int, default=2, help="that the robots are served by")
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--pace", type=float, help="play recordings so many times as fast, rather than simulate")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--speed", type=float, default=1.0, help="at which the time of simulated robots passes (1)")
+    how.add_argument("--pace", type=float, help="play recordings so many times as fast, rather than simulate")
+    parser.add_argument("--each", action="store_true", help="print a line for each robot")
     parser.add_argument("--directory", help="where recordings go (a temporary one)")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     parser.add_argument("--endpoint", help=argparse.SUPPRESS)
@@ -46,7 +55,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.part is not None:
         parts = {"router": router, "robots": robots}
-        parts[args.part](args.endpoint, args.rest)
+        parts[args.part](args.endpoint, args.rest, args.speed)
         return
     with tempfile.TemporaryDirectory() as scratch:
         demonstrate(args, Path(args.directory or scratch))
@@ -55,33 +64,28 @@ def main() -> None:
 # -- the processes ---------------------------------------------------------------------------------------
 
 
-def router(endpoint: str, rest: Sequence[str]) -> None:
+def router(endpoint: str, rest: Sequence[str], speed: float) -> None:
     """A router until stdin ends. Any router of Zenoh would do, `zenohd` for one."""
     with urlink_zenoh.open_session(listen=[endpoint], mode="router"):
         report()
 
 
-def robots(endpoint: str, rest: Sequence[str]) -> None:
+def robots(endpoint: str, rest: Sequence[str], speed: float) -> None:
     """Some robots until stdin ends, each `NAME` simulated, or `NAME=ADDRESS`."""
-    addresses: dict[str, str] = {}
-    controllers: list[Controller] = []
-    for each in rest:
-        name, _, address = each.partition("=")
-        if not address:
-            controllers.append(Controller("UR5", FIRMWARE))
-            controllers[-1].start()
-            address = controllers[-1].address
-        addresses[name] = address
-    connected = {name: urlink.connect(address) for name, address in addresses.items()}
-    with (
-        urlink_zenoh.open_session([endpoint]) as session,
-        urlink_zenoh.Server(session, connected, status_rate=1.0, interfaces=("realtime",)),
-    ):
+    with contextlib.ExitStack() as stack:
+        connected: dict[str, urlink.Robot] = {}
+        for each in rest:
+            name, _, address = each.partition("=")
+            if not address:
+                controller = stack.enter_context(Controller("UR5", FIRMWARE, motion=Still(), stepped=speed != 1.0))
+                if speed != 1.0:
+                    stack.enter_context(controller.passing(speed))
+                address = controller.address
+            # The fewer cycles a second, the longer it takes until a packet comes.
+            connected[name] = stack.enter_context(urlink.connect(address, silence=10.0))
+        session = stack.enter_context(urlink_zenoh.open_session([endpoint]))
+        stack.enter_context(urlink_zenoh.Server(session, connected, status_rate=1.0, interfaces=("realtime",)))
         report()
-    for robot in connected.values():
-        robot.close()
-    for controller in controllers:
-        controller.close()
 
 
 def report() -> None:
@@ -134,7 +138,8 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
         with urlink_zenoh.open_session([endpoint]) as session:
             collector = urlink_zenoh.Collector(session, directory / "fleet")
             began, cpu = time.monotonic(), time.process_time()
-            parts += [Part("robots", endpoint, *given[first :: args.processes]) for first in range(args.processes)]
+            speed = f"--speed={args.speed}"
+            parts += [Part("robots", endpoint, speed, *given[i :: args.processes]) for i in range(args.processes)]
             for part in parts[1:]:
                 part.wait_up()
             wait_for(lambda: sorted(collector.robots) == names, TIMEOUT)
@@ -153,6 +158,7 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
             time.sleep(args.seconds / 2)
             found, seconds = collector.robots, time.monotonic() - settled
             collector.close()
+            ended = collector.robots
             own = (time.process_time() - cpu) / (time.monotonic() - began)
         shares = [part.end() for part in reversed(parts)]
         parts.clear()
@@ -163,16 +169,28 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
     lost = [found[each].missed - counted[each].missed for each in names]
     print(f"packets a second of each robot: {min(rates):.1f} to {max(rates):.1f}, together {sum(rates):.0f}")
     print(f"missed while there was no router: {sum(each.missed for each in counted.values())}; with it: {sum(lost)}")
-    print(f"recordings: {sum(each.packets for each in found.values())} packets in {len(found)} files")
+    gaps = {name: longest_gap(ended[name].path) for name in names}
+    # Packets are numbered where they are published: what was missed was offered too.
+    rows = [(each, ended[each].packets + ended[each].missed, ended[each].packets, gaps[each]) for each in names]
+    for name, offered, received, gap in rows if args.each else ():
+        print(f"  {name}: offered {offered}, received {received}, lost {offered - received}, longest gap {gap:.2f} s")
+    print(f"offered {sum(row[1] for row in rows)}, received {sum(row[2] for row in rows)} in {len(ended)} files")
+    print(f"longest gap of each: {min(gaps.values()):.2f} to {max(gaps.values()):.2f} s")
     serving = sum(shares[:-1])
     print(
         f"processor: robots and servers {serving:.2f} ({100 * serving / len(names):.2f} % a robot), "
         f"collector {own:.2f} ({1e6 * own / max(sum(rates), 1):.0f} us a packet), router {shares[-1]:.2f}"
     )
-    for file in (found[names[0]], found[names[-1]]):
+    for file in (ended[names[0]], ended[names[-1]]):
         with urlink.connect(f"replay://{file.path}?rate=0") as robot:
             count = sum(1 for _ in robot.realtime.iterate(urlink.block))
             assert count == file.packets, f"{count} of {file.packets}"
+
+
+def longest_gap(path: Path) -> float:
+    """Seconds between two packets of a recording, at most, as the server of the robot received them."""
+    steps = np.diff(urlink.load(path).realtime.time)
+    return float(steps.max()) if len(steps) else 0.0
 
 
 def record(path: Path, seconds: float) -> Path:
