@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Literal, TypeVar, get_args
 
@@ -448,8 +449,8 @@ class Motions:
         if identity.firmware < _TIMED_SPEED:
             raise LocalError(f"firmware {identity.firmware} cannot do this: {_TIMED_SPEED} is the first")
         way = numbers(direction, "direction")
-        length = float(np.linalg.norm(way)) if way.shape == (3,) else 0.0
-        if not 0.0 < length < np.inf:
+        length = math.hypot(*way.tolist()) if way.shape == (3,) else 0.0
+        if not 0.0 < length < math.inf:
             raise BadValue(f"direction is {way.tolist()}; expected three finite numbers, not all of them zero")
         if force is None and identity.firmware < _TOOL_CONTACT:
             force = _CONTACT_FORCE

@@ -290,6 +290,14 @@ def test_where_a_contact_began_on_an_arm_that_nobody_knows(rehearsal: Callable[.
     assert "stopj" in robot.sent[-1]
 
 
+def test_a_direction_of_any_length(robot: Rehearsal) -> None:
+    with pytest.raises(BadValue, match="direction is"):
+        robot.motion.until_contact([1.7e308] * 3)
+    assert robot.sent == []
+    robot.motion.until_contact([0, 3e200, -4e200])
+    assert "tool_contact(direction=[0.0, 0.6, -0.8, " in robot.uploaded
+
+
 def test_nothing_was_touched(robot: Rehearsal) -> None:
     motion = robot.motion.until_contact([0, 0, -1], distance=0.25)
     robot.begin()

@@ -6,6 +6,8 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,8 +19,12 @@ from linkcore.handle import Motion, Phase
 from tests.urlink.motion.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.firmware import Firmware
 from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion import TrajectoryFeedback
+from urlink.motion.following import Following
+from urlink.motion.motions import _reporter
 from urlink.motion.trajectory import Trajectory
 
 #: A tenth of a radian there and back.
@@ -124,6 +130,42 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
     assert told[0].q_desired - told[0].q_actual == pytest.approx(told[0].error)
     assert told[0].time >= 0
     assert told[0].qd_actual.shape == told[0].qd_desired.shape == (6,)
+
+
+def test_feedback_is_told_from_the_beginning_to_the_end() -> None:
+    told: list[TrajectoryFeedback] = []
+    following = SimpleNamespace(began=None, is_over=False, desired=lambda t: ([t] * 6, [2.0] * 6))
+    report = _reporter(cast(Following, following), told.append)
+
+    def seen(time: float) -> RealtimeState:
+        return RealtimeState(Firmware(5, 11), time=time, q_actual=[0.125] * 6, qd_actual=[1.0] * 6)
+
+    report(seen(50.0))
+    following.began = 50.0
+    report(seen(49.5))
+    assert told == []
+    report(seen(50.0))
+    report(seen(50.5))
+    following.is_over = True
+    report(seen(51.0))
+    assert [each.time for each in told] == [0.0, 0.5]
+    last = told[-1]
+    for values, value in (
+        (last.q_desired, 0.5),
+        (last.qd_desired, 2.0),
+        (last.q_actual, 0.125),
+        (last.qd_actual, 1.0),
+        (last.error, 0.375),
+    ):
+        assert values.tolist() == [value] * 6
+
+
+def test_nobody_is_left_to_give_feedback(led: Rehearsal) -> None:
+    before = set(threading.enumerate())
+    motion = led.motion.follow(PATH, feedback=lambda each: None)
+    assert len(threading.enumerate()) > len(before) + 1  # its own thread, and that of the feedback
+    motion.cancel()
+    until(lambda: set(threading.enumerate()) <= before)
 
 
 # -- refused before anything is sent -------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout
@@ -13,6 +14,7 @@ from tests.urlink.motion.rehearsal import HOME, TIMEOUT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
+from urlink.kinematics import Arm
 from urlink.urscript.wrapping import expiry_marker, start_marker
 
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
@@ -325,6 +327,26 @@ def test_a_robot_that_is_lost_before_it_began(robot: Rehearsal) -> None:
     robot.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match="pulled; it moves nothing if it begins later"):
         motion.wait(TIMEOUT)
+    # Where the arm is, nobody can tell any more.
+    until(lambda: robot.realtime.latest is None)
+    assert motion.progress == 0.0
+
+
+def test_one_that_has_nowhere_to_go_is_all_behind(robot: Rehearsal) -> None:
+    assert robot.motion.move_joints(robot.q).progress == 1.0
+
+
+def test_how_the_tool_is_turned_does_not_count_as_way(robot: Rehearsal) -> None:
+    """One rotation has more than one vector."""
+    goal = robot.pose.copy()
+    goal[0] += 0.1
+    goal[3:] *= 1.0 - 2.0 * np.pi / np.linalg.norm(goal[3:])
+    motion = robot.motion.move_linear(goal)
+    assert motion.progress == 0.0
+    goal[0] -= 0.075
+    robot.q = Arm("UR5e").inverse(goal, robot.q).tolist()
+    robot.show()
+    assert motion.progress == pytest.approx(0.25, abs=1e-6)
 
 
 def test_stopped_at_the_pendant(robot: Rehearsal) -> None:

@@ -16,7 +16,8 @@ from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.interfaces.enums import SafetyMode
-from urlink.motion import Servo
+from urlink.motion import Servo, ServoStatistics
+from urlink.motion.trajectory import Trajectory
 
 
 class Beside:
@@ -100,7 +101,7 @@ def test_outside_of_its_block(led: Rehearsal) -> None:
 def test_statistics(led: Rehearsal) -> None:
     """Of a loop that means to send each 2 ms, and is 2 ms late with every tenth set-point."""
     with opened(led) as servo:
-        assert servo.stats.count == 0
+        assert servo.stats == ServoStatistics(0, 0.0, 0.0, 0.0, 0.0, 0)
         for n in range(101):
             servo.send(HOME)
             led.time += 0.004 if n % 10 == 9 else 0.002
@@ -144,11 +145,7 @@ def test_a_set_point_carries_its_speed(led: Rehearsal) -> None:
             assert next_set_point(led) == pytest.approx(turned(q))
             assert led.speeds == pytest.approx([0.0] * 5 + [speed], abs=1e-6)
         # From now on the loop alone says something.
-        for _ in range(3):
-            led.show()
-        servo.send(turned(0.031))
-        assert (word := led.word()) is not None
-        assert word[1] == FOLLOW
+        assert servo._dialogue.step(b"", servo._context.state(), led.time) == b""
 
 
 def test_the_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
@@ -175,6 +172,21 @@ def test_the_range_of_an_arm_that_nobody_knows(rehearsal: Callable[..., Rehearsa
             servo.send(target)
         with pytest.raises(BadValue, match="not finite"):
             servo.send([float("inf")] * 6)
+
+
+def test_for_how_long_the_program_goes_on_by_itself(robot: Rehearsal) -> None:
+    """A tenth of a second; or three periods of a loop that sends its set-points more seldom than that."""
+    for options, cycles in (
+        ({}, 50),
+        ({"rate": 4.0}, 375),
+        ({"rate": 4.0, "target_filter": "jerk_limited"}, 50),
+    ):
+        with opened(robot, watchdog=5.0, **options):
+            assert f"if missed < {cycles}:" in robot.uploaded
+            assert "elif missed < 2500:" in robot.uploaded
+    motion = robot.motion.follow(Trajectory.from_arrays([0.0, 1.0], [HOME, turned(0.1)]), watchdog=5.0)
+    assert "if missed < 50:" in robot.uploaded
+    motion.cancel()
 
 
 def test_too_fast_is_refused_and_the_loop_can_go_on(led: Rehearsal) -> None:
