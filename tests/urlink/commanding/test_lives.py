@@ -4,104 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from linkcore.errors import Cancelled, Closed, ConnectFailed, ConnectionLost, LinkError, LinkTimeout
-from linkcore.handle import Handle, Lifecycle, Phase
+from linkcore.handle import Lifecycle, Phase
 from linkcore.stamp import Stamp
-from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
-from tests.urlink.line import FIRMWARE, Desk, Subscriber, slow
-from urlink.commanding.programs import Programs
+from tests.urlink.line import FIRMWARE, STARTED, Programming, Run, Subscriber, slow
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
-from urlink.firmware import Firmware
-from urlink.identity import Identity, KnownIdentity
 from urlink.interfaces.enums import RobotMode, SafetyMode
-from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
+from urlink.interfaces.primary.robot_message import RuntimeExceptionMessage, TextMessage
 
-STARTED, STOPPED = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"
 SEC = "sec blink():\n  set_flag(1, True)\nend"
-
-
-class Run(Handle):
-    """A program that was sent; `texts` is what it said."""
-
-    def __init__(self, desk: Programming, life: Lifecycle, name: str, **options: Any) -> None:
-        super().__init__(life)
-        self._desk = desk
-        self.texts: list[str] = []
-        #: as the controller calls it
-        self.program = name
-
-    def says(self, word: str) -> None:
-        self._desk.primary.tell(TextMessage(FIRMWARE, text=f"{self.program} {word}"))
-
-    def begins(self) -> None:
-        self._desk.key(STARTED, self.program)
-        self.says("started")
-
-    def stops(self) -> None:
-        self._desk.key(STOPPED, self.program)
-
-    @property
-    def end(self) -> str:
-        """How it ended, in words."""
-        return f"{type(self.error).__name__}: {self.error}" if self.error is not None else self.phase.value
-
-
-class Programming(Desk):
-    """Programs, before a robot with which all is well."""
-
-    def __init__(self, *, start_timeout: float = 5.0, start_flag: int | None = 31, firmware: str = "5.11") -> None:
-        super().__init__()
-        identity = Identity(Firmware.parse(firmware), True, None)
-        self.programs = Programs(
-            cast(Connection, self.primary),
-            self.channel,
-            self.monitor,
-            self.section,
-            self.callbacks,
-            start_timeout=start_timeout,
-            start_flag=start_flag,
-            who=KnownIdentity(lambda: identity),
-            clock=self.clock,
-        )
-        self.clear()
-
-    def motion(self, *, asks: bool = True, **options: Any) -> Run:
-        """One of the library's own."""
-        wrapped = self.programs.own(["movej(q)"], asks=asks)
-        return self._start(wrapped, self.programs.life(f"motion {wrapped.name}"), **options)
-
-    def script(self, source: str = "movej(q)", **options: Any) -> Run:
-        """One of the user's own."""
-        wrapped = self.programs.wrap(source)
-        options = {"is_motion": False, "left_alone": "it may still run", **options}
-        return self._start(wrapped, self.programs.life(wrapped.name), **options)
-
-    def _start(self, wrapped: Any, life: Lifecycle, **options: Any) -> Run:
-        run = Run(self, life, wrapped.name)
-        life.brake = lambda: self.programs.stop(life)
-        self.programs.start(wrapped, life, on_text=run.texts.append, **options)
-        return run
-
-    def key(self, title: str, name: str) -> None:
-        self.primary.tell(KeyMessage(FIRMWARE, title=title, text=name))
-
-    def exception(self, text: str, line: int = 1, column: int = 1) -> None:
-        self.primary.tell(RuntimeExceptionMessage(FIRMWARE, line=line, column=column, text=text))
-
-    def state(self, later: float = 0.0, *, runs: bool = False, paused: bool = False) -> None:
-        """A state, so many seconds later."""
-        self.now += later
-        self.primary.tell(slow(is_program_running=runs, is_program_paused=paused))
-
-    @property
-    def stops(self) -> int:
-        """How often the arm was told to brake."""
-        return sum("stopj(2.0)" in text for text in self.sent)
 
 
 @pytest.fixture
