@@ -3,9 +3,11 @@ from __future__ import annotations
 from tests.mutants.equivalent import Equivalent
 
 CHANNEL = "urlink/commanding/channel.py"
+INTERPRETER = "urlink/commanding/interpreter.py"
 MONITOR = "urlink/commanding/monitor.py"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),
+    Equivalent(INTERPRETER, "__exit__", "0", "1", "type and exception are both None, or neither is"),
     Equivalent(MONITOR, "wait_for", "left <= 0.0", "left < 0.0", "a clock that says exactly this costs one more look"),
 )

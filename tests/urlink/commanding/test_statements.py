@@ -214,6 +214,10 @@ def test_for_ever_is_no_number_of_seconds(mode: Mode, act: Callable[[Interpreter
     assert mode.peer.asked == []
 
 
+def test_clearing_is_a_statement_with_a_number(mode: Mode) -> None:
+    assert (mode.interpreter.execute("a = 1"), mode.interpreter.clear()) == (1, 2)
+
+
 def test_how_far_it_is(mode: Mode) -> None:
     mode.peer.answers += [f"state: {number}: x" for number in (9, 7, 5, 3)]
     assert mode.interpreter.state == InterpreterState(9, 7, 5, 3)
