@@ -84,10 +84,11 @@ def retime(
 def _spread(time: FloatArray, closest: float) -> list[int]:
     """Which places to keep so that they are far enough apart in time; the first and the last always."""
     kept = [0]
-    for i, t in enumerate(time[:-1].tolist()):
-        if t - time[kept[-1]] >= closest and time[-1] - t >= closest:
+    for i, t in enumerate(time.tolist()):
+        if t - time[kept[-1]] >= closest:
             kept.append(i)
-    return [*kept, len(time) - 1]
+    # The last of them is the end, or too close to it.
+    return [0, *kept[1:-1], len(time) - 1]
 
 
 def _peaks(time: FloatArray, q: FloatArray, qd: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -102,6 +102,27 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the direction at a place of rest is multiplied by a speed of zero",
     ),
     Equivalent(
+        "urlink/motion/retiming.py",
+        "_spread",
+        "t - time[kept[-1]] >= closest",
+        "t - time[kept[-1]] > closest",
+        "times that are exactly so far apart are kept or left out: either way the rest is planned anew",
+    ),
+    Equivalent(
+        "urlink/motion/retiming.py",
+        "retime",
+        "excess.max() < _GOOD",
+        "excess.max() <= _GOOD",
+        "a bound for good enough, which no sum of floats meets exactly, and either side of which is right",
+    ),
+    Equivalent(
+        "urlink/motion/retiming.py",
+        "_fastest",
+        "sizes <= _RESTING * sizes.max()",
+        "sizes < _RESTING * sizes.max()",
+        "equal only where all speeds are zero, which no path with a length has",
+    ),
+    Equivalent(
         "urlink/motion/root_finding.py",
         "root",
         "value < 0.0",
