@@ -15,6 +15,7 @@ from linkcore.errors import BadValue, LinkError, LocalError
 from tests.urlink.motion.bench import Led
 from tests.urlink.motion.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_servo import opened
+from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
@@ -289,6 +290,11 @@ class TestServo:
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
     def test_set_points_are_sent_so_much_earlier(self, robot: Rehearsal, delay: float | None) -> None:
         with opened(robot, delay=delay) as servo:
+            # Subscribed after the servo, so it is called after it: by then no state is left that would come in between.
+            answered: list[float] = []
+            robot.realtime.subscribe(lambda state: answered.append(state.time), inline=True)
+            robot.tick()
+            until(lambda: robot.time in answered)
             at = robot.time + 0.2
             assert servo.schedule(turned(0.02), at=at) == at
             assert servo.stats.count == 1
