@@ -623,6 +623,9 @@ def test_a_program_reads_and_writes_registers() -> None:
         "output_double_register_24": 1.0,
         "output_bit_register_64": True,
     }
+    sim.registers.inputs.floats[24] = np.float64(2.0)
+    step(sim, 2)
+    assert peer.data()[-1]["output_double_register_24"] == 4.0
 
 
 @pytest.mark.parametrize(("action", "state"), [("IGNORE", 2), ("Pause", 4), ("stop", 1)])

@@ -38,7 +38,8 @@ def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
 def _read(bank: Bank, kind: _Kind, at: int) -> bool | int | float:
     if kind == "boolean":
         return bool(bank.bits >> at & 1)
-    return bank.integers[at] if kind == "integer" else bank.floats[at]
+    # Tests write numbers of numpy too, which the machine does not take for numbers.
+    return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
 
 
 def _reader(name: str, kind: _Kind, *, is_input: bool) -> Callable[..., bool | int | float]:
