@@ -4,9 +4,9 @@ Tests are collected once. For a mutation a child is forked, in which the functio
 so that it costs milliseconds and not a new interpreter. What is evaluated on import (constants of a module, default
 values, class bodies) cannot be replaced so: for such a mutation a new interpreter imports the mutated module.
 
-Only tests that execute the mutated lines are run until one fails: first those that noticed another mutation of the same
-function, then of the same file, then the fastest. Which tests execute a line is measured beforehand on the program as
-it is.
+Of the tests that execute the mutated lines the fastest are run, until one fails: first those that noticed another
+mutation of the same function, then of the same file. Which tests execute a line is measured beforehand on the program
+as it is.
 """
 
 from __future__ import annotations
@@ -80,16 +80,17 @@ class Measured(NamedTuple):
     lines: dict[str, dict[int, list[str]]]
 
     def choose(self, job: Job, budget: float, killers: Killers) -> list[str]:
-        """The tests that execute the mutated lines, for `budget` seconds at most: `killers` first, then the fastest."""
+        """The fastest tests that execute the mutated lines, for `budget` seconds at most; `killers` first."""
         lines = self.lines.get(str(job.path), {})
         numbers = range(job.mutation.line, job.mutation.end + 1) if job.mutation.function else lines
         names = {name for number in numbers for name in lines.get(number, ())} & self.seconds.keys()
         chosen: list[str] = []
-        for name in sorted(names, key=lambda name: (*killers.rank(job, name), self.seconds[name])):
+        for name in sorted(names, key=lambda name: self.seconds[name]):
             budget -= self.seconds[name]
             if budget < 0 and chosen:
                 break
             chosen.append(name)
+        chosen.sort(key=lambda name: killers.rank(job, name))
         return chosen
 
 
