@@ -31,6 +31,9 @@ def test_whole_periods_that_were_missed_are_skipped() -> None:
     assert schedule.advance() == 105.0
     schedule = ticked(1.25, 0.0, 2.5)
     assert (schedule.overruns, schedule.skipped, schedule.worst) == (2, 3, 2.5)
+    schedule = Schedule(0.5, 100.0)
+    schedule.came(schedule.advance() + 1.25)
+    assert (schedule.skipped, schedule.due) == (2, 101.5)
 
 
 def test_a_tick_that_the_host_waits_with_is_not_late() -> None:
