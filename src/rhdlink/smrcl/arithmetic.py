@@ -191,7 +191,8 @@ UNARY_FUNCTIONS: MappingProxyType[str, Callable[[float], float]] = MappingProxyT
     }
 )
 
-#: Functions of two arguments by name, but for `ntrue`, which counts. `rem` depends on the profile.
+#: Functions of two arguments by name, but for `ntrue`, which counts. `rem` depends on the profile. `math.hypot` is not
+#: that of the C library (from Python 3.10 on), and differs from it in the last bit for six pairs of a thousand.
 BINARY_FUNCTIONS: MappingProxyType[str, Callable[[float, float], float]] = MappingProxyType(
     {"atan2": math.atan2, "hypot": math.hypot}
 )

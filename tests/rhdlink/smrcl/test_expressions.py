@@ -44,7 +44,7 @@ VALUES = {"a": 0.0, "b": -2.5, "c": math.inf, "d": math.nan, "e": 1e-3}
 ARRAY = [4.0, -1.0, 0.5]
 #: By their names in the language, those of C.
 OF_C = {
-    **{name: name for name in ("sin", "cos", "asin", "acos", "tan", "atan", "exp", "sqrt", "atan2", "hypot")},
+    **{name: name for name in ("sin", "cos", "asin", "acos", "tan", "atan", "exp", "sqrt", "atan2")},
     "ln": "log",
     "abs": "fabs",
 }
@@ -76,6 +76,9 @@ def computed(tree: Expression) -> np.float64:
         return np.float64(ARRAY[int(computed(tree.index))])
     if isinstance(tree, Negate):
         return np.float64(-computed(tree.operand))
+    if isinstance(tree, Call) and tree.name == "hypot":
+        # Python has its own, which is more exact: for six pairs of a thousand that of C differs in the last bit.
+        return np.float64(math.hypot(*map(computed, tree.arguments)))
     if isinstance(tree, Call):
         return np.float64(of_c(OF_C[tree.name])(*map(computed, tree.arguments)))
     left, right = computed(tree.left), computed(tree.right)  # both, always

@@ -318,6 +318,7 @@ def test_each_mode_is_ended_each_way(desks: Desks, firmware: str, name: str, end
 
         if expected is NotRunning:  # it may go on: so the first thing is to stop it
             robot.safety.wait_enabled(TIMEOUT)
+            began = controller.time
             robot.motion.stop(wait=True)
         until(lambda: desk.is_over, TIMEOUT)
         if (end, mode.link) != ("cut", "rtde"):  # the program on the robot waits for words
