@@ -290,11 +290,13 @@ class TestServo:
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
     def test_set_points_are_sent_so_much_earlier(self, robot: Rehearsal, delay: float | None) -> None:
         with opened(robot, delay=delay) as servo:
-            # Subscribed after the servo, so it is called after it: by then no state is left that would come in between.
-            answered: list[float] = []
-            robot.realtime.subscribe(lambda state: answered.append(state.time), inline=True)
+            # The states up to here are answered by a thread; this subscription is offered each one after that thread's.
+            heard: list[float] = []
+            robot.realtime.subscribe(lambda state: heard.append(state.time), inline=True)
             robot.tick()
-            until(lambda: robot.time in answered)
+            thread = servo._program._subscription
+            assert thread is not None
+            until(lambda: robot.time in heard and thread.stats.waiting == 0)
             at = robot.time + 0.2
             assert servo.schedule(turned(0.02), at=at) == at
             assert servo.stats.count == 1
