@@ -32,11 +32,12 @@ PATH = Trajectory.from_arrays([0.0, 0.2, 0.4], [turned(0), turned(0.1), turned(0
 
 
 def begun(robot: Rehearsal, **options: object) -> Motion:
-    """A motion whose program has connected, and that has been told the first set-point."""
+    """A motion whose program has begun and connected, and that has been told the first set-point."""
     motion = robot.motion.follow(PATH, **options)  # type: ignore[arg-type]
     robot.connect()
     while not (word := robot.obey()) or word[1] != FOLLOW:
         assert word is not None
+    until(lambda: motion.phase is not Phase.SENT)
     return motion
 
 
