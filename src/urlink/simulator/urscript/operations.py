@@ -136,6 +136,19 @@ def pose_display(items: Sequence[Function], place: int) -> Function:
     return placed(run, place)
 
 
+def _element(value: Any, at: Any, place: int) -> Any:
+    try:
+        return values.element(value, at)
+    except Fault as fault:
+        raise _at(place, fault) from None
+
+
+def _element_of_variable(value: Any, at: int, name: str, variable: int, place: int) -> Any:
+    if value is UNSET:
+        raise Fault(f"The variable '{name}' has no value", variable)
+    return _element(value, at, place)
+
+
 def element(base: Function, index: Function, place: int) -> Function:
     """`base[index]`"""
 
@@ -146,19 +159,9 @@ def element(base: Function, index: Function, place: int) -> Function:
                 return value[at]
             except IndexError:
                 pass
-        try:
-            return values.element(value, at)
-        except Fault as fault:
-            raise _at(place, fault) from None
+        return _element(value, at, place)
 
     return run
-
-
-def _element(value: Any, at: int, place: int) -> Any:
-    try:
-        return values.element(value, at)
-    except Fault as fault:
-        raise _at(place, fault) from None
 
 
 def local_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
@@ -173,9 +176,7 @@ def local_element(slot: int, at: int, name: str, variable: int, place: int) -> F
                 return value[at]
             except IndexError:
                 pass
-        if value is UNSET:
-            raise Fault(f"The variable '{name}' has no value", variable)
-        return _element(value, at, place)
+        return _element_of_variable(value, at, name, variable, place)
 
     return run
 
@@ -192,9 +193,7 @@ def global_element(slot: int, at: int, name: str, variable: int, place: int) -> 
                 return value[at]
             except IndexError:
                 pass
-        if value is UNSET:
-            raise Fault(f"The variable '{name}' has no value", variable)
-        return _element(value, at, place)
+        return _element_of_variable(value, at, name, variable, place)
 
     return run
 
