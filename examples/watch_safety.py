@@ -10,7 +10,8 @@ import time
 from datetime import datetime
 
 import urlink
-from urlink import ConnectionEvent, ConnectionState, MasterboardData, RobotMessage, Stamp
+from urlink import ConnectionEvent, ConnectionState, MasterboardData, RobotMessage, SafetyMode, Stamp
+from urlink.simulator import Controller
 
 
 class Watch:
@@ -37,6 +38,14 @@ class Watch:
             tell(event.received, "connected")
 
 
+def demonstrate(controller: Controller, watch: Watch, until: float) -> None:
+    """A protective stop, and its end; each as soon as the mode before it has been told."""
+    for mode, fault in ((SafetyMode.NORMAL, "protective_stop"), (SafetyMode.PROTECTIVE_STOP, "clear")):
+        while watch.mode is not mode and time.monotonic() < until:
+            time.sleep(0.02)
+        controller.schedule(f"{fault}@{controller.time}")
+
+
 def tell(when: Stamp | None, text: str) -> None:
     moment = datetime.now() if when is None else datetime.fromtimestamp(when.wall)
     print(f"{moment:%H:%M:%S.%f}"[:-3], text, flush=True)
@@ -57,7 +66,7 @@ def main() -> None:
         robot.primary.subscribe(watch.on_message, RobotMessage)
         robot.primary.subscribe(watch.on_masterboard, MasterboardData)
         if args.demonstrate and robot.controller is not None:
-            robot.controller.schedule("protective_stop@1", "clear@2")
+            demonstrate(robot.controller, watch, until)
         while time.monotonic() < until:
             time.sleep(min(0.1, max(until - time.monotonic(), 0.0)))
 

@@ -44,12 +44,24 @@ def test_print_state_of_the_oldest_firmware_that_sends_no_robot_mode() -> None:
 
 
 def test_watch_safety() -> None:
-    text = output("watch_safety.py", "--demonstrate", "--duration", "5")
-    told = [line.partition(" ")[2] for line in text.splitlines()]
-    assert "connected" in told
-    modes = [line for line in told if line.startswith("safety mode:")]
-    assert modes == ["safety mode: NORMAL", "safety mode: PROTECTIVE_STOP", "safety mode: NORMAL"]
-    assert any(line.startswith("RobotCommMessage(") and "code=153" in line for line in told)
+    """Read until everything has been told; a connection that is lost and made again tells the mode once more."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / "watch_safety.py"), "--demonstrate", "--duration", "40"]
+    modes, told = ["NORMAL"], ""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        for line in process.stdout:
+            told += line
+            _, _, mode = line.rstrip().partition("safety mode: ")
+            if mode and mode != modes[-1]:
+                modes.append(mode)
+            if len(modes) == 3 and "code=153" in told:
+                break
+        process.kill()
+        assert process.stderr.read() == ""
+    assert modes == ["NORMAL", "PROTECTIVE_STOP", "NORMAL"]
+    assert " connected\n" in told
+    assert "code=153" in told
 
 
 @pytest.mark.slow
