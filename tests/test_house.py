@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -92,17 +92,22 @@ MODULES = {name_of(path): path for path in sorted(SRC.rglob("*.py"))}
 @cache
 def imports(module: str) -> frozenset[str]:
     """The full name of everything that a module imports, wherever in it, also for its types only."""
-    return frozenset(_imports(module))
+    return frozenset(_imported(statements(module), package_of(module)))
 
 
-def _imports(module: str) -> Iterator[str]:
-    path = MODULES[module]
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    yield from _imported(ast.parse(path.read_text(encoding="utf-8")), package)
+@cache
+def statements(module: str) -> ast.Module:
+    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
 
 
-def _imported(tree: ast.Module, package: str) -> Iterator[str]:
+def package_of(module: str) -> str:
+    return module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
+
+
+def _imported(tree: ast.Module, package: str, without: Container[int] = ()) -> Iterator[str]:
     for node in ast.walk(tree):
+        if id(node) in without:
+            continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -166,13 +171,16 @@ def test_only_the_command_line_imports_the_command_line() -> None:
 @cache
 def runtime_imports(module: str) -> frozenset[str]:
     """The modules that are imported when `module` is, or when something in it is called: not for its types only."""
-    path = MODULES[module]
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            node.body = []
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    return frozenset(_imported(tree, package)) & MODULES.keys()
+    for_types = {
+        id(node)
+        for condition in ast.walk(statements(module))
+        if isinstance(condition, ast.If) and isinstance(condition.test, ast.Name)
+        if condition.test.id == "TYPE_CHECKING"
+        for statement in condition.body
+        for node in ast.walk(statement)
+    }
+    found = _imported(statements(module), package_of(module), for_types)
+    return frozenset(found) & MODULES.keys()
 
 
 def circle(graph: Mapping[str, set[str]]) -> list[str]:
@@ -259,9 +267,8 @@ def test_asyncio_is_where_something_can_be_awaited() -> None:
     assert {module for module in MODULES if "asyncio" in imports(module)} == AWAITED
 
 
-def starts_threads(source: str) -> bool:
+def starts_threads(tree: ast.Module) -> bool:
     """It calls what makes a thread, or derives a class from it, under whichever name it was imported."""
-    tree = ast.parse(source)
     names = {"Thread", "Timer", "ThreadPoolExecutor", "start_new_thread"}
     names |= {
         alias.asname
@@ -295,11 +302,11 @@ def starts_threads(source: str) -> bool:
     ],
 )
 def test_whatever_way_a_thread_is_made_is_seen(source: str, starts: bool) -> None:
-    assert starts_threads(source) == starts
+    assert starts_threads(ast.parse(source)) == starts
 
 
 def test_threads_are_started_where_it_is_declared() -> None:
-    found = {module for module, path in MODULES.items() if starts_threads(path.read_text(encoding="utf-8"))}
+    found = {module for module in MODULES if starts_threads(statements(module))}
     assert found == THREADS
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.metadata
 import io
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import Protocol
 
 from ..errors import LinkError
@@ -31,18 +31,29 @@ class Command(Protocol):
 
 
 def program(
-    name: str, commands: Sequence[Command], description: str, epilog: str, argv: Sequence[str] | None = None
+    name: str, commands: Mapping[str, str], description: str, epilog: str, argv: Sequence[str] | None = None
 ) -> int:
-    """Run the command line of the package `name`; returns the exit status and never raises."""
+    """Run the command line of the package `name`; returns the exit status and never raises.
+
+    Args:
+        name: of the package, and of the program.
+        commands: each command -> the module in the package's `cli` that declares it, in the order of the help. Only the
+            module of the command that was asked for is imported: all of them take longer than most commands.
+        description, epilog: of the help.
+        argv: the arguments; those of the process by default.
+    """
+    argv = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
         prog=name,
         description=description,
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"{name} {_version()}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
-    for command in commands:
+    asked = next((word for word in argv if not word.startswith("-")), "")
+    for module in (commands[asked],) if asked in commands else dict.fromkeys(commands.values()):
+        command: Command = import_module(f"{name}.cli.{module}")
         command.add_parser(subparsers)
     try:
         args, extra = parser.parse_known_args(argv)
@@ -79,11 +90,18 @@ def program(
         return 1
 
 
-def _version() -> str:
-    try:
-        return importlib.metadata.version(_DISTRIBUTION)
-    except importlib.metadata.PackageNotFoundError:
-        return "(not installed)"
+class _Version(argparse.Action):
+    """Looks the version up when it is asked for: that imports more than most commands need."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        import importlib.metadata
+
+        try:
+            version = importlib.metadata.version(_DISTRIBUTION)
+        except importlib.metadata.PackageNotFoundError:
+            version = "(not installed)"
+        print(parser.prog, version)
+        parser.exit()
 
 
 class _SafeFormatter(logging.Formatter):

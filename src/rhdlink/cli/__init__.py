@@ -6,11 +6,22 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import dissect, export, hosting, mission, recordings, values, watch
-
 __all__ = ["main"]
 
-_COMMANDS = (hosting, mission, values, watch, recordings, export, dissect)
+#: command -> the module of this folder that declares it
+_COMMANDS = {
+    "serve": "hosting",
+    "turtle": "hosting",
+    "mission": "mission",
+    "vars": "values",
+    "get": "values",
+    "set": "values",
+    "watch": "watch",
+    "record": "recordings",
+    "replay": "recordings",
+    "export": "export",
+    "dissect": "dissect",
+}
 
 _DESCRIPTION = """\
 Look at, drive, host and imitate mobile robots that run the Robot Hardware Daemon (RHD)."""

@@ -6,49 +6,29 @@ from collections.abc import Sequence
 
 from linkcore.cli.program import program
 
-from . import (
-    dashboard,
-    dissect,
-    doctor,
-    echo,
-    export,
-    foxglove,
-    hz,
-    info,
-    jog,
-    monitor,
-    plot,
-    record,
-    replay,
-    rtde,
-    script,
-    serve,
-    sim,
-    teach,
-)
-
 __all__ = ["main"]
 
-_COMMANDS = (
-    monitor,
-    echo,
-    rtde,
-    hz,
-    info,
-    doctor,
-    script,
-    jog,
-    teach,
-    dashboard,
-    record,
-    replay,
-    plot,
-    export,
-    foxglove,
-    dissect,
-    serve,
-    sim,
-)
+#: command -> the module of this folder that declares it, in the order of the help
+_COMMANDS = {
+    "monitor": "monitor",
+    "echo": "echo",
+    "rtde": "rtde",
+    "hz": "hz",
+    "info": "info",
+    "doctor": "doctor",
+    "run": "script",
+    "jog": "jog",
+    "teach": "teach",
+    "dashboard": "dashboard",
+    "record": "record",
+    "replay": "replay",
+    "plot": "plot",
+    "export": "export",
+    "foxglove": "foxglove",
+    "dissect": "dissect",
+    "serve": "serve",
+    "sim": "sim",
+}
 
 _DESCRIPTION = """\
 Read and command Universal Robots arms of every generation: real, simulated, or from a recording."""

@@ -6,8 +6,9 @@ import argparse
 import itertools
 import sys
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, TypeGuard
 
+import urlink
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
@@ -15,7 +16,7 @@ from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import Robot, connect
-from .fields import KINDS, NoSuchField, getter
+from .fields import NoSuchField, getter
 from .options import Subparsers, add_address, add_command, positive_int, seconds
 from .tap import Tap
 from .values import as_json, as_line, as_text, plain
@@ -54,11 +55,27 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"
     )
     parser.add_argument(
-        "--type", metavar="CLASS", choices=KINDS, help="class of packet: RobotModeData, TextMessage, State for all, ..."
+        "--type",
+        metavar="CLASS",
+        type=_packet_class,
+        help="class of packet: RobotModeData, TextMessage, State for all, ...",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null")
     parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
     parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
+
+
+def _packet_class(name: str) -> type[State]:
+    # Every public name is imported only to say which there are: some bring asyncio with them.
+    kind = getattr(urlink, name, None)
+    if _is_packet_class(kind):
+        return kind
+    there = ", ".join(each for each in dir(urlink) if _is_packet_class(getattr(urlink, each)))
+    raise argparse.ArgumentTypeError(f"{name!r} is no class of packets; there are {there}")
+
+
+def _is_packet_class(value: object) -> TypeGuard[type[State]]:
+    return isinstance(value, type) and issubclass(value, State)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,11 +93,11 @@ def kind_of(args: argparse.Namespace) -> tuple[str, type[State]]:
     if args.type is None:
         interface = interface or "realtime"
         return interface, RealtimeState if interface == "realtime" else RobotState
-    kind = KINDS[args.type]
+    kind: type[State] = args.type
     if interface is None:
         interface = "realtime" if kind is RealtimeState else "primary"
     if (interface == "realtime") != (kind is RealtimeState) and kind is not State:
-        args.usage_error(f"{args.type} does not come on the {interface} interface")
+        args.usage_error(f"{kind.__name__} does not come on the {interface} interface")
     return interface, kind
 
 

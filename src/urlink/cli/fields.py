@@ -5,20 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import urlink
 from linkcore.wire.packet import State
 
 from ..interfaces.primary.robot_state import SUB_PACKAGES, RobotState, UnknownSubPackage, snake_case
 from ..interfaces.realtime.packets import RealtimeState
 
-__all__ = ["KINDS", "NoSuchField", "field_names", "getter"]
-
-#: name -> class of everything that comes over the wire, and the classes that stand for several
-KINDS: dict[str, type[State]] = {
-    name: getattr(urlink, name)
-    for name in dir(urlink)
-    if isinstance(getattr(urlink, name), type) and issubclass(getattr(urlink, name), State)
-}
+__all__ = ["NoSuchField", "field_names", "getter"]
 
 
 class NoSuchField(ValueError):

@@ -35,6 +35,7 @@ goes on after each of them: with less than that pause, it stutters as it begins.
 _EXAMPLES = (
     "urlink jog 192.168.56.101",
     "urlink jog sim:// --frame tool --speed 0.2",
+    "urlink jog 192.168.56.101 --speed 0.05 --hold 1",
 )
 
 #: Keys that turn or move each of the six one way, and the other.

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib
 import signal
 import subprocess
 from collections.abc import Callable
@@ -9,15 +10,18 @@ import pytest
 
 from .conftest import Run, write
 
-COMMANDS = ("monitor", "echo", "hz", "info", "record", "replay", "plot", "export", "foxglove", "dissect", "sim")
+COMMANDS = (
+    *("monitor", "echo", "rtde", "hz", "info", "doctor", "run", "jog", "teach", "dashboard", "record", "replay"),
+    *("plot", "export", "foxglove", "dissect", "serve", "sim"),
+)
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
 def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
     status, out, err = run("--help")
     assert (status, err) == (0, "")
-    for command in COMMANDS:
-        assert f"\n    {command} " in out
+    listed = out.partition("commands:\n")[2].partition("\n\n")[0].splitlines()[1:]
+    assert tuple(line.split()[0] for line in listed if line[4] != " ") == COMMANDS
     assert "130" in out
     assert "replay://" in out
 
@@ -28,8 +32,25 @@ def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
     assert status == 0
     examples = out.partition("examples:\n")[2].splitlines()
     assert len(examples) >= 3
-    assert all(example.startswith(f"  urlink {command}") for example in examples)
-    assert max(map(len, out.splitlines())) <= 115
+    assert all(f" urlink {command}" in example for example in examples)
+    assert max(map(len, out.splitlines())) <= 120
+
+
+def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All together they take longer than most commands."""
+    imported = []
+
+    def import_module(name: str) -> object:
+        imported.append(name)
+        return importlib.import_module(name)
+
+    monkeypatch.setattr("linkcore.cli.program.import_module", import_module)
+    assert run("dissect", "-v", "sim", "--help")[0] == 0
+    assert imported == ["urlink.cli.dissect"]
+    assert run("--version")[0] == 0
+    imported.clear()
+    assert run("-q", "nothing")[0] == 2
+    assert imported[:3] == ["urlink.cli.monitor", "urlink.cli.echo", "urlink.cli.rtde"]
 
 
 def test_version(run: Run) -> None:
