@@ -21,6 +21,7 @@ from .faults.link import LinkFaults
 from .ports.port import Port, ReadOnlyReceiver, Receiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
+from .stepped_clock import SteppedClock
 
 __all__ = ["Server"]
 
@@ -122,6 +123,7 @@ class Server:
         self._link = link
         self._sockets = SelectorLoop(clock)
         self._clock = clock
+        self._is_stepped = isinstance(clock, SteppedClock)
         self._is_closing = False
         self._is_changed = False
         # The last look at the clock could not catch up in its time.
@@ -222,7 +224,9 @@ class Server:
             cycle = self._state.cycle
             wake = cycle + 1 if self._is_changed else self._next(cycle)
             self._is_changed = False
-            self._sockets.serve_once(self._epoch + (wake - self._first) / self._rate)
+            # A stepped clock stands for as long as this waits: who lets it go on calls, and so ends the waiting.
+            until = None if self._is_stepped else self._epoch + (wake - self._first) / self._rate
+            self._sockets.serve_once(until)
 
     def catch_up(self) -> None:
         """Advance the controller to the present, and send what that brings."""
