@@ -22,18 +22,21 @@ class ProgressBar:
     Args:
         text: what is going on.
         quiet: draw nothing on a terminal either.
+
+    Attributes:
+        is_shown: whether it will be seen.
     """
 
     def __init__(self, text: str, quiet: bool = False) -> None:
         self._text = text
-        self._is_shown = sys.stderr.isatty() and not quiet
+        self.is_shown = sys.stderr.isatty() and not quiet
         self._next = time.monotonic() + _PERIOD
         self._is_drawn = False
 
     def __call__(self, part: float) -> None:
         """Draw it, if it is time to."""
         now = time.monotonic()
-        if not self._is_shown or now < self._next or part <= 0.0:  # what has no end in sight has no bar
+        if not self.is_shown or now < self._next or part <= 0.0:  # what has no end in sight has no bar
             return
         self._next = now + _PERIOD
         done = round(min(max(part, 0.0), 1.0) * _WIDTH)

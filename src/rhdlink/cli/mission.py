@@ -129,7 +129,7 @@ def _execute(args: argparse.Namespace) -> int:
 
 def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
     """Wait for the end, and show how it goes where stderr is a terminal."""
-    is_seen = sys.stderr.isatty() and not args.trace and args.profile != "mrc"
+    is_seen = sys.stderr.isatty() and not args.quiet and not args.trace and args.profile != "mrc"
     due = time.monotonic() + _VIEW
     while not run.done:
         if interruption.wait(0.02):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from linkcore.cli.progress_bar import ProgressBar
 from linkcore.errors import BadRecording, PacketError
+from linkcore.progress import Progress
 from linkcore.recording.file import Kind, Recording
 from linkcore.text import printable, strict_json
 from linkcore.wire.dissection import Row, header_rows
@@ -74,23 +77,31 @@ def run(args: argparse.Namespace) -> int:
         BadRecording: no such file, or there is nothing in it that could be shown.
     """
     shown = read = 0
-    for number, piece in enumerate(_pieces(args), 1):
-        shown += 1
-        read += bool(piece.rows)
-        if args.json:
-            print(strict_json({"number": number, **piece.as_json()}))
-        else:
-            print("\n".join(piece.lines(number)), end="\n\n")
-        if shown == args.count:
-            break
+    # Where the packets themselves are seen, they show how far it is.
+    with ProgressBar(f"dissecting {args.file}", args.quiet or sys.stdout.isatty()) as progress:
+        for number, piece in enumerate(_pieces(args, progress), 1):
+            shown += 1
+            read += bool(piece.rows)
+            if args.json:
+                print(strict_json({"number": number, **piece.as_json()}))
+            else:
+                print("\n".join(piece.lines(number)), end="\n\n")
+            if shown == args.count:
+                break
     if not shown:
         raise BadRecording(f"{args.file} holds no bytes" + (f" of {args.interface}" if args.interface else ""))
     return 0 if read else 1
 
 
-def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
-    for interface, data in _sources(Path(args.file), args.interface):
-        yield from dissect(data, interface, args.firmware)
+def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[Piece]:
+    sources = list(_sources(Path(args.file), args.interface))
+    size = sum(len(data) for _, data in sources)
+    done = 0
+    for interface, data in sources:
+        for piece in dissect(data, interface, args.firmware):
+            progress((done + piece.offset) / size)
+            yield piece
+        done += len(data)
 
 
 def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from linkcore.cli.progress_bar import ProgressBar
-from linkcore.recording.file import Recording
+from linkcore.recording.file import Kind, Recording
+from linkcore.streaming.stream import Stream
 from linkcore.text import strict_json
+from linkcore.wire.packet import State
 
 from ..robot import connect
 from .echo import add_options, echo, kind_of, shower
@@ -71,9 +76,30 @@ def run(args: argparse.Namespace) -> int:
         return 0
     interface, kind = kind_of(args)
     show = shower(args, kind)
-    recording = Recording(args.file)
-    recording.channel(interface)  # says at once what there is instead
+    with ProgressBar(f"reading {args.file}", args.quiet) as progress:
+        recording = Recording(args.file, progress)
+    number = recording.channel(interface)  # says at once what there is instead
     address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate}"
-    with connect(address) as robot:
+    # Where the packets themselves are seen, they show how far it is.
+    with connect(address) as robot, ProgressBar("playing", args.quiet or sys.stdout.isatty()) as progress:
+        if progress.is_shown:
+            show = _drawing(show, progress, getattr(robot, interface), _size(recording, number))
         echo(robot, interface, kind, show, args)
     return 0
+
+
+def _size(recording: Recording, channel: int) -> int:
+    """Bytes that came over one interface."""
+    return sum(len(record.payload) for record in recording if (record.channel, record.kind) == (channel, Kind.BYTES))
+
+
+def _drawing(
+    show: Callable[[State], str], progress: ProgressBar, stream: Stream[Any], size: int
+) -> Callable[[State], str]:
+    """As `show`, and draws which part of so many bytes has been played."""
+
+    def show_and_draw(packet: State) -> str:
+        progress(stream.stats.bytes / max(size, 1))
+        return show(packet)
+
+    return show_and_draw

@@ -170,6 +170,8 @@ def test_what_takes_long_has_a_bar_on_a_terminal(
     assert "recording [" in capsys.readouterr().err
     commands = (
         (urlink.cli.main, ["replay", str(CAPTURE)], ("reading",)),
+        (urlink.cli.main, ["replay", str(CAPTURE), "--rate", "max", "--count", "9"], ("reading", "playing")),
+        (urlink.cli.main, ["dissect", str(CAPTURE), "--count", "3"], ("dissecting",)),
         (urlink.cli.main, ["export", str(CAPTURE), str(tmp_path / "run.csv"), "tcp_force"], ("reading", "writing")),
         (rhdlink.cli.main, ["replay", str(drive)], ("reading",)),
         (rhdlink.cli.main, ["export", str(drive), str(tmp_path / "drive.csv")], ("reading", "writing")),
