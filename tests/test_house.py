@@ -41,6 +41,7 @@ THREADS = {
     "urlink.simulator.stepped_clock",  # lets time pass within a block, for a controller that is stepped
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
+    "linkcore.recording.side_by_side",  # some, for as long as a long recording is checked
     "linkcore.aio.workers",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run

@@ -9,18 +9,22 @@ GF(2). See zlib's `crc32_combine`.
 from __future__ import annotations
 
 import zlib
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .records import FRAME
+from .side_by_side import side_by_side
 
 __all__ = ["intact"]
 
 _ALL = 0xFFFFFFFF
 #: Records that one checksum covers: some hundred kB, which the cache of a processor holds.
 _BATCH = 256
+#: Batches that are worth a thread's while: some MB.
+_SHARE = 16
 
 Crcs = NDArray[np.uint32]
 
@@ -41,9 +45,13 @@ def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
     whole = batches * _BATCH
     if batches:
         size = _BATCH * stride
-        for number, crc in enumerate(_joined(written[:whole].astype(np.uint32), stride).tolist()):
-            at = start + number * size
-            good[number * _BATCH : (number + 1) * _BATCH] = zlib.crc32(view[at : at + size]) == crc
+
+        def checksums(begin: int, end: int) -> list[int]:
+            places = range(start + begin * size, start + end * size, size)
+            return [zlib.crc32(view[at : at + size]) for at in places]
+
+        found = np.array(list(chain(*side_by_side(checksums, 0, batches, _SHARE))), np.uint32)
+        good[:whole] = np.repeat(found == _joined(written[:whole].astype(np.uint32), stride), _BATCH)
     single = np.flatnonzero(~good)
     crcs = written[single].tolist()
     places = (start + FRAME.size + single * stride).tolist()

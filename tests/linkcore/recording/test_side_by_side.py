@@ -1,0 +1,27 @@
+"""Shares of one computation: all of them, in order, on however many processors."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from linkcore.recording.side_by_side import side_by_side
+
+
+@pytest.mark.parametrize("processors", [1, 3])
+@pytest.mark.parametrize("size", [0, 1, 10, 11, 95])
+def test_every_share_once_and_in_order(processors: int, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: processors)
+    shares = side_by_side(lambda begin, end: list(range(begin, end)), 5, 5 + size, 10)
+    assert [each for share in shares for each in share] == list(range(5, 5 + size))
+    assert all(len(share) == 10 for share in shares[:-1])
+
+
+def test_shares_are_done_at_the_same_time_and_their_errors_are_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    both = threading.Barrier(2, timeout=20.0)
+    assert side_by_side(lambda begin, _: both.wait() >= 0 and begin, 0, 2, 1) == [0, 1]
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda begin, _: 1 // (3 - begin), 0, 8, 1)
+    assert not [thread for thread in threading.enumerate() if "recording" in thread.name]
