@@ -137,10 +137,11 @@ class Collector:
                     self._file(name).add(item)
                 elif name in self._files:
                     self._note(self._files[name], name, item[1])
+                self._failed.discard(name)
             except LinkError as error:
                 if name not in self._failed:
                     self._failed.add(name)
-                    _log.error("%s is not recorded any more: %s", name, error)
+                    _log.error("%s is not recorded until the cause is gone: %s", name, error)
 
     def _file(self, name: str) -> _File:
         """The recording of a robot, made when its first packet comes."""
