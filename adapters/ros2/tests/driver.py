@@ -85,7 +85,7 @@ def listen(node: Any, seconds: str, namespace: str = "") -> None:
 
 
 def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
-    """Follow a goal in JSON; `when` is "cancel" or "die" after its first feedback."""
+    """Follow a goal in JSON; `when` is "cancel", "die" or "stay" after its first feedback."""
     told: list[Any] = []
     client = ActionClient(
         node, FollowJointTrajectory, f"{namespace}scaled_joint_trajectory_controller/follow_joint_trajectory"
@@ -112,8 +112,8 @@ def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
     if when:
         while not told:
             rclpy.spin_once(node, timeout_sec=0.1)
-    if when == "die":
         say(moving=True)
+    if when == "die":
         time.sleep(60.0)
     if when == "cancel":
         rclpy.spin_until_future_complete(node, handle.cancel_goal_async(), timeout_sec=10.0)

@@ -106,6 +106,20 @@ def test_a_trajectory_is_cancelled_by_its_client_and_by_its_death(robot: urlink.
         assert isinstance(motion.error, urlink.Cancelled)
 
 
+def test_what_moves_ends_with_the_serving_and_its_client_is_told(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        process = drive("follow", goal((0.0, START), (40.0, FAR)), "stay", wait=False)
+        assert json.loads(process.stdout.readline()) == {"moving": True}
+        motion = robot.motion.current
+        assert motion is not None
+    assert motion.done
+    assert isinstance(motion.error, urlink.Cancelled)
+    out, _ = process.communicate(timeout=20)
+    told = json.loads(out.splitlines()[-1])
+    assert (told["status"], told["code"]) == (6, -1)
+    assert "Cancelled" in told["text"]
+
+
 def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
     with serve({"arm": robot}):
         wrong = drive("follow", goal((0.0, START), (1.0, FAR), joints=["a", "b", "c", "d", "e", "f"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from typing import Any
@@ -20,6 +21,9 @@ _log = logging.getLogger("urlink.ros2")
 
 #: Seconds between two feedback messages.
 _FEEDBACK = 0.05
+
+#: Seconds in which the executor sends the result of a goal, once there is one; rclpy does not tell when it has left.
+_SENDING = 0.5
 
 
 class TrajectoryAction:
@@ -46,6 +50,10 @@ class TrajectoryAction:
         self._joints = joints
         self._client_service = f"{node.resolve_service_name(name)}/_action/send_goal"
         self._motion: Motion | None = None
+        self._ending = threading.Event()
+        self._idle = threading.Condition()
+        self._running = 0
+        self._last_end = -math.inf
         self._server = ActionServer(
             node,
             FollowJointTrajectory,
@@ -56,15 +64,32 @@ class TrajectoryAction:
             callback_group=ReentrantCallbackGroup(),
         )
 
-    def close(self) -> None:
-        """Cancel what moves, and serve it no more."""
+    def end(self) -> None:
+        """Take no more goals, and cancel the one that runs; returns before it has ended."""
+        self._ending.set()
         motion = self._motion
         if motion is not None:
             motion.cancel()
+
+    def wait_ended(self, seconds: float) -> None:
+        """Wait, at most so long, until no goal runs, and then until its client can have been told.
+
+        The executor has to go on meanwhile, since it sends the results.
+        """
+        with self._idle:
+            self._idle.wait_for(lambda: self._running == 0, seconds)
+            left = self._last_end + _SENDING - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+    def destroy(self) -> None:
+        """Serve it no more."""
         self._server.destroy()
 
     def _accepted(self, request: Any) -> GoalResponse:
         """Refuse at once what cannot be followed, or must not be now."""
+        if self._ending.is_set():
+            return GoalResponse.REJECT
         refusal = self._robot.safety.refusal
         if refusal is not None:
             _log.warning("%s: goal rejected: %s", self._robot.address, refusal)
@@ -72,6 +97,17 @@ class TrajectoryAction:
         return GoalResponse.ACCEPT
 
     def _execute(self, handle: Any) -> Any:
+        with self._idle:
+            self._running += 1
+        try:
+            return self._follow(handle)
+        finally:
+            with self._idle:
+                self._running -= 1
+                self._last_end = time.monotonic()
+                self._idle.notify_all()
+
+    def _follow(self, handle: Any) -> Any:
         result = self._type.Result()
         newest: list[TrajectoryFeedback] = []
         told = threading.Event()
@@ -94,6 +130,8 @@ class TrajectoryAction:
         except LinkError as error:
             return self._failed(handle, result, error, False)
         self._motion = motion
+        if self._ending.is_set():
+            motion.cancel()
         is_asked = False
         while not motion.done:
             time.sleep(_FEEDBACK)

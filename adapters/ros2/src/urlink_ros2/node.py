@@ -27,6 +27,9 @@ _log = logging.getLogger("urlink.ros2")
 #: Seconds between two looks at what changes seldom, and without a state after which a robot counts as lost.
 _LOOK, _SILENT = 0.1, 0.5
 
+#: Seconds that a goal may take to end once it is cancelled; it takes two periods of its feedback.
+_END = 5.0
+
 
 class RobotNode:
     """A node of ROS 2 for one robot: topics, services, and the action; made within a context of rclpy.
@@ -80,11 +83,23 @@ class RobotNode:
         self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
         self.node.create_timer(_LOOK, self._look)
 
-    def close(self) -> None:
-        """Cancel what a client moves, and end the node."""
-        self._subscription.close()
+    def end_motion(self) -> None:
+        """Take no more goals, and cancel what a client moves; returns before it has ended."""
         if self._action is not None:
-            self._action.close()
+            self._action.end()
+
+    def wait_motion_ended(self) -> None:
+        """Wait until what `end_motion` cancelled has ended and, by the executor, its client has been told."""
+        if self._action is not None:
+            self._action.wait_ended(_END)
+
+    def close(self) -> None:
+        """Cancel what a client moves, wait until it has ended, and end the node."""
+        self._subscription.close()
+        self.end_motion()
+        self.wait_motion_ended()
+        if self._action is not None:
+            self._action.destroy()
         self.node.destroy_node()
 
     def _publish(self, state: RealtimeState) -> None:
@@ -134,7 +149,8 @@ def serve(
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     executor = rclpy.executors.MultiThreadedExecutor(2 + 2 * len(robots), context=context)
     nodes: list[RobotNode] = []
-    thread = threading.Thread(target=_spin, args=(executor,), name="urlink-ros2", daemon=True)
+    is_over = threading.Event()
+    thread = threading.Thread(target=_spin, args=(executor, is_over), name="urlink-ros2", daemon=True)
     try:
         for name, robot in robots.items():
             served = RobotNode(
@@ -150,17 +166,26 @@ def serve(
         thread.start()
         yield
     finally:
+        # While the executor runs: its shutdown waits for goals, and their results are sent by it.
+        for served in nodes:
+            served.end_motion()
+        for served in nodes:
+            served.wait_motion_ended()
+        is_over.set()
+        executor.wake()
+        if thread.is_alive():
+            thread.join(5.0)
         executor.shutdown(timeout_sec=2.0)
         for served in nodes:
             served.close()
         rclpy.shutdown(context=context)
-        if thread.is_alive():
-            thread.join(5.0)
 
 
-def _spin(executor: Any) -> None:
+def _spin(executor: Any, is_over: threading.Event) -> None:
+    """Spin until it is over. `executor.spin` goes on for a moment after `shutdown`, when nodes are destroyed."""
     with contextlib.suppress(rclpy.executors.ExternalShutdownException):
-        executor.spin()
+        while executor.context.ok() and not is_over.is_set():
+            executor.spin_once(timeout_sec=0.1)
 
 
 def _takes_commands(robot: Robot) -> bool:
