@@ -12,6 +12,7 @@ from contextlib import ExitStack
 
 import pytest
 
+from linkcore.errors import BadAddress
 from linkcore.net.loop import CHUNK, SelectorLoop
 from rhdlink.host import server as server_module
 from rhdlink.host.server import MOST_NEW, Server
@@ -120,6 +121,25 @@ def stand(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stand]:
     stand = Stand(monkeypatch)
     yield stand
     stand.close()
+
+
+# -- how long it serves ------------------------------------------------------------------------
+
+
+def test_serves_until_it_is_enough(stand: Stand) -> None:
+    answers = [False, False, True]
+
+    def is_enough() -> bool:
+        stand.server.wake()  # so that the next round does not wait
+        return answers.pop(0)
+
+    stand.server.serve(None, is_enough)
+    assert answers == []
+
+
+def test_a_port_that_is_taken(stand: Stand) -> None:
+    with pytest.raises(BadAddress, match="cannot listen"):
+        Server(stand.service, "127.0.0.1", stand.server.port, client_timeout=1.0, inactivity_timeout=1.0)
 
 
 # -- the time that a client has ----------------------------------------------------------------

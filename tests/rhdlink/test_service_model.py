@@ -362,6 +362,14 @@ def test_a_service_has_its_slots_and_variables_for_good() -> None:
         database.read.add("late")
 
 
+def test_unless_it_is_told_otherwise_there_are_ten_slots_and_one_writer() -> None:
+    served = Service(Database())
+    assert served.slots == 10
+    for _ in range(2):
+        granted(served, b"aw")
+    assert served.writers == 1
+
+
 def test_a_client_that_is_gone_gives_its_slot_back_once() -> None:
     served, _ = service(clients=1)
     first = granted(served)

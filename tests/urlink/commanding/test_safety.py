@@ -349,6 +349,11 @@ def test_waiting_for_no_number_of_seconds(robot: StandIn, timeout: Any) -> None:
         robot.safety.on_stop(timeout)
 
 
+def test_whether_a_stop_holds_may_be_asked_without_waiting(robot: StandIn) -> None:
+    robot.clear()
+    assert robot.safety.wait_for_stop(0.0) is None
+
+
 def test_cb2() -> None:
     with StandIn("1.8") as robot:
         robot.clear()
