@@ -14,6 +14,7 @@ robot approaches no set-point faster than the joints can move.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from ..errors import ToleranceExceeded
@@ -39,7 +40,7 @@ _CATCHING_UP = 1.1
 _SETTLING = 0.1
 
 
-class _Offset:
+class _Offset(ABC):
     """A difference between two places of the arm, which becomes smaller as the trajectory goes on.
 
     Args:
@@ -58,9 +59,9 @@ class _Offset:
         share, speed = self._left(1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0))
         return [share * each for each in self._offset], [speed / self._seconds * each for each in self._offset]
 
+    @abstractmethod
     def _left(self, rest: float) -> tuple[float, float]:
         """The share that is left when this share of the time is left, and how fast it changes in the whole time."""
-        raise NotImplementedError
 
 
 class _Fade(_Offset):
@@ -109,13 +110,15 @@ class Follower(Following):
         self._delay = AHEAD * self._cycle if delay is None else delay
         self.farewell = STOP_WORD
         self._servoing = servoing
-        #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
-        self._start, self._gap = _Fade([0.0] * 6, 0.0), _Gap([0.0] * 6, 0.0)
         #: s that have passed on the trajectory, by the controller's clock; None before it began
         self._t: float | None = None
+        # What there is once it has begun:
+        #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
+        self._start: _Fade
+        self._gap: _Gap
         #: the time of the last set-point on the trajectory, s; and by how many s on it the program goes on in a second
-        self._s = 0.0
-        self._pace = 0.0
+        self._s: float
+        self._pace: float
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program on the robot."""
@@ -142,7 +145,8 @@ class Follower(Following):
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
             self._stream.begin(here)
-            self._t, self._s = 0.0, (AHEAD - 1) * self._cycle
+            self._t, self._s, self._pace = 0.0, (AHEAD - 1) * self._cycle, 1.0
+            self._gap = _Gap([0.0] * 6, self._s)
         else:
             self._t += passed
             self._stream.advance(passed)

@@ -141,7 +141,7 @@ def _squares(
     ramp_before, ramp_after = before / (2.0 * ds[:, np.newaxis]), after / (2.0 * ds[:, np.newaxis])
     a = np.concatenate([bend - ramp_before, ramp_before - bend, -ramp_after, ramp_after], axis=1)
     b = np.concatenate([ramp_before, -ramp_before, ramp_after + bend, -ramp_after - bend], axis=1)
-    c = np.tile(acceleration, (1, 4))
+    c = np.concatenate([acceleration] * 4, axis=1)
     reachable = largest.copy()
     for i in range(count - 1, -1, -1):
         reachable[i] = _largest(a[i], b[i], c[i], reachable[i + 1], largest[i])

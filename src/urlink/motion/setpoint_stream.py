@@ -23,22 +23,22 @@ class SetpointStream:
 
     Attributes:
         cycle: s of the controller.
-        q: the last set-point, (6,) rad.
-        qd: (6,) rad/s with which the program goes on from there.
+        q: the last set-point, (6,) rad; empty before `begin`.
+        qd: (6,) rad/s with which the program goes on from there; empty before `begin`.
     """
 
     def __init__(self, servoing: Servoing, model: Model | None) -> None:
         self._servoing = servoing
         self.cycle = 1.0 / servoing.firmware.rate
         self._limit = SpeedLimit(model, self.cycle, late=servoing.late)
-        self.q = [0.0] * 6
-        self.qd = [0.0] * 6
+        self.q: list[float] = []
+        self.qd: list[float] = []
         #: s since the last set-point
         self._since = 0.0
 
     def begin(self, q: Sequence[float]) -> None:
         """The arm rests at `q` (6, rad)."""
-        self.q = list(q)
+        self.q, self.qd = list(q), [0.0] * 6
 
     def advance(self, seconds: float) -> None:
         """So much time has passed."""

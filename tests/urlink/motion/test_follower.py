@@ -152,6 +152,55 @@ def test_each_set_point_is_for_its_own_cycle(firmware: Firmware) -> None:
     assert feeding.sent[-1] == pytest.approx(WAVE.q[-1])
 
 
+def ramp(speed: float) -> Trajectory:
+    """Wrist 3 goes at this speed from 0.1 s to 0.5 s, and from 0.51 s on it rests."""
+    places = [turned(speed * way) for way in (0.0, 0.05, 0.45, 0.455, 0.455)]
+    return Trajectory.from_arrays(
+        [0.0, 0.1, 0.5, 0.51, 2.0], places, [[0.0] * 5 + [share * speed] for share in (0, 1, 1, 0, 0)]
+    )
+
+
+@pytest.mark.parametrize(("missed", "pace"), [(0, 1.0), (15, 1.046), (30, 1.1)])
+def test_the_program_goes_on_along_the_trajectory_and_a_little_faster_to_catch_up(missed: int, pace: float) -> None:
+    """A tenth of a second is time for what it is behind: 2.3 cycles after 15 that were missed, 9.2 after 30."""
+    feeding = Feeding(follower(trajectory=ramp(0.5)))
+    for _ in range(120):
+        feeding.state()
+    feeding.state(missed + 1)
+    assert feeding.speeds[-2:] == pytest.approx([0.5, 0.5 * pace], abs=1e-6)
+
+
+@pytest.mark.parametrize(("speed", "seconds"), [(0.5, 0.1), (2.0, 0.208)])
+def test_what_the_program_went_too_far_is_closed_at_constant_speed(speed: float, seconds: float) -> None:
+    """In a tenth of a second, and at 0.25 rad/s at most. The arm went on while the trajectory came to rest."""
+    feeding = Feeding(follower(trajectory=ramp(speed)))
+    for _ in range(246):
+        feeding.state()
+    here = feeding.sent[-1][5] + speed * 18.5 * feeding.cycle  # after 25 cycles
+    gap = here - 0.455 * speed
+    assert gap == pytest.approx(0.026 * speed, abs=1e-6)
+    feeding.state(26)
+    # It is behind the trajectory, so it goes a tenth faster.
+    for cycles in range(1, 30):
+        assert feeding.speeds[-1] == pytest.approx(-gap / seconds, abs=2e-6)
+        assert feeding.sent[-1][5] == pytest.approx(here - gap * 1.1 * cycles * feeding.cycle / seconds, abs=2e-6)
+        feeding.state()
+    for _ in range(round(seconds / feeding.cycle)):
+        feeding.state()
+    assert (feeding.sent[-1][5], feeding.speeds[-1]) == pytest.approx((0.455 * speed, 0.0), abs=1e-6)
+
+
+def test_where_less_time_has_passed_here_it_goes_on_half_as_far_or_stays() -> None:
+    """At the largest speed of the joint, where a set-point may be early by no more than a millisecond."""
+    feeding = Feeding(follower(trajectory=ramp(3.1)))
+    for _ in range(120):
+        feeding.state()
+    for own in (0.0002, 0.0, 0.002):
+        feeding.state(own=own)
+    ways = np.diff(np.array(feeding.sent)[-5:, 5])
+    assert ways == pytest.approx(3.1 * feeding.cycle * np.array([1.0, 0.5, 0.0, 1.1]), abs=2e-6)
+
+
 @pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
 def test_a_time_that_makes_no_sense_moves_nothing_by_more_than_a_cycle(told: float) -> None:
     feeding = Feeding(follower())
@@ -265,6 +314,18 @@ def test_what_is_between_the_arm_and_the_first_point_is_faded_out() -> None:
     assert np.abs(sent - wanted)[50] > 0.02  # not at once
 
 
+@pytest.mark.parametrize(("off", "seconds"), [(0.04, 0.24), (-0.001, 0.2)])
+def test_how_it_is_faded_out(off: float, seconds: float) -> None:
+    """At 0.25 rad/s at most, in a fifth of a second at least, from rest to rest."""
+    led = follower()
+    led.step(b"", state(50.0, turned(off)), 1000.0)
+    for part, left, speed in ((0.0, 1.0, 0.0), (0.25, 27 / 32, 1.125), (0.5, 0.5, 1.5), (1.0, 0.0, 0.0), (9.0, 0, 0)):
+        q, qd = led.desired(part * seconds)
+        there, along, _ = WAVE.sample(part * seconds)
+        assert q[5] - there[5] == pytest.approx(left * off, abs=1e-9)
+        assert qd[5] - along[5] == pytest.approx(-speed * off / seconds, abs=1e-9)
+
+
 def test_off_its_path_and_off_its_goal() -> None:
     led = follower(tolerances=Tolerances(path=0.05, goal=0.01, goal_time=0.1, start=0.05))
     led.step(b"", state(1.0, turned(0)), 10.0)
@@ -303,6 +364,7 @@ def test_off_its_path_and_off_its_goal() -> None:
 def test_where_the_arm_has_to_be_when(t: float, off: float, speed: float, what: str) -> None:
     """At the end the arm stands at the goal, or is there, moving yet, when its time is up."""
     led = follower(tolerances=Tolerances(path=0.05, goal=0.01, goal_time=0.5, start=0.05))
+    led.step(b"", state(50.0, turned(0.0)), 1000.0)
     seen = state(50.0 + t, turned(off), speed)
     if what in ("goes on", "is over"):
         led._compare(seen, t)
@@ -454,8 +516,8 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
     """
     begin = turned(0.3)
     path = Trajectory.from_arrays([0, 1, 4, 8], [begin, turned(0.0), turned(1.0), turned(0.0)])
-    bench = Bench(servoing(firmware).body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware, begin)
     led = follower(firmware, path, Tolerances(path=0.05, goal=0.01, goal_time=1.0, start=0.05))
+    bench = Bench(led.body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware, begin)
     bench.run(2)
     errors = []
     lag = 0.5 * 0.03 + 2 / 300
@@ -470,6 +532,9 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
         assert bench.cycle < 10 * firmware.rate
     assert bench.path[-1] == pytest.approx(turned(0.0), abs=0.01)
     assert np.abs(errors[round(0.1 * firmware.rate) :]).max() < 0.005
+    bench.sockets.waiting.extend(led.farewell)
+    bench.run(firmware.rate)
+    assert bench.has_finished
 
 
 @pytest.mark.parametrize(("held", "answered"), [(19, (18,)), (19, (0, 5, 10, 18)), (40, tuple(range(40)))])

@@ -24,6 +24,7 @@ from urlink.curves import Arc
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
+from urlink.motion import path
 from urlink.motion.path import Plan, Rates, Section, Waypoint, plan
 from urlink.poses import compose
 from urlink.vectors import FloatArray
@@ -152,9 +153,9 @@ def test_a_tool_that_turns_in_place() -> None:
         assert from_there(q, turned_in_place(q, 1.0, way)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
         from_there(q, turned_in_place(q, 1.0, way), Rates(100.0, 100.0))
     # Where it also goes a little way, so much time is counted on, and it is refused where even that is too fast.
-    assert from_there(q, turned_in_place(q, 1.0, 0.005)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
+    assert from_there(q, turned_in_place(q, 1.0, 0.0015)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
     with pytest.raises(BadValue, match="would have to turn at"):
-        from_there(q, turned_in_place(q, 1.0, 0.005), Rates(100.0, 100.0))
+        from_there(q, turned_in_place(q, 1.0, 0.0015), Rates(100.0, 100.0))
 
 
 def test_a_way_through_a_singularity_is_refused_however_slow() -> None:
@@ -215,8 +216,24 @@ def test_how_closely_a_way_is_looked_at() -> None:
 def test_how_long_a_movement_takes_from_rest_to_rest() -> None:
     assert Rates(0.5, 2.0).seconds(1.0) == pytest.approx(2.0 + 0.25)
     assert Rates(0.5, 2.0).seconds(0.08) == pytest.approx(2.0 * 0.2)
+    assert Rates(2.0, 1.0).seconds(3.0) == pytest.approx(2.0 * math.sqrt(3.0))
     joints = planned([Joint(np.add(READY, [0.1, -0.8, 0.2, 0.0, 0.0, 0.0]))])
     assert joints.sections[0].seconds == pytest.approx(JOINT_RATES.seconds(0.8))
+
+
+@pytest.mark.parametrize(
+    ("is_fast_at_start", "is_fast_at_end", "speeds"),
+    [
+        (False, False, [2, 3, 3, 2]),
+        (True, False, [3, 3, 3, 2]),
+        (False, True, [2, 3, 3, 3]),
+        (True, True, [3, 3, 3, 3]),
+    ],
+)
+def test_how_fast_the_tool_is_on_its_way(is_fast_at_start: bool, is_fast_at_end: bool, speeds: list[float]) -> None:
+    """At 2 m/s² it has 2 m/s after one metre, the middle of the first of four steps, and 3 m/s after 2.25 m."""
+    found = path._speed_along(8.0, Rates(3.0, 2.0), 4, is_fast_at_start, is_fast_at_end)
+    assert found[:, 0] == pytest.approx(speeds)
 
 
 def test_a_line_past_a_singular_wrist_is_refused_unless_it_is_slow() -> None:

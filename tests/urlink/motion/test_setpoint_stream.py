@@ -1,0 +1,228 @@
+"""What is sent in each cycle of the controller, and what is believed of the robot while nothing is: word by word."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from linkcore.errors import LinkTimeout
+from urlink.firmware import Firmware
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.models import model
+from urlink.motion.paced import PacedSetpoints
+from urlink.motion.setpoint_stream import SetpointStream
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, Servoing, read_word
+from urlink.motion.speed_limit import EARLY, largest_speeds
+from urlink.urscript.links import STOP, WAIT
+
+UR5E = model("UR5e")
+#: rad/s of each joint of a UR5e.
+TOP = float(UR5E.max_speed[5])
+#: A program that is led by these coasts for 50 cycles of 2 ms.
+SERVOING = Servoing(Firmware.parse("5.11"), largest_speeds(UR5E), 0.1, 0.03, 300.0)
+CYCLE = 0.002
+REST = [0.0] * 6
+
+
+def at(angle: float) -> list[float]:
+    """Of wrist 3, rad or rad/s."""
+    return [0.0] * 5 + [angle]
+
+
+def test_a_word_without_a_set_point_has_no_numbers() -> None:
+    assert read_word(STOP_WORD) == (REST, REST, STOP)
+    assert read_word(WAIT_WORD) == (REST, REST, WAIT)
+
+
+# -- the stream ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stream() -> SetpointStream:
+    stream = SetpointStream(SERVOING, UR5E)
+    stream.begin(at(0.3))
+    return stream
+
+
+def test_a_program_without_set_points_stays_and_then_goes_on_ever_slower(stream: SetpointStream) -> None:
+    assert stream.coasted_to(20) == (at(0.3), REST)
+    word = stream.send(at(0.301), at(0.5), 10.0)
+    assert read_word(word)[:2] == (at(0.301), at(0.5))
+    # Of 10 cycles the first is run at 98 % of that speed, the last at 80 %.
+    q, qd = stream.coasted_to(10)
+    assert q == pytest.approx(at(0.301 + 0.5 * 8.9 * CYCLE))
+    assert qd == pytest.approx(at(0.4))
+    assert stream.coasted_time(10) == pytest.approx(8.9 * CYCLE)
+    assert stream.coasted_time(70) == stream.coasted_time(50) == pytest.approx(24.5 * CYCLE)
+    assert stream.coasted_to(70)[1] == REST
+
+
+def test_the_next_set_point_is_due_half_a_cycle_after_the_last_and_late_after_one_and_a_half(
+    stream: SetpointStream,
+) -> None:
+    for _ in range(2):
+        assert (stream.is_due, stream.missed) == (False, 0)
+        stream.advance(0.49 * CYCLE)
+        assert not stream.is_due
+        stream.advance(0.01 * CYCLE)
+        assert (stream.is_due, stream.missed) == (True, 0)
+        stream.advance(0.9 * CYCLE)
+        assert stream.missed == 0
+        stream.advance(0.2 * CYCLE)
+        assert stream.missed == 1
+        stream.advance(10.0 * CYCLE)
+        assert (stream.is_due, stream.missed) == (True, 11)
+        stream.send(at(0.3), REST, 10.0)
+
+
+def test_a_set_point_after_many_that_were_missed_may_be_as_far_as_the_program_coasts(stream: SetpointStream) -> None:
+    stream.send(at(0.3), REST, 10.0)
+    for later, seconds in ((CYCLE, CYCLE + EARLY), (0.05, 0.05 + EARLY), (60.0, 0.1 + CYCLE + EARLY)):
+        assert stream.excess(at(0.3 + 0.999 * TOP * seconds), 10.0 + later) is None
+        assert "q[5]" in (stream.excess(at(0.3 + 1.001 * TOP * seconds), 10.0 + later) or "")
+    # What is sent uses it up.
+    stream.send(at(0.3 + TOP * CYCLE), REST, 10.0 + CYCLE)
+    assert stream.excess(at(0.3 + TOP * (CYCLE + 2.0 * EARLY)), 10.0 + CYCLE) is not None
+
+
+# -- set-points from a source ----------------------------------------------------------------------------
+
+
+class Source:
+    """Leads wrist 3 at `speed`; `called` are the calls of it, but for where it is."""
+
+    def __init__(self) -> None:
+        self.has_targets = True
+        self.speed = 0.0
+        self.called: list[tuple[object, ...]] = []
+        #: what is said of the time in which set-points were missed
+        self.skipped = (REST, REST)
+
+    def begin(self, time: float, q: Sequence[float]) -> None:
+        self.called.append(("begin", time, q))
+
+    def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
+        self.called.append(("skip", time, seconds))
+        return self.skipped
+
+    def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        self.called.append(("restart", time, q, qd))
+
+    def at(self, time: float) -> tuple[list[float], list[float]]:
+        return at(self.speed * (time - 50.0)), at(self.speed)
+
+    def accept(self, time: float) -> None:
+        self.called.append(("accept", time))
+
+
+class Fed:
+    """States of an arm that stands at 0, at times since it began; what is answered, or None if nothing is."""
+
+    def __init__(self) -> None:
+        self.source = Source()
+        self.paced = PacedSetpoints(SERVOING, UR5E, self.source)
+
+    def state(self, passed: float, *, now: float | None = None, speed: float = 0.0) -> bytes:
+        joints, speeds = np.zeros(6), np.array(at(speed))
+        state = SimpleNamespace(time=50.0 + passed, q_target=joints, q_actual=joints, qd_target=speeds)
+        return self.paced.answer(cast(RealtimeState, state), 1000.0 + (passed if now is None else now))
+
+    def led(self, passed: float, *, now: float | None = None) -> tuple[float, float]:
+        """Where wrist 3 is led, and how fast the program goes on."""
+        q, qd, _ = read_word(self.state(passed, now=now))
+        assert q[:5] == qd[:5] == [0.0] * 5
+        return q[5], qd[5]
+
+
+@pytest.fixture
+def fed() -> Fed:
+    fed = Fed()
+    assert fed.led(0.0) == (0.0, 0.0)
+    assert fed.source.called == [("begin", 50.0, REST)]
+    fed.source.called.clear()
+    return fed
+
+
+def test_begins_where_the_arm_rests_once_there_is_a_target() -> None:
+    fed = Fed()
+    assert fed.state(0.0, speed=0.5) == WAIT_WORD
+    fed.source.has_targets = False
+    assert fed.state(CYCLE) == WAIT_WORD
+    assert fed.source.called == []
+    fed.source.has_targets = True
+    assert fed.led(2 * CYCLE) == (0.0, 0.0)
+    assert fed.source.called == [("begin", 50.0 + 2 * CYCLE, REST)]
+    fed = Fed()
+    fed.state(0.0, speed=0.5)
+    with pytest.raises(LinkTimeout, match="the servo did not begin"):
+        fed.state(1.6, speed=0.5)
+
+
+def test_answers_each_cycle_once_with_the_set_point_for_its_time(fed: Fed) -> None:
+    fed.source.speed = 1.0
+    assert fed.led(CYCLE) == (0.002, 1.0)
+    assert fed.state(CYCLE) == b""
+    assert fed.led(2 * CYCLE) == (0.004, 1.0)
+    assert fed.source.called == [("accept", 50.0 + CYCLE), ("accept", 50.0 + 2 * CYCLE)]
+
+
+def test_what_the_joints_cannot_do_is_not_sent(fed: Fed) -> None:
+    fed.source.speed = 2.0 * TOP
+    assert fed.state(CYCLE) == b""
+    assert fed.source.called == []
+    fed.source.speed = 0.0
+    assert fed.led(2 * CYCLE) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("there", "speed", "is_faded"),
+    [(-0.005, 0.2, True), (0.005, -0.2, True), (-0.00501, 0.0, False), (0.0, 0.201, False), (0.0, -0.201, False)],
+)
+def test_a_small_gap_to_where_the_program_has_coasted_is_faded_out(
+    fed: Fed, there: float, speed: float, is_faded: bool
+) -> None:
+    """A larger one is none: the source begins anew from there."""
+    fed.source.skipped = (at(there), at(speed))
+    q, qd = fed.led(6 * CYCLE)
+    time, skipped = 50.0 + 6 * CYCLE, ("skip", 50.0 + 6 * CYCLE, 5 * CYCLE * 0.94)
+    if not is_faded:
+        assert fed.source.called == [skipped, ("restart", time, REST, REST), ("accept", time)]
+        assert (q, qd) == (0.0, 0.0)
+        return
+    assert fed.source.called == [skipped, ("accept", time)]
+    for cycles in range(1, 4):
+        gap = -there * 0.98**cycles
+        assert (q, qd) == pytest.approx((gap, -10.0 * gap), abs=1e-6)
+        q, qd = fed.led((6 + cycles) * CYCLE)
+
+
+def test_a_source_begins_anew_with_the_speed_that_is_left(fed: Fed) -> None:
+    fed.source.speed = 1.0
+    fed.led(CYCLE)
+    fed.source.skipped = (at(0.1), at(1.0))
+    fed.led(12 * CYCLE)
+    _, (name, time, q, qd), _ = fed.source.called[-3:]
+    assert (name, time) == ("restart", 50.0 + 12 * CYCLE)
+    there = at(0.002 + 8.9 * CYCLE)
+    assert q == pytest.approx(there)
+    assert qd == pytest.approx(at(0.8))
+    # Not where it is as fast as the source.
+    fed = Fed()
+    fed.source.speed = 1.0
+    fed.led(0.0)
+    fed.led(CYCLE)
+    fed.source.skipped = (there, at(0.8))
+    fed.led(12 * CYCLE)
+    assert fed.source.called[-2][0] == "skip"
+
+
+def test_cycles_that_cannot_have_passed_here_were_not_missed(fed: Fed) -> None:
+    """A state whose time is wrong by less than what states that come together may be apart."""
+    fed.source.speed = 1.0
+    fed.led(CYCLE)
+    assert fed.state(0.09, now=2 * CYCLE) == b""
+    assert fed.source.called == [("accept", 50.0 + CYCLE)]
