@@ -5,7 +5,6 @@ Sans-IO and without a clock: `urlink.motion.linked` passes states and times in.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,8 +86,8 @@ class ControllerClock:
     def __init__(self, cycle: float) -> None:
         self._cycle = cycle
         self._last: tuple[float, float] | None = None
-        #: s from the time of a state to its arrival, each on its own clock: of the quickest
-        self._quickest = math.inf
+        #: s from the time of a state to its arrival, each on its own clock: of the quickest; from the first state on
+        self._quickest: float
 
     def passed(self, time: float, now: float) -> float:
         """Seconds since the last state; 0 for the first.
@@ -129,11 +128,10 @@ class Rest:
         """
         if self._moving_since is None:
             self._moving_since = now
-        if stands(state.qd_target):
-            return True
-        if now - self._moving_since > _REST_TIMEOUT:
+        is_standing = stands(state.qd_target)
+        if not is_standing and now - self._moving_since > _REST_TIMEOUT:
             raise LinkTimeout(f"the arm did not come to rest within {_REST_TIMEOUT:g} s, so {self._what} did not begin")
-        return False
+        return is_standing
 
 
 class Following(ABC):

@@ -98,10 +98,10 @@ class ReverseLink:
             candidate = (connection, bytearray())
             if connection.host not in self._peers:
                 self._refuse(candidate, f"the robot is at {', '.join(sorted(self._peers))}")
-                continue
-            self._candidates.append(candidate)
-            if len(self._candidates) > _MOST_CANDIDATES:
-                self._refuse(self._candidates[0], "it said nothing")
+            else:
+                self._candidates.append(candidate)
+                if len(self._candidates) > _MOST_CANDIDATES:
+                    self._refuse(self._candidates[0], "it said nothing")
         for candidate in tuple(self._candidates):
             if self._connection is None:
                 self._look(candidate)

@@ -52,6 +52,6 @@ def plot(trajectory: Trajectory, model: Model | None) -> Figure:
                 for sign in (-1.0, 1.0):
                     axes.axhline(sign * limit, color=line.get_color(), linestyle="dotted")
     rows[0].plot(trajectory.time, trajectory.q, ".", color="black")
-    figure.legend(lines, JOINTS, ncols=6, loc="outside upper center", fontsize="small")
+    figure.legend(lines, JOINTS, ncols=len(JOINTS), loc="outside upper center", fontsize="small")
     rows[2].set_xlabel("time, s")
     return figure

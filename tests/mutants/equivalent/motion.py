@@ -123,6 +123,13 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "a length that was computed equals the sum of the radii to the last bit",
     ),
     Equivalent(
+        "urlink/motion/trajectory_plot.py",
+        None,
+        "1000",
+        "1001",
+        "one place more on a curve that is drawn through a thousand",
+    ),
+    Equivalent(
         "urlink/motion/trajectory.py",
         "sample",
         "t < 0.0",

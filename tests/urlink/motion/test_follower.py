@@ -103,6 +103,8 @@ class Feeding:
         (0.002, 0.5, 0.002),  # it was late
         (0.05, 0.0001, 0.05),  # states that were held up on their way come together
         (0.0, 0.002, 0.0),
+        (0.101, 0.002, 0.101),
+        (0.103, 0.002, 0.002),  # a tenth of a second before its time
         (1.0, 0.002, 0.002),  # nobody knows of that second here
         (1.0, 0.03, 0.03),
         (1.0, 1.0, 1.0),
@@ -135,6 +137,13 @@ def test_states_that_come_together_after_they_were_held_up_are_believed() -> Non
     assert clock.passed(100.6, 7.61) == pytest.approx(0.598)
     # A second in a tenth would be before its time.
     assert clock.passed(101.6, 7.71) == pytest.approx(0.1)
+
+
+def test_the_first_states_may_be_late_and_those_after_them_less_and_less() -> None:
+    """Each is believed that is hardly quicker than the quickest before it."""
+    clock = ControllerClock(0.002)
+    passed = [clock.passed(100.0 + 0.092 * n, 7.0 + 0.002 * n) for n in range(4)]
+    assert passed == pytest.approx([0.0, 0.092, 0.092, 0.092])
 
 
 # -- the set-points --------------------------------------------------------------------------------------

@@ -47,6 +47,7 @@ def test_takes_one_program(link: ReverseLink) -> None:
         assert not is_up(link)
         program.sendall(token(link)[1:] + b"0\n")
         until(lambda: is_up(link))
+        assert link.is_up
         received = bytearray(link.received())
         program.sendall(b"-1\n")
         until(lambda: received.extend(link.received()) or len(received) == 5)  # type: ignore[func-returns-value]
@@ -224,14 +225,17 @@ class Coming:
         self.is_aborted = False
 
     def receive_waiting(self) -> tuple[bytes, None]:
-        self.link.close()  # as another thread does at this moment
+        self.link.close()  # as another thread does at this moment, if not before
         return token(self.link), None
 
     def abort(self) -> None:
         self.is_aborted = True
 
 
-def test_a_program_that_comes_while_its_link_is_closed(link: ReverseLink, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("is_closed_before", [True, False])
+def test_a_program_that_comes_while_its_link_is_closed(
+    link: ReverseLink, monkeypatch: pytest.MonkeyPatch, is_closed_before: bool
+) -> None:
     coming = Coming(link)
     # Before it comes another, that is gone when it is looked at.
     queue = [ConnectionLost("gone"), coming]
@@ -241,6 +245,8 @@ def test_a_program_that_comes_while_its_link_is_closed(link: ReverseLink, monkey
             raise LinkTimeout("nobody")
         if isinstance(each := queue.pop(0), Exception):
             raise each
+        if is_closed_before:
+            link.close()
         return each
 
     monkeypatch.setattr(link._listener, "accept", accept)

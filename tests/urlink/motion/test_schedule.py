@@ -208,6 +208,15 @@ def test_it_goes_on_from_where_it_is_led() -> None:
         assert made.at(begin + seconds)[0] == pytest.approx(turned(q), abs=1e-9)
 
 
+@pytest.mark.parametrize(("apart", "is_one"), [(0.0015, False), (0.0005, True)])
+def test_waypoints_less_than_a_millisecond_apart_are_one(apart: float, is_one: bool) -> None:
+    made = schedule()
+    for at in (51.0, 51.0 + apart):
+        assert made.add(turned(0.1), at, 50.0, HOME) == at
+    # The last is reached with the speed going to zero, so it is not quite reached before.
+    assert (abs(made.at(51.0)[0][5] - 0.1) > 1e-8) == is_one
+
+
 class Lagging:
     """An arm that is where it was led `lag` s before, `gain` times as far; its sensor is off by `offset` rad."""
 
