@@ -163,8 +163,8 @@ class Interlock:
         return heard is not None and (heard.status is not None or heard.absence is not None)
 
     def has_heard_since(self, since: float) -> bool:
-        """Every source that is connected has said something after that time."""
-        return all(heard.heard > since for heard in self._sources.values() if heard.status is not None)
+        """Every source has said something after that time."""
+        return all(heard.heard > since for heard in self._sources.values())
 
     @property
     def statuses(self) -> list[Status]:

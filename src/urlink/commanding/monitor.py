@@ -26,8 +26,8 @@ __all__ = ["SafetyMonitor"]
 
 #: Seconds that an interface has for its first state.
 _FIRST_WORD = 2.0
-#: Seconds within which every working interface is heard again. The slowest sends ten times a second; the rest is for a
-#: computer that others keep busy.
+#: Seconds within which every working interface is heard again, also over a connection that is made anew. The slowest
+#: sends ten times a second; the rest is for a computer that others keep busy.
 _NEXT_WORD = 0.5
 
 _Stop = Callable[[LinkError], object]
@@ -142,7 +142,7 @@ class SafetyMonitor:
             self._interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
-        """Where something is in the way, wait for the next word of every connected source: the last may be overtaken.
+        """Where something is in the way, wait for the next word of every source: the last one may be overtaken.
 
         So who has just switched the arm on, and was told so by the dashboard, need not wait himself; and a program that
         was held up reads first what has come meanwhile.

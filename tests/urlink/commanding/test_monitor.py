@@ -290,15 +290,6 @@ def test_how_long_news_is_waited_for() -> None:
         desk.realtime.tell(fast())
         assert is_settled(desk.interlock)
         desk.primary.tell(slow())
-        desk.now += 0.1
-    asked.clear()
-    desk.monitor.await_news(moves=True)
-    ((is_settled, _),) = asked
-    desk.now += 0.1
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
-    assert not is_settled(desk.interlock)
-    desk.interlock.lose("realtime", "cut")
-    assert is_settled(desk.interlock)  # a connection that is lost says nothing soon
     asked.clear()
     desk.monitor._section = Section(lambda: True)
     desk.monitor.await_news(moves=True)
