@@ -5,7 +5,8 @@ speed that it has, to rest at the last of them; speeds at those between are chos
 waypoint is a new curve from there, so the speed never jumps.
 
 As in the interpolation controller of UMI, a program for learning from demonstrations, a waypoint replaces those of the
-same time or later, one whose time is over changes nothing, and one that cannot be reached in time is reached later.
+same time or later, one whose time is over changes nothing, and one that cannot be reached in time is reached later. So
+are all that are ahead where the arm is elsewhere than it was led to, because set-points stayed away.
 That controller goes straight from pose to pose, with a jump in speed at each.
 """
 
@@ -27,7 +28,7 @@ __all__ = ["Schedule"]
 _CLOSEST = 1e-3
 #: s for what is left where set-points stayed away until all waypoints were over.
 _LATE = 0.1
-#: How often a waypoint is put off, and by which part of the time that there was before it: up to 400 times that.
+#: How often waypoints are put off, and by which part of the time before the first of them: up to 400 times that.
 _PUT_OFF, _LATER = 16, 0.45
 
 _Waypoint = tuple[float, list[float]]
@@ -77,7 +78,7 @@ class Schedule:
             waypoints = [each for each in self._waypoints if anchor + _CLOSEST < each[0] < at - _CLOSEST]
             q0, qd0 = self._sample(anchor) if self._now is not None else (list(here), [0.0] * 6)
             # Where the one before is just over, its place is that of the anchor.
-            self._plan(anchor, q0, qd0, [*waypoints, (at, q)])
+            self._plan(anchor, q0, qd0, [*waypoints, (at, q)], len(waypoints))
             return self._waypoints[-1][0]
 
     @property
@@ -104,7 +105,7 @@ class Schedule:
         with self._section:
             self._now = anchor
             ahead = [each for each in self._waypoints if each[0] > anchor + self._cycle]
-            self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])])
+            self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])], 0)
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
         """Where it is by now: time passes, whether set-points are sent or not."""
@@ -127,11 +128,13 @@ class Schedule:
         q, qd, _ = self._curve.sample(t - self._origin)
         return q, qd
 
-    def _plan(self, anchor: float, q: Sequence[float], qd: Sequence[float], waypoints: list[_Waypoint]) -> None:
-        """The curve from where the arm is led through waypoints; the last of them later, where need be."""
+    def _plan(
+        self, anchor: float, q: Sequence[float], qd: Sequence[float], waypoints: list[_Waypoint], new: int
+    ) -> None:
+        """The curve from where the arm is led through waypoints; those from number `new` on later, where need be."""
         times = [time for time, _ in waypoints]
         places = np.array([list(q), *(place for _, place in waypoints)])
-        before = times[-2] if len(times) > 1 else anchor
+        before = times[new - 1] if new else anchor
         for attempt in range(_PUT_OFF + 1):
             curve = _curve(np.array([0.0, *(time - anchor for time in times)]), places, qd)
             try:
@@ -140,7 +143,8 @@ class Schedule:
             except BadValue:
                 if attempt == _PUT_OFF:
                     raise
-                times[-1] += _LATER * (times[-1] - before)
+                later = _LATER * (times[new] - before)
+                times[new:] = [time + later for time in times[new:]]
         self._waypoints = [(time, place) for time, (_, place) in zip(times, waypoints, strict=True)]
         self._curve, self._origin = curve, anchor
 

@@ -208,6 +208,25 @@ def test_it_goes_on_from_where_it_is_led() -> None:
         assert made.at(begin + seconds)[0] == pytest.approx(turned(q), abs=1e-9)
 
 
+@pytest.mark.parametrize("speed", [-2.0, 0.0, 2.0])
+@pytest.mark.parametrize("away", [-0.3, 0.3])
+def test_after_a_hold_up_what_is_too_soon_comes_later(away: float, speed: float) -> None:
+    """Not only the last waypoint: the first may be a few milliseconds ahead, and the arm far from the way there."""
+    made = Schedule(model("UR5e"), 0.002, 0.0, nullcontext())
+    places = [0.1, 0.15, 0.2, 0.2]
+    for number, q in enumerate(places):
+        at = 50.3 + 0.1 * number
+        assert made.add(turned(q), at, 50.0, HOME) == at
+    made.begin(50.0, HOME)
+    made.restart(50.297, turned(0.1 + away), [0.0] * 5 + [speed])
+    curve = made._curve
+    assert curve is not None
+    curve.check(model("UR5e"))
+    assert curve.q[:, 5].tolist() == pytest.approx([0.1 + away, *places])
+    assert curve.qd[0, 5] == pytest.approx(speed)
+    assert np.diff(curve.time)[1:].tolist() == pytest.approx([0.1] * 3)
+
+
 @pytest.mark.parametrize(("apart", "is_one"), [(0.0015, False), (0.0005, True)])
 def test_waypoints_less_than_a_millisecond_apart_are_one(apart: float, is_one: bool) -> None:
     made = schedule()
