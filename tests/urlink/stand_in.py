@@ -134,10 +134,10 @@ class StandIn:
             self.fast.put(bytes(RealtimeState(self.firmware, **fields)))
 
     def clear(self, **options: Any) -> None:
-        """A state in which all is well, heard by the interlock."""
+        """A state in which all is well, heard by the interlock on both interfaces."""
         self.state(**options)
         self.monitor.listen(closely=True)
-        until(lambda: self.safety.cause is None and self.safety.robot_mode is not None)
+        until(lambda: self.monitor.refusal(is_stop=True) is None)
 
     def safety_message(self, mode: SafetyMode) -> None:
         self.slow.put(bytes(SafetyModeMessage(self.firmware, safety_mode=mode)))

@@ -273,6 +273,7 @@ def test_connection_lost(robot: StandIn) -> None:
     robot.slow.put(ConnectionLost("pulled"))
     with pytest.raises(ConnectionLost, match="may still run: pulled"):
         program.wait(5)
+    robot.clear()
     again = run(robot)
     robot.begins(again)
     robot.comes_to_its_end(again)
