@@ -54,7 +54,7 @@ class Schedule:
         self._waypoints: list[_Waypoint] = []
         #: begins at `_origin` on the robot's clock
         self._curve: Trajectory | None = None
-        self._origin = 0.0
+        self._origin: float
         #: the time for which the last set-point was; None before the first
         self._now: float | None = None
 
@@ -135,16 +135,18 @@ class Schedule:
         times = [time for time, _ in waypoints]
         places = np.array([list(q), *(place for _, place in waypoints)])
         before = times[new - 1] if new else anchor
-        for attempt in range(_PUT_OFF + 1):
+        put_off = 0
+        while True:
             curve = _curve(np.array([0.0, *(time - anchor for time in times)]), places, qd)
             try:
                 curve.check(self._model)
                 break
             except BadValue:
-                if attempt == _PUT_OFF:
+                if put_off == _PUT_OFF:
                     raise
-                later = _LATER * (times[new] - before)
-                times[new:] = [time + later for time in times[new:]]
+            put_off += 1
+            later = _LATER * (times[new] - before)
+            times[new:] = [time + later for time in times[new:]]
         self._waypoints = [(time, place) for time, (_, place) in zip(times, waypoints, strict=True)]
         self._curve, self._origin = curve, anchor
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue, Cancelled, Closed, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Phase
 from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.urlink.motion.test_servo import Beside
@@ -199,6 +199,26 @@ def test_a_program_that_does_not_end_when_its_block_is_left(robot: Rehearsal, mo
         jog.__exit__()
         assert waited == [2.0]
         assert jog.phase is Phase.CANCELLED
+
+
+def test_the_reason_of_a_lost_connection_has_a_second_and_a_half_to_come(
+    robot: Rehearsal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: list[float] = []
+
+    def wait(seconds: float) -> None:
+        waited.append(seconds)
+        raise LinkTimeout("nobody says why")
+
+    def say(data: bytes) -> None:
+        raise ConnectionLost("reset")
+
+    with entered(robot, robot.motion.servo()) as servo:
+        monkeypatch.setattr(servo, "wait", wait)
+        monkeypatch.setattr(servo._program, "say", say)
+        with pytest.raises(ConnectionLost, match="reset"):
+            servo.send(HOME)
+        assert waited == [1.5]
 
 
 def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:

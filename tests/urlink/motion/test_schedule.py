@@ -172,6 +172,18 @@ def test_what_is_too_soon_is_put_off_no_further_than_need_be(way: float) -> None
     assert not is_possible([0.0, 2.0, 2.0 + (reached - 52.0) / 1.5], [0.0, 0.1, 0.1 + way])
 
 
+def test_what_takes_400_times_as_long_as_there_is_time_is_refused() -> None:
+    """At most 1.45 to the power of 16; a base that turns at 2.1 rad/s then comes 4.16 rad far."""
+
+    def added(angle: float) -> float | None:
+        made = Schedule(model("UR10"), 1 / 128, 0.0, nullcontext())
+        return made.add([angle, *HOME[1:]], 50.0 + 1 / 128, 50.0, HOME)
+
+    assert added(4.1) == pytest.approx(50.0 + 1.45**16 / 128)
+    with pytest.raises(BadValue, match="velocity of base"):
+        added(4.2)
+
+
 def test_a_waypoint_is_over_when_the_set_point_for_it_was_sent() -> None:
     """The set-point that answers a state is for `delay` later, and takes a cycle at least to be followed by another."""
     for delay in (0.0, 0.125):
@@ -189,23 +201,29 @@ def test_a_waypoint_is_over_when_the_set_point_for_it_was_sent() -> None:
         for time, q in ((51.1, 0.0), (51.3, 0.05), (51.5, 0.1), (60.0, 0.1)):
             assert made.at(time)[0] == pytest.approx(turned(q))
         assert made.skip(51.25 + 1 / 128, 0.2)[0] == made.at(51.25)[0]
+        # One that is reached right now is where the next curve begins, and no point of it.
+        made.accept(51.5)
+        assert made.add(turned(0.2), 52.0 + delay, 60.0, HOME) == 52.0 + delay
+        assert made.at(51.5)[0] == pytest.approx(turned(0.1))
 
 
-def test_it_goes_on_from_where_it_is_led() -> None:
-    made = schedule()
+@pytest.mark.parametrize("delay", [0.0, 0.125])
+def test_it_goes_on_from_where_it_is_led(delay: float) -> None:
+    made = schedule(delay)
     for at, q in ((50.5, 0.1), (51.0, 0.2), (51.5, 0.0)):
-        assert made.add(turned(q), at, 50.0, HOME) == at
+        assert made.add(turned(q), at + delay, 50.0, HOME) == at + delay
     made.begin(50.0, HOME)
     made.restart(50.75, turned(0.3), [0.0] * 5 + [0.25])
     # That is where the set-point before led.
     for time, q in ((50.75 - 1 / 128, 0.3), (51.0, 0.2), (51.5, 0.0)):
         assert made.at(time)[0] == pytest.approx(turned(q), abs=1e-9)
     assert made.at(50.75 - 1 / 128)[1] == pytest.approx([0.0] * 5 + [0.25])
-    # Beyond the last there is a tenth of a second for what is left.
-    made.restart(53.0, turned(0.01), [0.0] * 6)
-    begin = 53.0 - 1 / 128
-    for seconds, q in ((0.0, 0.01), (0.05, 0.005), (0.1, 0.0)):
-        assert made.at(begin + seconds)[0] == pytest.approx(turned(q), abs=1e-9)
+    # Beyond the last, and within a cycle of it, there is a tenth of a second for what is left.
+    for time in (51.5, 53.0):
+        made.restart(time, turned(0.01), [0.0] * 6)
+        begin = time - 1 / 128
+        for seconds, q in ((0.0, 0.01), (0.05, 0.005), (0.1, 0.0)):
+            assert made.at(begin + seconds)[0] == pytest.approx(turned(q), abs=1e-9)
 
 
 @pytest.mark.parametrize("speed", [-2.0, 0.0, 2.0])
