@@ -264,6 +264,13 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent(
         "urlink/motion/servo.py",
+        None,
+        "50000",
+        "50001",
+        "statistics of a minute and a half look back on one interval more",
+    ),
+    Equivalent(
+        "urlink/motion/servo.py",
         "_joints_of",
         "abs(value - before) > _LEAP",
         "abs(value - before) >= _LEAP",
