@@ -11,7 +11,7 @@ from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkError
 from linkcore.handle import Motion, Phase
 from tests.urlink.motion.rehearsal import TIMEOUT, Rehearsal
 from tests.waiting import until
-from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
+from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.motion.linked import LinkedProgram
@@ -327,6 +327,22 @@ def test_a_program_that_cannot_be_sent(talk: Talk) -> None:
     steps = len(talk.steps)
     talk.robot.show()
     assert len(talk.steps) == steps
+
+
+def test_a_robot_that_is_lost_before_it_began(talk: Talk) -> None:
+    """Its link is closed, so a program that the controller begins later finds nobody, and moves nothing."""
+    talk.program.begin()
+    talk.robot.fast.put(ConnectionLost("pulled"))
+    talk.fails(NotRunning, "pulled; it moves nothing if it begins later")
+
+
+def test_its_end_waits_for_no_thread(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who ends it may be the thread of the states, or hold up the one that is."""
+    waited: list[float] = []
+    talk.begin()
+    monkeypatch.setattr(talk.program._subscription, "close", waited.append)
+    talk.motion.cancel()
+    assert waited == [0]
 
 
 def test_an_arm_that_nobody_enables_any_more_can_be_stopped(talk: Talk) -> None:
