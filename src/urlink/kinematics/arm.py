@@ -1,4 +1,4 @@
-"""The kinematics of one arm, as users hold it."""
+"""`Arm`: forward and inverse kinematics and velocities of one arm."""
 
 from __future__ import annotations
 
@@ -21,29 +21,30 @@ from .velocity import velocity
 
 __all__ = ["Arm", "Unreachable"]
 
-# Ways closer than this, rad, are one: where two meet, rounding parts them by the root of the precision.
+# Solutions closer than this, rad, count as one: where two branches meet, rounding errors separate them by about the
+# square root of the precision.
 _SAME = 1e-6
 
 
 class Unreachable(LocalError, ValueError):
-    """No joint positions put the tool there."""
+    """The pose is out of reach: no joint positions put the tool there."""
 
 
 class Arm:
-    """The kinematics of one arm: where its tool is, and how to bring it somewhere.
+    """Forward and inverse kinematics of one arm.
 
     Joint positions are six numbers, rad, from base to wrist 3. A pose is x, y, z in m and a rotation vector in rad, in
     the base frame, as the controller has it; `urlink.poses` converts them. A TCP is a pose in the frame of the flange.
-    Every method takes one row of six, or any number of rows in an array (..., 6), which costs a few microseconds a row.
+    Methods take one row of six numbers or an array (..., 6) of rows, which costs a few microseconds per row.
 
-    The arm is the published one of its model; `Arm.calibrated` makes that of a single robot. Where it collides with
-    itself or its surroundings is not looked at.
+    `Arm(model)` has the geometry that the vendor publishes, `Arm.calibrated` that of one particular robot. Collisions
+    of the arm with itself or its surroundings are not checked.
 
     Args:
         model: name as the vendor writes it, in upper or lower case, or a `Model`.
 
     Raises:
-        UnknownModel: no arm is called that.
+        UnknownModel: no arm has this name.
 
     >>> arm = Arm("UR5e")
     >>> pose = arm.forward([0, -1.57, 1.57, -1.57, -1.57, 0])
@@ -62,16 +63,16 @@ class Arm:
 
     @classmethod
     def calibrated(cls, model: str | Model, table: DenavitHartenberg) -> Arm:
-        """The arm with the geometry that its controller sends of it, to some 0.1 mm that of the very robot.
+        """The arm with the DH parameters that its controller sends, which are accurate to about 0.1 mm.
 
         Args:
             model: of the robot.
-            table: its DH parameters, `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`: the `KinematicsInfo` of a robot state,
-                which is in the first one of each connection.
+            table: its DH parameters, `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, (6,) each: the `KinematicsInfo` in the
+                first robot state of each connection.
 
         Raises:
-            UnknownModel: no arm is called that.
-            BadValue: the parameters are not those of such an arm; the message says which one is how far off.
+            UnknownModel: no arm has this name.
+            BadValue: the parameters are not those of this model; the message names the link, and both values.
         """
         arm = cls(model)
         arm._table = table
@@ -93,17 +94,17 @@ class Arm:
 
     @property
     def table(self) -> DenavitHartenberg:
-        """The DH parameters that it was made from: `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, six of each."""
+        """The DH parameters that this arm was made from: `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, (6,) each."""
         return self._table
 
     @property
     def geometry(self) -> Geometry:
-        """The links as they are computed with."""
+        """The links as they are used in the computations."""
         return self._geometry
 
     @property
     def position_limits(self) -> FloatArray:
-        """(6, 2) lowest and highest joint position, rad; infinite where a joint turns without end. Read-only."""
+        """(6, 2) lowest and highest joint position, rad; infinite for a joint that turns without limit. Read-only."""
         return self._model.position_limits
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
@@ -116,7 +117,7 @@ class Arm:
             (...) booleans.
 
         Raises:
-            BadValue: not joint positions.
+            BadValue: `q` does not have this shape, or holds a number that is not finite.
         """
         given = rigid.rows(q, (6,), "joint positions")
         low, high = self.position_limits.T
@@ -135,7 +136,7 @@ class Arm:
             (..., 6) poses in the base frame; rotation vectors of an angle of 0 to pi.
 
         Raises:
-            BadValue: not joint positions, or no TCP.
+            BadValue: `q` or `tcp` does not have this shape, or holds a number that is not finite.
         """
         if rigid.is_single(q):
             return np.array(rigid.to_pose(_with(self._flange(FLOATS, _one(q)), tcp)))
@@ -143,17 +144,16 @@ class Arm:
         return rigid.to_poses(_with(self._flange(ROWS, _rows(given)), tcp)).reshape(given.shape)
 
     def frames(self, q: ArrayLike) -> FloatArray:
-        """The base and the end of each link, in the base frame.
+        """The frames of the base and of the end of each link, in the base frame.
 
         Args:
             q: (..., 6) joint positions, rad.
 
         Returns:
-            (..., 7, 4, 4) homogeneous matrices. The joint i + 1 turns about the z axis of frame i; the last is the
-            flange.
+            (..., 7, 4, 4) homogeneous matrices. Joint i + 1 turns about the z axis of frame i; frame 6 is the flange.
 
         Raises:
-            BadValue: not joint positions.
+            BadValue: `q` does not have this shape, or holds a number that is not finite.
         """
         given = rigid.rows(q, (6,), "joint positions")
         links = [rigid.to_matrices(frame) for frame in chain(self._geometry, ROWS, _rows(given))]
@@ -165,23 +165,24 @@ class Arm:
     def inverse(
         self, pose: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None, *, is_limited: bool = True
     ) -> FloatArray:
-        """The joint positions for a pose that are closest to others: those with the smallest largest joint movement.
+        """The joint positions for a pose that are closest to `near`: the largest movement of a joint is the smallest.
 
-        Where joint 6 is free, since joints 4 and 6 turn about the same direction, it stays as `near` has it.
+        In the wrist singularity, where the axes of joints 4 and 6 are parallel, joint 6 is free; it keeps its value in
+        `near`.
 
         Args:
             pose: (..., 6) poses of the tool in the base frame.
-            near: (..., 6) joint positions, rad, that broadcast to the poses.
+            near: (..., 6) joint positions, rad; broadcast against the poses.
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
-            is_limited: each joint is given in the turn closest to `near` that is within its limits. If false, in the
-                closest turn, as the continuation of a path has to be.
+            is_limited: true: each joint is given in the turn closest to `near` that is within its limits. False: in the
+                closest turn, which continues a path.
 
         Returns:
-            (..., 6) rad. Of one pose alone they exist; of several, the rows of those out of reach are NaN.
+            (..., 6) rad. If several poses are given, the rows of those that are out of reach are NaN.
 
         Raises:
-            Unreachable: no joint positions put the tool at the one pose that was given.
-            BadValue: not poses and joint positions, shapes that do not broadcast, or no TCP.
+            Unreachable: a single pose was given, and it is out of reach.
+            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast.
         """
         if rigid.is_single(pose) and rigid.is_single(near):
             target, close = _target(_pose(pose), tcp), _one(near)
@@ -200,23 +201,23 @@ class Arm:
         return q.reshape(*shape, 6)
 
     def branches(self, pose: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """All eight ways to reach a pose, the branches of the solution, each at a place of its own.
+        """All eight branches of the solution for a pose, each in a row of its own.
 
-        The number of the row is 4 times the shoulder (on the side of the wrist or away from it), plus 2 times the wrist
-        (joint 5 positive or negative), plus the elbow (joint 3 positive or negative). Along a path each row is
-        continuous, up to whole turns, until it ends at the edge of its reach. Of a calibrated arm they are the
-        continuations of these.
+        The row is 4 * shoulder + 2 * wrist + elbow. Shoulder is 0 on the side of the wrist and 1 away from it; wrist is
+        0 for a positive joint 5, elbow 0 for a positive joint 3, and either is 1 for a negative one. Along a path each
+        row is continuous, up to whole turns, until the branch ends at the edge of its reach. The branches of a
+        calibrated arm continue those of the published one.
 
         Args:
             pose: (..., 6) poses of the tool in the base frame.
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
 
         Returns:
-            (..., 8, 6) rad, in (-pi, pi], NaN where a branch does not reach the pose. Where two branches meet, in a
-            singularity, both are there. Joint 6 is 0 where it is free.
+            (..., 8, 6) rad, in (-pi, pi], NaN where a branch does not reach the pose. In a singularity, where two
+            branches meet, both rows are given. Joint 6 is 0 where it is free.
 
         Raises:
-            BadValue: not poses, or no TCP.
+            BadValue: `pose` or `tcp` does not have this shape, or holds a number that is not finite.
         """
         if rigid.is_single(pose):
             return _table(branches(self._geometry, _target(_pose(pose), tcp)))
@@ -225,19 +226,19 @@ class Arm:
         return branches_of_rows(self._geometry, targets)[0].reshape(*given.shape[:-1], BRANCHES, 6)
 
     def solutions(self, pose: ArrayLike, near: ArrayLike | None = None, tcp: ArrayLike | None = None) -> FloatArray:
-        """All joint positions for one pose. Ways that meet in a singularity are given once.
+        """All joint positions for one pose. Branches that meet in a singularity are given once.
 
         Args:
             pose: (6,) pose of the tool in the base frame.
-            near: (6,) joint positions, rad: each joint is given in the turn closest to it, whatever its limits, and the
-                rows are sorted by their largest joint movement.
+            near: (6,) joint positions, rad: each joint is given in the turn closest to it, regardless of limits, and
+                the rows are sorted by their largest joint movement from it. None: the order of `branches`.
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
 
         Returns:
             (n, 6) rad, n from 0 (out of reach) to 8; in (-pi, pi] unless `near` is given.
 
         Raises:
-            BadValue: no pose, joint positions or TCP.
+            BadValue: an argument does not have this shape, or holds a number that is not finite.
         """
         close = None if near is None else _one(near)
         found: list[Angles[float]] = []
@@ -251,10 +252,10 @@ class Arm:
         return np.array(found, dtype=np.float64).reshape(-1, 6)
 
     def inverse_path(self, poses: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """The joint positions along a path of the tool, each closest to the ones before.
+        """Joint positions along a path of the tool: each row is the solution closest to the row before.
 
-        A path that leads through a singularity, or to where one way of reaching ends, may make a joint leap from one
-        row to the next: look at the differences of the rows before an arm is made to follow them.
+        A joint may jump from one row to the next where the path leads through a singularity, or where a branch ends.
+        Check the differences of the rows before an arm follows them.
 
         Args:
             poses: (n, 6) poses of the tool in the base frame.
@@ -262,11 +263,11 @@ class Arm:
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
 
         Returns:
-            (n, 6) rad, each joint in the turn closest to the row before, whatever its limits.
+            (n, 6) rad, each joint in the turn closest to the row before, regardless of limits.
 
         Raises:
-            Unreachable: a pose is out of reach; the message says which.
-            BadValue: not poses and joint positions, or no TCP.
+            Unreachable: a pose is out of reach; the message names its row.
+            BadValue: an argument does not have this shape, or holds a number that is not finite.
         """
         given = rigid.rows(poses, (6,), "poses").reshape(-1, 6)
         before = _one(near)
@@ -274,11 +275,11 @@ class Arm:
         ways: list[list[list[float]]] = [[] for _ in given]
         if not self.is_calibrated:
             found_ways, singular = branches_of_rows(self._geometry, targets)
-            # In a singularity it matters which joint positions were before.
+            # In a singularity the solution depends on the row before, so these rows are solved one by one below.
             ways = [[] if at else rows for rows, at in zip(found_ways.tolist(), singular.tolist(), strict=True)]
         path = []
         for i, rows in enumerate(ways):
-            # Of a calibrated arm there are none: to search from the joint positions before costs less than all eight.
+            # A calibrated arm has no candidates: one search from the row before costs less than all eight branches.
             candidates = [row for row in rows if row[0] == row[0]]
             found: Sequence[float] | None = min(candidates, key=lambda q: distance(q, before), default=None)
             if found is None:
@@ -300,11 +301,11 @@ class Arm:
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
 
         Returns:
-            (..., 6, 6): times joint speeds in rad/s it is the velocity of the TCP, m/s, above the angular velocity,
-            rad/s. Its transpose times a force, N, and a torque, Nm, at the TCP is the torque of each joint.
+            (..., 6, 6). Times joint speeds, rad/s, it is the velocity of the TCP, m/s (three rows), and the angular
+            velocity, rad/s. Its transpose times a force, N, and a torque, Nm, at the TCP is the joint torques, Nm.
 
         Raises:
-            BadValue: not joint positions, or no TCP.
+            BadValue: `q` or `tcp` does not have this shape, or holds a number that is not finite.
         """
         if rigid.is_single(q):
             frames = chain(self._geometry, FLOATS, _one(q))
@@ -315,7 +316,7 @@ class Arm:
         return np.ascontiguousarray(columns.transpose(2, 1, 0)).reshape(*given.shape, 6)
 
     def velocity(self, q: ArrayLike, qd: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """The velocity of the tool: the Jacobian times the joint speeds, for less than the Jacobian costs.
+        """The velocity of the tool: the Jacobian times the joint speeds, without computing the Jacobian.
 
         Args:
             q: (..., 6) joint positions, rad.
@@ -326,7 +327,7 @@ class Arm:
             (..., 6) velocity of the TCP, m/s, and angular velocity, rad/s, in the base frame.
 
         Raises:
-            BadValue: not joint positions and speeds, shapes that do not broadcast, or no TCP.
+            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast.
         """
         if rigid.is_single(q) and rigid.is_single(qd):
             at, speed = _one(q), _one(qd, "joint speeds")
@@ -338,11 +339,11 @@ class Arm:
         return np.stack(found, axis=-1).reshape(*shape, 6)
 
     def manipulability(self, q: ArrayLike) -> FloatArray:
-        """How far from a singularity: the product of the singular values of the Jacobian (Yoshikawa), m³.
+        """Distance from a singularity (Yoshikawa): the product of the singular values of the Jacobian, m³.
 
-        It is 0 in a singularity, and does not depend on the TCP. For a published arm it is
-        `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, r being the distance of the wrist's origin, frame 5, from the base's
-        axis, measured in the plane of the arm.
+        It is 0 in a singularity and does not depend on the TCP. For a published arm it is
+        `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, r being the distance of the origin of frame 5 from the axis of the
+        base, measured in the plane of the arm.
 
         Args:
             q: (..., 6) joint positions, rad.
@@ -351,13 +352,13 @@ class Arm:
             (...) m³.
 
         Raises:
-            BadValue: not joint positions.
+            BadValue: `q` does not have this shape, or holds a number that is not finite.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns of some singular matrices, and gives 0
+        with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns of some singular matrices; the result is 0
             found: FloatArray = np.abs(np.linalg.det(self.jacobian(q)))
         return found
 
-    # --- within ---
+    # --- parts ---
 
     def _flange(self, f: Functions[Number], q: Angles[Number]) -> Rigid[Number]:
         geometry = self._geometry
@@ -410,12 +411,12 @@ def _tool(tcp: ArrayLike) -> Rigid[float]:
 
 
 def _with(flange: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
-    """Where the TCP is for where the flange is."""
+    """The pose of the TCP, from the pose of the flange."""
     return flange if tcp is None else rigid.product(flange, _tool(tcp))  # type: ignore[arg-type]
 
 
 def _target(tool: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
-    """Where the flange is for where the TCP is."""
+    """The pose of the flange, from the pose of the TCP."""
     return tool if tcp is None else rigid.product(tool, rigid.invert(_tool(tcp)))  # type: ignore[arg-type]
 
 
@@ -423,7 +424,7 @@ def _target(tool: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
 
 
 def _turned(q: Sequence[float], near: Sequence[float]) -> Angles[float]:
-    """Each joint in the turn closest to that of `near`, in (-pi, pi] from it."""
+    """Each joint in the turn closest to `near`: the difference is in (-pi, pi]."""
     q1, q2, q3, q4, q5, q6 = [b + wrapped(a - b) for a, b in zip(q, near, strict=True)]
     return q1, q2, q3, q4, q5, q6
 

@@ -6,8 +6,8 @@ from where the wrist is, joints 5 and 6 from the orientation, joints 2 and 3 fro
 
 In three places a joint is not determined (the singularities): where the wrist is on a cylinder of radius d4 about the
 base's axis (joint 1), where joints 4 and 6 turn about the same direction (joint 6), and where the arm is stretched or
-folded (two branches meet). `solve` looks after them one pose at a time. `solve_rows` computes many poses at once
-and says which of them are too close to the second one for its formulas.
+folded (two branches meet). `solve` handles all three, one pose at a time. `solve_rows` computes many poses at once
+and marks those that are too close to the second one for its formulas.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from .geometry import Angles, Lengths
 
 __all__ = ["BRANCHES", "SINGULAR", "SLACK", "solve", "solve_rows", "wrapped"]
 
-#: How many there are.
+#: Number of branches.
 BRANCHES = 8
 
-# How much orientation, rad, may be given up for a better joint 6. At a singular wrist, where joint 6 hardly counts, it
-# buys any joint 6.
+# Error of the orientation, rad, that is accepted to have joint 6 at the wanted angle. In the wrist singularity itself
+# it allows any angle.
 SLACK = 1e-13
-# How far outside its reach, relative to it, rounding may put a pose that is exactly on the edge.
+# Relative distance beyond the edge of the reach, due to rounding, at which a pose still counts as on the edge.
 _EDGE = 1e-13
-# The same for loose branches, and their largest cosine of joint 3. A calibrated arm is some mm and mrad from the
-# published one, a hundredth of its reach.
+# The same with `is_loose`, and the largest cosine of joint 3 there. A calibrated arm differs from the published one by
+# some mm and mrad, a hundredth of its reach.
 _LOOSE_EDGE = 0.05
 _ALMOST_STRAIGHT = 0.999
-# Sine of joint 5 below which rows are left to `solve`: at 1e-4 joint 6 is known to 1e-12 rad, which is not yet felt
-# in the reach of the arm.
+# Sine of joint 5 below which rows are left to `solve`. At 1e-4 joint 6 is known to 1e-12 rad, too little an error to
+# change whether the arm reaches the pose.
 SINGULAR = 1e-4
 
 
@@ -46,17 +46,17 @@ def solve(
     slack: float = SLACK,
     is_loose: bool = False,
 ) -> list[Angles[float] | None]:
-    """The eight branches that put the flange at `target`, rad, not wrapped; None for one that does not reach.
+    """The eight branches that put the flange at `target`, rad, not wrapped; None for a branch that does not reach it.
 
     Args:
         target: the flange in the base frame.
-        free_q6: joint 6 where it is free; where that would put the wrist out of reach, the closest to it.
-        slack: how much orientation, rad, may be given up for that joint 6.
-        is_loose: a branch counts as one where it is almost in reach, and the elbow is never quite straight: as a start
-            for the search of a calibrated arm, which reaches a little further here and less far there.
+        free_q6: joint 6 where it is free; if the wrist is out of reach with it, the closest angle that is in reach.
+        slack: error of the orientation, rad, that is accepted for that joint 6.
+        is_loose: also give branches that are slightly out of reach, and never a quite straight elbow: seeds for the
+            search of a calibrated arm, which reaches a little further here and less far there.
 
     Returns:
-        In the order of `Arm.branches`. Where two meet in a singularity, both are there.
+        In the order of `Arm.branches`. In a singularity, where two branches meet, both are given.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = target
@@ -64,7 +64,7 @@ def solve(
     x5, y5, z5 = _wrist(lengths, target)
     margin, straight = (_LOOSE_EDGE, _ALMOST_STRAIGHT) if is_loose else (_EDGE, 1.0)
     if x5 * x5 + y5 * y5 < d4 * d4 * (1.0 - margin):
-        return [None] * BRANCHES  # Too close to the axis of the base.
+        return [None] * BRANCHES  # the wrist is too close to the axis of the base
     for q1 in _shoulder(FLOATS, d4, x5, y5, margin if is_loose else 0.0):
         s1, c1, out5, up5, nx, ny, nz, sine = _plane(FLOATS, d1, target, q1, x5, y5, z5)
         q5, q6 = math.atan2(sine, nz), math.atan2(-ny, nx)
@@ -80,7 +80,7 @@ def solve(
             # z4 = -y5 = -(s6 x6 + c6 y6) lies in the plane of the arm.
             zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
             along, across = zx * c1 + zy * s1, zz
-            # Joint 6 moves the origin of frame 4 too: turn it, as far as the slack goes, to where the arm reaches.
+            # Joint 6 moves the origin of frame 4 too: turn it into the reach of the arm, within the slack.
             bearing = math.atan2(across, along)
             if sine < SINGULAR:
                 shift = _into_reach(bearing, out5, up5, d5, abs(a2) + abs(a3), abs(abs(a2) - abs(a3)))
@@ -91,7 +91,7 @@ def solve(
             out, up = out5 - d5 * along, up5 - d5 * across
             c3 = (out * out + up * up - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
             if abs(c3) > 1.0 + margin:
-                found += (None, None)  # Further than the stretched arm reaches, or closer than the folded one.
+                found += (None, None)  # further than the stretched arm reaches, or closer than the folded one
                 continue
             q234 = bearing + 0.5 * math.pi
             for q2, q3 in _elbow(FLOATS, a2, a3, out, up, max(-straight, min(straight, c3))):
@@ -103,12 +103,12 @@ def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = Fa
     """The eight branches for each of n poses.
 
     Args:
-        targets: the flange in the base frame, n times.
+        targets: n poses of the flange in the base frame.
         is_loose: as for `solve`.
 
     Returns:
         (8, 6, n) rad, not wrapped, NaN where a branch does not reach, in the order of `solve`; and (8, n) the sine of
-        joint 5. Where that is less than `SINGULAR`, the figures are not to be used.
+        joint 5. Where that is less than `SINGULAR`, the joint positions are not valid.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
@@ -143,16 +143,17 @@ def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool = Fa
 
 
 def _wrist(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Number]:
-    """The origin of frame 5."""
+    """The origin of frame 5 in the base frame, m."""
     d6 = lengths[5]
     _, _, r02, _, _, r12, _, _, r22, px, py, pz = target
     return px - d6 * r02, py - d6 * r12, pz - d6 * r22
 
 
 def _shoulder(f: Functions[Number], d4: float, x5: Number, y5: Number, apart: float = 0.0) -> tuple[Number, Number]:
-    """Joint 1: the origin of frame 5 lies d4 off the plane of the arm, on the side of its normal (s1, -c1, 0).
+    """Joint 1, both solutions: the origin of frame 5 lies d4 off the plane of the arm, on the side of (s1, -c1, 0).
 
-    Where both solutions are closer together than a share of `apart` in d4 makes them, they are kept that far apart.
+    The solutions meet where that origin is d4 from the axis of the base. `apart` keeps them separate there: about
+    2 * `apart` rad.
     """
     bearing = f.atan2(y5, x5)
     lean = f.atan2(d4, f.sqrt(f.positive(x5 * x5 + y5 * y5 - d4 * d4) + (apart * d4) ** 2))
@@ -162,10 +163,10 @@ def _shoulder(f: Functions[Number], d4: float, x5: Number, y5: Number, apart: fl
 def _plane(
     f: Functions[Number], d1: float, target: Rigid[Number], q1: Number, x5: Number, y5: Number, z5: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number]:
-    """Sine and cosine of joint 1; frame 5's origin in the plane of the arm, from the shoulder; the normal in frame 6.
+    """Sine and cosine of joint 1; origin of frame 5 in the plane of the arm, from the shoulder; normal in frame 6.
 
-    That normal is (c6 s5, -s6 s5, c5). The last number is the length of its first two: the sine of joint 5, with all
-    its digits where an arc cosine of c5 would lose half of them.
+    The normal of the plane is (c6 s5, -s6 s5, c5). The last number is the length of its first two components, which is
+    the sine of joint 5 to full precision; an arc cosine of c5 would lose half of the digits.
     """
     r00, r01, r02, r10, r11, r12, _, _, _, _, _, _ = target
     s1, c1 = f.sin(q1), f.cos(q1)
@@ -186,15 +187,15 @@ def _elbow(
 
 
 def _into_reach(bearing: float, out: float, up: float, length: float, furthest: float, closest: float) -> float:
-    """How far to turn a link that ends at (out, up) for its other end to come within reach of 0, 0.
+    """The rotation, rad, of a link that ends at (out, up), which brings its other end within reach of (0, 0).
 
-    Zero where it is in reach. Where no turn brings it there, it turns as close as it can come.
+    Zero if it is within reach already. If no rotation brings it there, the one that brings it closest.
     """
     distance = math.hypot(out, up)
     lever = 2.0 * length * distance
     if lever == 0.0:
         return 0.0
-    # By the law of cosines; the end comes closest to 0, 0 where the link points straight away from it.
+    # By the law of cosines. The end is closest to (0, 0) when the link points straight away from it.
     squares = length * length + distance * distance
     widest = math.acos(max(-1.0, min(1.0, (squares - furthest * furthest) / lever)))
     narrowest = math.acos(max(-1.0, min(1.0, (squares - closest * closest) / lever)))
@@ -203,6 +204,6 @@ def _into_reach(bearing: float, out: float, up: float, length: float, furthest: 
 
 
 def wrapped(angle: float) -> float:
-    """The same direction in (-pi, pi]."""
+    """The same angle in (-pi, pi]."""
     around = math.remainder(angle, math.tau)
     return math.pi if around <= -math.pi else around

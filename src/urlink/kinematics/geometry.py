@@ -1,4 +1,4 @@
-"""The geometry of one arm, as the vendor publishes it or as its own calibration says, and where its links are.
+"""The geometry of one arm, published or calibrated, and the frames of its links.
 
 Frames follow the vendor's Denavit-Hartenberg (DH) table: frame 0 is the base with z up, frame i sits at the end of link
 i, and frame 6 is the tool flange. Joint i turns about the z axis of frame i - 1.
@@ -61,7 +61,7 @@ _TURNED = 0.1  # rad
 
 
 class DenavitHartenberg(Protocol):
-    """Whatever has a DH table, six of each: `urlink.KinematicsInfo`, `urlink.models.Model`."""
+    """Anything with a DH table, six values of each: `urlink.KinematicsInfo`, `urlink.models.Model`, `DhTable`."""
 
     @property
     def dh_theta(self) -> ArrayLike:
@@ -81,7 +81,7 @@ class DenavitHartenberg(Protocol):
 
 
 class DhTable(NamedTuple):
-    """A DH table to make a `DenavitHartenberg` of numbers from elsewhere: a file, say.
+    """A DH table made of numbers from elsewhere, such as a file; it is a `DenavitHartenberg`.
 
     Attributes:
         dh_theta: joint offsets, rad.
@@ -98,14 +98,14 @@ class DhTable(NamedTuple):
 
 @dataclass(frozen=True)
 class Link:
-    """From one frame to the next: Rz(q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta).
+    """The transform from one frame to the next: Rz(q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta).
 
     Attributes:
         offset: added to the joint position, rad.
         a: m, along x.
         d: m, along z.
         alpha: rad, about x.
-        beta: rad, about the y axis that comes of it; not zero only in a calibrated arm, at joints 2 and 3.
+        beta: rad, about the resulting y axis; not zero only for joints 2 and 3 of a calibrated arm.
     """
 
     offset: float
@@ -127,12 +127,12 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Where the joints of one arm are.
+    """The links of one arm.
 
     Attributes:
         links: six links.
-        is_nominal: as published, so that the closed forms hold.
-        lengths: of a published arm; of a calibrated one, those of the arm with right angles that is closest to it.
+        is_nominal: whether it is the published geometry, for which the closed forms hold.
+        lengths: m; those of a calibrated arm are of the closest arm whose link twists are right angles.
         offsets: of the six joints, rad; all zero in a published arm.
         rows: offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.
     """
@@ -152,13 +152,13 @@ class Geometry:
 
     @cached_property
     def to_wrist(self) -> Geometry:
-        """The arm that ends where frame 5 has its origin, a point on the axis of joint 6, and is turned by joint 6."""
+        """This arm up to the origin of frame 5, a point on the axis of joint 6; joint 6 turns only its orientation."""
         *links, last = self.links
         return replace(self, links=(*links, Link(last.offset, 0.0, 0.0, 0.0, 0.0)))
 
     @cached_property
     def wrist_in_flange(self) -> Rigid[float]:
-        """Where that end is, in the frame of the flange."""
+        """The end of `to_wrist` in the frame of the flange."""
         last = self.links[5]
         ca, sa, _, _ = last.turns
         return invert((1.0, 0.0, 0.0, 0.0, ca, -sa, 0.0, sa, ca, last.a, 0.0, last.d))
@@ -175,15 +175,15 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
     """The geometry that an arm's own DH table describes; `nominal` where it is the published table.
 
     Raises:
-        BadValue: not four times six finite numbers, or not the table of such an arm; the message says which link is how
-            far off.
+        BadValue: not four times six finite numbers, or not the table of this model; the message names the link, and
+            both values.
     """
     names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
     given = np.stack([six(getattr(table, name), name) for name in names])
     if np.abs(given - [getattr(model, name) for name in names]).max() < _UNCALIBRATED:
         return nominal(model)
     links: list[Link] = []
-    # How far the frame before the link at hand was moved along its z axis and turned about it.
+    # How far the frame before this link was moved along its z axis, m, and turned about it, rad.
     along, about = 0.0, 0.0
     for i, (theta, a, d, alpha) in enumerate(given.T.tolist()):
         theta, d = theta - about, d - along
@@ -191,10 +191,10 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
             links.append(Link(_wrapped(theta), a, d, alpha, 0.0))
             along = about = 0.0
             continue
-        # Along the next axis, to where the link does not lead along its own.
+        # Along the next axis, to the point that the link reaches without an offset along its own axis.
         along = -d / math.cos(alpha)
         x, y = a, -along * math.sin(alpha)
-        # The link leads along -x, as published. What its frame was turned for that, Rz(turn), is taken back at its end.
+        # As published, the link leads along -x. Its frame was turned by Rz(turn) for this, which is undone at its end.
         turn = math.atan2(-y, -x)
         alpha, beta, about = _hayati(-turn, alpha)
         links.append(Link(_wrapped(theta + turn), -math.hypot(x, y), 0.0, alpha, beta))
@@ -244,7 +244,7 @@ def flange(lengths: Lengths, f: Functions[Number], q: Angles[Number]) -> Rigid[N
     s234, c234 = sin(q234), cos(q234)
     s5, c5 = sin(q5), cos(q5)
     s6, c6 = sin(q6), cos(q6)
-    # The arm moves in an upright plane through the shoulder: `out` runs along it, (s1, -c1, 0) is its normal.
+    # The arm moves in a vertical plane through the shoulder: `out` runs along it, (s1, -c1, 0) is its normal.
     out = a2 * cos(q2) + a3 * cos(q23) + d5 * s234
     up = d1 + a2 * sin(q2) + a3 * sin(q23) - d5 * c234
     # Columns of frame 4 are x4 = (c1 c234, s1 c234, s234), the normal, and z4 = (c1 s234, s1 s234, -c234).
@@ -296,7 +296,7 @@ def chain(geometry: Geometry, f: Functions[Number], q: Angles[Number]) -> list[R
         x0, x1, x2 = r00 * c + r01 * s, r10 * c + r11 * s, r20 * c + r21 * s
         y0, y1, y2 = r01 * c - r00 * s, r11 * c - r10 * s, r21 * c - r20 * s
         z0, z1, z2 = r02, r12, r22
-        # Every link lacks one or two of the four, and a thousand rows feel each multiplication.
+        # Every link lacks one or two of the four, and each multiplication costs time with a thousand rows.
         if a:
             px, py, pz = px + a * x0, py + a * x1, pz + a * x2
         if d:

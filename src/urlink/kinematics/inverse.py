@@ -1,10 +1,10 @@
-"""All branches of the solution and the closest of them, of published and of calibrated arms, one pose or many.
+"""All branches of the solution and the closest one, for published and calibrated arms, for one pose or many.
 
-A published arm is solved in closed form. For a calibrated one, each branch of the closed form is where a search begins.
-Close to a singularity, within the few mrad that a calibration tilts the axes, branches appear, disappear and swap
-places: a stretched arm reaches 0.1 mm further or less far than published, or joints 4 and 6 cannot be brought in line
-at all. So the search begins at the given joint positions if these almost bring the flange to the pose, and in many
-places before a pose counts as out of reach.
+A published arm is solved in closed form. For a calibrated arm each branch of the closed form is the seed of a search.
+Close to a singularity, within the few mrad by which a calibration tilts the axes, branches appear, disappear and swap:
+a stretched arm reaches 0.1 mm further or less far than published, or the axes of joints 4 and 6 cannot be made parallel
+at all. So the search begins at the given joint positions if these almost reach the pose, and many seeds are tried
+before a pose counts as out of reach.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from .refinement import error_at, refine, refine_anywhere, refine_rows
 
 __all__ = ["around", "branches", "branches_of_rows", "closest", "closest_of_rows", "distance"]
 
-# The search begins at the given joint positions if they miss the pose by less than the first, m and rad; what it finds
-# further away than the second, rad, is no continuation of them.
+# `near` is a seed if it misses the pose by less than `_ALMOST`, m and rad. A solution further away from `near` than
+# `_CONTINUES`, rad, does not count as its continuation.
 _ALMOST = 0.05
 _CONTINUES = 0.3
-# Where joint 6 is free but for so much orientation, rad, which the axes are tilted by, the search begins at so many
-# positions of it; not twice at joint positions that are as close as the third, rad.
+# Of the last attempt, `_search`: joint 6 counts as free if an error of the orientation of `_SLACK`, rad, is enough,
+# about what the axes are tilted by; then `_TURNS` values of joint 6 are tried, skipping seeds that are within `_TRIED`,
+# rad, of an earlier one.
 _SLACK = 0.03
 _TURNS = 16
 _TRIED = 1e-3
@@ -38,10 +39,10 @@ _remainder, _TURN = math.remainder, math.tau
 
 
 def distance(q: Sequence[float], other: Sequence[float]) -> float:
-    """The largest joint movement between two joint positions, rad, each joint going the short way round."""
+    """The largest joint movement between two joint positions, rad, modulo whole turns."""
     a1, a2, a3, a4, a5, a6 = q
     b1, b2, b3, b4, b5, b6 = other
-    # Six calls cost less than half of what a loop does, and this is asked eight times for each pose.
+    # Six calls take less than half the time of a loop, and this runs eight times for each pose.
     return max(
         abs(_remainder(a1 - b1, _TURN)),
         abs(_remainder(a2 - b2, _TURN)),
@@ -53,7 +54,7 @@ def distance(q: Sequence[float], other: Sequence[float]) -> float:
 
 
 def around(angles: FloatArray) -> FloatArray:
-    """The same directions in [-pi, pi]."""
+    """The same angles in [-pi, pi]."""
     return angles - math.tau * np.rint(angles / math.tau)
 
 
@@ -84,7 +85,7 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
 
 
 def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
-    """Joint positions in a singularity or at the edge of the reach, from wherever a search may lead to any."""
+    """Joint positions in a singularity or at the edge of the reach: the first that any of many seeds leads to."""
     tried: list[Angles[float]] = []
     for turn in range(_TURNS):
         seeds = _seeds(geometry, target, near[5] + turn * math.tau / _TURNS, _SLACK)
@@ -98,7 +99,7 @@ def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
 
 
 def _seeds(geometry: Geometry, target: Rigid[float], free_q6: float, slack: float = SLACK) -> list[Angles[float]]:
-    """Where to begin the search for the joint positions of a calibrated arm."""
+    """The seeds of the search for the joint positions of a calibrated arm."""
     loose = solve(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=slack, is_loose=True)
     return [_less(q, geometry.offsets) for q in loose if q is not None]
 
@@ -114,9 +115,9 @@ def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
 
 
 def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
-    """`closest` of n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none.
+    """`closest` for n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none.
 
-    What takes one row more than the arithmetic that all rows have in common is left to `closest`.
+    Rows that need more than the common arithmetic are left to `closest`.
     """
     rows = np.full_like(nears, np.nan)
     again = np.zeros(len(nears), dtype=bool)
@@ -148,15 +149,15 @@ def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: Float
 def _closest_branches(
     geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The closest of the eight branches of the closed form: (6, n) rad; and (n,) whether another one might be."""
+    """(6, n) rad, the closest of the eight branches of the closed form; (n,) whether another one might be closer."""
     found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     found -= np.array(geometry.offsets)[:, np.newaxis]
     turns = np.abs(around(found - nears.T))
     moves = turns.max(axis=1)
     moves[np.isnan(moves)] = np.inf
     chosen, least = moves.argmin(axis=0), moves.min(axis=0)
-    # Where joint 6 is free, it and what follows from it may stay: only joint 1 tells how far away a branch is at least.
-    # Such a branch may reach although another joint 6 puts it out of reach.
+    # Where joint 6 is free, joints 2 to 6 depend on the choice of it, so only joint 1 gives a lower bound of the
+    # distance. Such a branch may reach the pose although it is out of reach with another joint 6.
     unsure = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
     if not geometry.is_nominal:
         unsure |= np.isinf(least) & (sines < _SLACK).any(axis=0)
@@ -164,10 +165,10 @@ def _closest_branches(
 
 
 def branches_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """`branches` of n transforms.
+    """`branches` for n transforms.
 
     Returns:
-        (n, 8, 6) rad, in (-pi, pi], NaN out of reach; and (n,) whether a pose is close to a singularity.
+        (n, 8, 6) rad, in (-pi, pi], NaN where a branch does not reach; (n,) whether the pose is close to a singularity.
     """
     found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     again = np.asarray((sines < (SINGULAR if geometry.is_nominal else _SLACK)).any(axis=0))

@@ -1,12 +1,12 @@
-"""Joint positions of a calibrated arm, from others that almost put its flange at a pose.
+"""Joint positions of a calibrated arm, from seeds that almost put its flange at a pose.
 
-The closed form is exact for published arms only. For a calibrated arm it is off by some 0.1 mm to 1 mm, and the joint
-positions of a moment ago are off by as far as the arm has moved since. Newton's method leads from there to the last
-digit: each step measures by how much the wrist misses, and moves the joints by the inverse of the Jacobian times that,
-which leaves about the square. From 0.01 rad it takes three. The inverse follows from the axes of the joints, without a
-matrix, and costs less than to find where the links are.
+The closed form is exact for published arms only. For a calibrated arm it is off by 0.1 mm to 1 mm; the joint positions
+of the previous cycle are off by the movement since. Newton's method leads from there to full precision: each step
+measures by how much the wrist misses, and moves the joints by the inverse of the Jacobian times that. The error that is
+left is about the square of the one before, so three steps are enough from 0.01 rad. The inverse is computed from the
+axes of the joints, without a matrix, and costs less than the forward kinematics.
 
-Close to a singularity this does not converge. There `refine_anywhere` takes over, which is slower.
+Close to a singularity this does not converge. There `refine_anywhere` is used, which is slower.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from .geometry import Angles, Geometry, chain, jacobian
 
 __all__ = ["error_at", "refine", "refine_anywhere", "refine_rows"]
 
-#: m and rad. What may be left of the error when joint positions are taken for a solution.
+#: m and rad. Joint positions with an error below this are a solution.
 CONVERGED = 5e-14
-# About the second derivatives of the wrist's position and orientation: what a step of 1 rad may leave, m. Where it is
-# too small, what is left may be ten times as much as it should be, and still less than 1e-12.
+# Bound of the second derivatives of the wrist's position and orientation: the error in m that a step of 1 rad leaves.
+# If it is ten times too small, the error is ten times `CONVERGED`, still less than 1e-12.
 _CURVATURE = 2.0
-# A step that is shorter, rad, is the last one: what it leaves need not be measured.
+# A step shorter than this, rad, is the last one: the error that it leaves need not be measured.
 _LAST = math.sqrt(CONVERGED / _CURVATURE)
-# More steps than this are needed only where they do not converge; longer ones, rad, are for `refine_anywhere`.
+# Newton's method that needs more steps than this, or a longer one, rad, does not converge: `refine_anywhere` is used.
 _STEPS = 8
 _TOO_LONG = 0.5
 
-# So few rows are quicker one by one: a step of rows takes some hundred calls into numpy, however few there are.
+# Up to this many rows are quicker one by one: a step of rows takes some hundred calls into numpy for any number.
 _FEW = 16
 
-# Of `refine_anywhere`: the most steps; the largest step of a joint, rad; how far ahead the second derivative is
-# measured, in steps; the most that a step may be bent, in its length; and how many steps in a row may gain less than a
-# percent.
+# Of `refine_anywhere`: the most steps; the largest step of a joint, rad; the fraction of a step at which the second
+# derivative is measured; the longest correction, relative to its step; and how many steps in a row may reduce the error
+# by less than a percent.
 _ROBUST_STEPS = 100
 _LONGEST = 0.5
 _AHEAD = 0.1
@@ -54,10 +54,10 @@ def refine(
         geometry: of the arm.
         seed: rad.
         target: the flange in the base frame.
-        within: m and rad; by how much the seed may miss the target.
+        within: the largest error of the seed, m and rad.
 
     Returns:
-        rad; None where the steps do not converge, or the seed misses by more.
+        rad; None if the steps do not converge, or the error of the seed is larger than `within`.
     """
     wrist, there = geometry.to_wrist, product(target, geometry.wrist_in_flange)
     q = seed
@@ -85,13 +85,13 @@ def refine(
 def refine_rows(
     geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray], within: float = math.inf
 ) -> FloatArray:
-    """The same for n seeds.
+    """`refine` for n seeds.
 
     Args:
         geometry: of the arm.
         seeds: (6, n) rad.
         targets: n transforms.
-        within: as for `refine`.
+        within: the largest error of a seed, m and rad.
 
     Returns:
         (6, n) rad, NaN where `refine` gives None.
@@ -132,10 +132,10 @@ def _angles(q: FloatArray) -> Angles[FloatArray]:
 
 
 def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
-    """From the flange to the target, in the base frame: the distance, m, and the sine of the angle, along its axis."""
+    """From the flange to the target, in the base frame: distance, m, and rotation axis times sine of the angle."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = target
-    # Half the sum of the cross products of the axes of the one with those of the other.
+    # Half the sum of the cross products of the axes of the two frames.
     return (
         bx - ax,
         by - ay,
@@ -147,7 +147,7 @@ def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
 
 
 def _cosine(flange: Rigid[Number], target: Rigid[Number]) -> Number:
-    """Of the angle between two orientations; the sine is as small for half a turn as for none."""
+    """Cosine of the angle between two orientations; the sine alone cannot tell half a turn from none."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, _, _, _ = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, _, _, _ = target
     trace = a00 * b00 + a01 * b01 + a02 * b02 + a10 * b10 + a11 * b11 + a12 * b12 + a20 * b20 + a21 * b21 + a22 * b22
@@ -161,19 +161,19 @@ def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
 
 
 def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
-    """How to move the joints for the wrist to move by `error`: the inverse of its Jacobian times that.
+    """The joint movement that moves the wrist by `error`: the inverse of its Jacobian times `error`.
 
-    Joint 6 does not move the wrist, and joint 5 hardly does. So they are eliminated first: they turn what joints 1 to
-    4 leave to be turned. These have to move the wrist, and to turn the hand about the direction m, about which joints
-    5 and 6 cannot. Joints 2 to 4 turn about almost the same direction; so joints 2 and 3 are looked at as if joint 4
-    turned back, and joint 4 as if it did what all three of them do. What is left is three by three, by Cramer's rule.
-    Each of the three divisors is zero in one of the singularities.
+    Joint 6 does not move the wrist, and joint 5 hardly does, so these two are eliminated first: they make the rotation
+    that joints 1 to 4 leave. Joints 1 to 4 have to move the wrist, and to turn it about the direction m, about which
+    joints 5 and 6 cannot turn it. The axes of joints 2 to 4 are almost parallel; so the unknowns are joint 2 with joint
+    4 turning back, joint 3 with joint 4 turning back, and the sum of all three. What is left is three by three, solved
+    by Cramer's rule. Each of the three divisors is zero in one of the singularities.
 
     Raises:
         ZeroDivisionError: in a singularity (floats only).
     """
     vx, vy, vz, wx, wy, wz = error
-    # The axis of each joint and a point on it; then what 1 rad of it moves the wrist by, and which way it turns.
+    # The axis of each joint (i, j, k) and a point on it; then x, y, z: the movement of the wrist per rad.
     _, _, i2, _, _, j2, _, _, k2, x2, y2, z2 = frames[0]
     _, _, i3, _, _, j3, _, _, k3, x3, y3, z3 = frames[1]
     _, _, i4, _, _, j4, _, _, k4, x4, y4, z4 = frames[2]
@@ -185,7 +185,7 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     x3, y3, z3 = j3 * z3 - k3 * y3, k3 * x3 - i3 * z3, i3 * y3 - j3 * x3
     x4, y4, z4 = j4 * z4 - k4 * y4, k4 * x4 - i4 * z4, i4 * y4 - j4 * x4
     x5, y5, z5 = j5 * z5 - k5 * y5, k5 * x5 - i5 * z5, i5 * y5 - j5 * x5
-    # Joints 5 and 6: f, times an angular velocity, is the share of joint 5 in it.
+    # Joints 5 and 6: f times an angular velocity is the share of joint 5 in it.
     mx, my, mz = j5 * k6 - k5 * j6, k5 * i6 - i5 * k6, i5 * j6 - j5 * i6
     square = mx * mx + my * my + mz * mz
     fx, fy, fz = (j6 * mz - k6 * my) / square, (k6 * mx - i6 * mz) / square, (i6 * my - j6 * mx) / square
@@ -195,12 +195,12 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     vx, vy, vz = vx - share * x5, vy - share * y5, vz - share * z5
     x1, y1, z1 = -fz * x5 - py, -fz * y5 + px, -fz * z5
     x4, y4, z4 = x4 - share4 * x5, y4 - share4 * y5, z4 - share4 * z5
-    # Joints 2 and 3, with joint 4 that turns back.
+    # Joints 2 and 3, with joint 4 turning back.
     x2, y2, z2 = x2 - share2 * x5 - x4, y2 - share2 * y5 - y4, z2 - share2 * z5 - z4
     x3, y3, z3 = x3 - share3 * x5 - x4, y3 - share3 * y5 - y4, z3 - share3 * z5 - z4
     m4 = mx * i4 + my * j4 + mz * k4
     m2, m3 = mx * i2 + my * j2 + mz * k2 - m4, mx * i3 + my * j3 + mz * k3 - m4
-    # Joints 1 to 3: a, b and c, times a velocity of the wrist, are their shares of it; h is how they turn about m.
+    # Joints 1 to 3: a, b and c times a velocity of the wrist are their shares of it; h is their rotation about m.
     ax, ay, az = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
     volume = x1 * ax + y1 * ay + z1 * az
     ax, ay, az = ax / volume, ay / volume, az / volume
@@ -226,12 +226,12 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
 
 
 def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
-    """Joint positions that put the flange at `target`, also in a singularity; None where `seed` leads to none.
+    """Joint positions that put the flange at `target`, also in a singularity; None if `seed` leads to none.
 
-    Levenberg-Marquardt: least squares in which long steps cost, the more, the less the last one helped. Close to a
-    singular wrist the search goes along a narrow bent valley, in which joints 4 and 6 turn against each other and the
-    others follow; so each step is bent by the second derivative along it (Transtrum and Sethna, "Improvements to the
-    Levenberg-Marquardt algorithm for nonlinear least-squares minimization", 2012).
+    Levenberg-Marquardt: least squares with a penalty on long steps, which grows while steps do not help. Close to a
+    singular wrist the minimum lies at the end of a narrow curved valley, in which joints 4 and 6 turn against each
+    other and the others follow; so each step is corrected by the second derivative along it (Transtrum and Sethna,
+    "Improvements to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization", 2012).
     """
     q = np.array(seed)
     error, matrix = _linearised(geometry, q, target)
@@ -264,14 +264,14 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
 
 
 def error_at(geometry: Geometry, q: Angles[Number], f: Functions[Number], target: Rigid[Number]) -> tuple[Number, ...]:
-    """By how much the flange misses a pose: the error, m and the sine of the angle, and 1 - the cosine of the angle."""
+    """The error of the flange at `q`: distance, m; axis times the sine of the angle; 1 - the cosine of the angle."""
     frames = chain(geometry, f, q)
     vx, vy, vz, wx, wy, wz = _error(frames[5], target)
     return vx, vy, vz, wx, wy, wz, 1.0 - _cosine(frames[5], target)
 
 
 def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tuple[FloatArray, FloatArray]:
-    """The error and the Jacobian of the flange."""
+    """The error of the flange, m and rad, and its Jacobian."""
     q1, q2, q3, q4, q5, q6 = q.tolist()
     frames = chain(geometry, FLOATS, (q1, q2, q3, q4, q5, q6))
     flange = frames[5]

@@ -1,7 +1,7 @@
-"""The velocity of the tool, at a tenth of the cost of a Jacobian: a simulator needs it twice in every cycle.
+"""The velocity of the tool, at a tenth of the cost of a Jacobian: the simulator computes it twice in every cycle.
 
 Joints 2, 3 and 4 of a published arm turn about parallel axes, and the twists of its links are right angles, so all six
-axes and a point on each can be written down.
+axes and a point on each have short formulas.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ def velocity(
 
     Args:
         geometry: of the arm.
-        f: for floats or for rows.
+        f: `FLOATS` for one row of numbers, `ROWS` for arrays.
         q: joint positions, rad.
         qd: joint speeds, rad/s.
-        point: that moves with the flange, in the base frame, m.
+        point: a point fixed to the flange, in the base frame, m.
 
     Returns:
         In the base frame: velocity of the point in m/s, angular velocity of the flange in rad/s.
@@ -63,12 +63,12 @@ def _published(
     # Axes: joint 1 is z; joints 2 to 4 are (s1, -c1, 0); then joint 5 and joint 6.
     ux, uy, uz = c1 * s234, s1 * s234, -c234
     wx, wy, wz = c5 * s1 - s5 * c1 * c234, -c5 * c1 - s5 * s1 * c234, -s5 * s234
-    # A point on each axis: the base, the shoulder, the elbow, wrist 1, and from there along the axes.
+    # A point on each axis: the base, the shoulder, the elbow, wrist 1; from there along the axes.
     out2, up2 = a2 * cos(q[1]), d1 + a2 * sin(q[1])
     out3, up3 = out2 + a3 * cos(q23), up2 + a3 * sin(q23)
     p4x, p4y, p4z = out3 * c1 + d4 * s1, out3 * s1 - d4 * c1, up3
     p5x, p5y, p5z = p4x + d5 * ux, p4y + d5 * uy, p4z + d5 * uz
-    # The angular velocity about all axes turns the tool about the origin; what each axis is off it comes off again.
+    # Velocity: angular velocity x point, less the sum over the axes of speed * axis x point on the axis.
     v234 = v2 + v3 + v4
     ox = v234 * s1 + v5 * ux + v6 * wx
     oy = -v234 * c1 + v5 * uy + v6 * wy
