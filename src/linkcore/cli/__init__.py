@@ -1,1 +1,1 @@
-"""What the command lines of the packages share; it knows no robot."""
+"""What the command lines of the packages have in common, without knowledge of any robot."""

@@ -1,11 +1,11 @@
 """Messages of ROS 2 in CDR, many at a time.
 
-In most messages everything but a few numbers is the same each time: names of joints and frames, lengths. Such messages
-have one size, and the numbers have their places in it, so many of them are one array.
+Most messages differ only in a few numbers; the names of joints and frames, and the lengths, are always the same. Such
+messages have one size and each number has a fixed offset, so many of them are one array.
 
 CDR (OMG, Common Data Representation, version 1, little-endian): 4 bytes of encapsulation ``00 01 00 00``; numbers at
-multiples of their size, counted from behind these; text as its length with a final NUL in a uint32, then the bytes and
-the NUL; sequences as their length in a uint32, then the elements.
+multiples of their size, counted from the end of the encapsulation; text as a uint32 with its length, the final NUL
+included, then the bytes and the NUL; sequences as a uint32 with their length, then the elements.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
 class Message:
-    """Builds so many messages of one type, part by part, in the order of its definition."""
+    """Builds `count` messages of one type, part by part, in the order of its definition."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -41,7 +41,7 @@ class Message:
         return self
 
     def text(self, text: str) -> Message:
-        """Text that is the same in all of them."""
+        """A text that is the same in all messages."""
         data = text.encode() + b"\0"
         self.length(len(data))
         self._constants.append((self._size, data))
@@ -56,7 +56,7 @@ class Message:
         return self
 
     def numbers(self, values: NDArray[Any]) -> Message:
-        """One number (n,), or several (n, k), for each message, of the type that the array has."""
+        """One number, (n,), or several, (n, k), for each message; coded in the type of the array."""
         values = np.asarray(values)
         self._align(values.dtype.itemsize)
         self._columns.append((self._size, values))
@@ -75,7 +75,7 @@ class Message:
         return self.numbers((nanoseconds % 10**9).astype("<u4"))
 
     def header(self, wall: NDArray[np.datetime64], frame: str) -> Message:
-        """What a message with a stamp begins with."""
+        """A `std_msgs/Header`: stamp and frame."""
         return self.stamp(wall).text(frame)
 
     def encoded(self) -> list[bytes]:

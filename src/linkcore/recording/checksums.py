@@ -1,9 +1,9 @@
 """The checksums of many records of one size at once.
 
-One call of `zlib.crc32` for each record costs as much as the checksum. CRC-32 is linear, so the checksum of many
-records one after the other follows from those that are written in them: one call for all of their bytes checks all.
-crc(A + B) is crc(A), moved on by the bytes of B, xor crc(B); what moves a CRC on by some zero bytes is a matrix over
-GF(2). See zlib's `crc32_combine`.
+One call of `zlib.crc32` per record costs as much as the checksum itself. CRC-32 is linear, so the checksum of many
+consecutive records follows from the checksums that are written in them, and one call over all their bytes checks all of
+them. crc(A + B) is crc(A), advanced by the length of B, xor crc(B). To advance a CRC by some zero bytes is to multiply
+it by a matrix over GF(2). See zlib's `crc32_combine`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from .side_by_side import side_by_side
 __all__ = ["intact"]
 
 _ALL = 0xFFFFFFFF
-#: Records that one checksum covers: some hundred kB, which the cache of a processor holds.
+#: Records that one checksum covers: some hundred kB, which fit into the cache of a processor.
 _BATCH = 256
-#: Batches that are worth a thread's while: some MB.
+#: Batches that are worth a thread: some MB.
 _SHARE = 16
 
 Crcs = NDArray[np.uint32]
@@ -34,7 +34,7 @@ def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
 
     Args:
         data: a buffer of bytes that holds them.
-        start: where the first begins.
+        start: offset of the first.
     """
     good = np.zeros(count, np.bool_)
     if not count:
@@ -61,10 +61,11 @@ def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
 
 
 def _joined(written: Crcs, stride: int) -> Crcs:
-    """The checksum of each `_BATCH` records, from the checksums of what follows them in each record."""
+    """The checksum of each `_BATCH` whole records, computed from the checksums that are written in them."""
     rest = stride - FRAME.size
-    # Four bytes of length are the same in all records. Those of the checksum change the state that they leave, and are
-    # moved on with it; CRC-32 takes the least byte of a word first, and they lie the other way.
+    # A record is its length, its checksum, and the rest. The length is the same in all records. The four bytes of the
+    # checksum are xored into the CRC before them and advanced with it; CRC-32 takes the least byte of a word first, and
+    # they are stored in the other order.
     state = written.byteswap() ^ np.uint32(zlib.crc32(rest.to_bytes(4, "big")) ^ _ALL)
     moved = _moved(state, _filled(_columns(4 + rest)))
     crcs = (moved ^ written ^ np.uint32(zlib.crc32(bytes(rest)) ^ _ALL)).reshape(-1, _BATCH)
@@ -72,20 +73,20 @@ def _joined(written: Crcs, stride: int) -> Crcs:
     while crcs.shape[1] > 1:
         tables = _filled(columns)
         crcs = _moved(crcs[:, 0::2], tables) ^ crcs[:, 1::2]
-        columns = _moved(columns, tables)  # by twice as many bytes
+        columns = _moved(columns, tables)  # for twice as many bytes
     joined: Crcs = crcs[:, 0]
     return joined
 
 
 def _columns(size: int) -> Crcs:
-    """What becomes of each bit of a CRC that is moved on by so many zero bytes, (32,)."""
+    """What each bit of a CRC becomes when it is advanced by `size` zero bytes, (32,)."""
     zeros = bytes(size)
     none = zlib.crc32(zeros)
     return np.array([zlib.crc32(zeros, 1 << bit) ^ none for bit in range(32)], np.uint32)
 
 
 def _filled(columns: Crcs) -> Crcs:
-    """The same of each value of each byte of a CRC, (4, 256), least byte first."""
+    """The same for each value of each byte of a CRC, (4, 256), least byte first."""
     tables = np.zeros((4, 256), np.uint32)
     for bit in range(8):
         tables[:, 1 << bit : 2 << bit] = tables[:, : 1 << bit] ^ columns[bit::8, None]
@@ -93,7 +94,7 @@ def _filled(columns: Crcs) -> Crcs:
 
 
 def _moved(crcs: Crcs, tables: Crcs) -> Crcs:
-    """CRCs moved on by as many zero bytes as the tables are for."""
+    """CRCs advanced by the number of zero bytes that the tables are for."""
     moved: Crcs = tables[0][crcs & 0xFF]
     for number in (1, 2, 3):
         moved ^= tables[number][(crcs >> np.uint32(8 * number)) & 0xFF]

@@ -17,9 +17,9 @@ from .packets import Part
 
 __all__ = ["ArrayColumns", "Column", "Columns", "JoinedColumns", "PacketColumns", "columns_of", "is_continuous"]
 
-#: Packets whose columns are made together: so few that their bytes stay in the cache of a processor.
+#: Packets whose columns are made together: few enough that their bytes stay in the cache of a processor.
 _BLOCK = 512
-#: Bytes that a processor takes from memory at a time; every column begins with such a line.
+#: Bytes of a cache line; every column begins at one.
 _LINE = 64
 
 
@@ -28,15 +28,15 @@ _Raw = Callable[[int, int], list[NDArray[Any]]]
 
 
 class Column(NamedTuple):
-    """What is known of a column.
+    """Description of a column.
 
     Attributes:
         name: of the field.
         unit: of its values; "" for none.
         doc: what it means.
-        width: elements in each row, or None for one that is no array.
+        width: elements in each row; None for a single value.
         dtype: of its values.
-        meaning: the enumeration of which the values are the numbers, or None.
+        meaning: the enumeration of the values; None for plain numbers.
     """
 
     name: str
@@ -48,12 +48,12 @@ class Column(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of each row."""
+        """The shape of each row."""
         return () if self.width is None else (self.width,)
 
 
 def is_continuous(column: Column) -> bool:
-    """Whether what is between two values can be computed: not of codes, masks, counters and text."""
+    """Whether values between two rows can be interpolated: not those of codes, masks, counters and text."""
     return column.dtype.kind == "f"
 
 
@@ -62,10 +62,10 @@ class Columns(Protocol):
 
     @property
     def known(self) -> Mapping[str, Column]:
-        """What there is, by name."""
+        """Every column by name."""
 
     def read(self, names: Sequence[str], begin: int, end: int) -> dict[str, NDArray[Any]]:
-        """The rows `begin` to `end` of some columns, each (end - begin,) and the shape of its rows."""
+        """The rows `begin` to `end` of some columns: each array has `end - begin` rows of the column's shape."""
 
 
 class ArrayColumns:
@@ -81,7 +81,7 @@ class ArrayColumns:
 
 
 def columns_of(states: Sequence[State]) -> ArrayColumns:
-    """The columns of packets that have been decoded: for those with text, whose sizes vary."""
+    """The columns of decoded packets: for packets with text, whose sizes vary."""
     known = _common([state._layout for state in states])
     arrays = {}
     for name, column in known.items():
@@ -93,7 +93,7 @@ def columns_of(states: Sequence[State]) -> ArrayColumns:
 
 
 class JoinedColumns:
-    """The columns of several sources with as many rows, each under a name of its own: ``joint_data.q_actual``."""
+    """The columns of several sources with equally many rows, each named after its source: ``joint_data.q_actual``."""
 
     def __init__(self, sources: Mapping[str, Columns]) -> None:
         self._sources = sources
@@ -113,10 +113,10 @@ class JoinedColumns:
 
 
 class PacketColumns:
-    """Columns out of the bytes of packets without text, of one layout or of several.
+    """Columns read from the bytes of packets without text, of one layout or several.
 
-    Those that every layout has are columns. Where the types differ, as those of robot modes of two generations, they
-    are numbers.
+    There is a column for each field that every layout has. If the types of a field differ, as those of robot modes of
+    two generations do, its values are plain numbers.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -143,14 +143,14 @@ class PacketColumns:
         return made
 
     def by_layout(self, begin: int, end: int) -> list[tuple[PacketColumns, int, int]]:
-        """The rows of each layout by themselves: the columns, and the rows in which they begin and end."""
+        """The rows of each layout by themselves: the columns, the first row, and the row after the last."""
         return [
             (PacketColumns([part.sliced(first, last)]), begin + at, begin + at + last - first)
             for part, first, last, at in self._pieces(begin, end)
         ]
 
     def _pieces(self, begin: int, end: int) -> Iterator[tuple[Part, int, int, int]]:
-        """Of each part that has some of the rows: the first and the last of them in it, and the row they begin at."""
+        """For each part with some of the rows: the part, the first and the last packet, and the row of the first."""
         for part, stop in zip(self._parts, self._ends, strict=True):
             start = stop - len(part)
             first, last = max(begin, start), min(end, stop)
@@ -159,10 +159,10 @@ class PacketColumns:
 
 
 def _allocated(columns: Mapping[str, Column], rows: int) -> dict[str, NDArray[Any]]:
-    """Room for columns, in one piece.
+    """Memory for columns, in one piece.
 
-    The system gives it in pages of 2 MB, which columns by themselves are too short for: to be given as many small ones
-    takes half as long as to fill them.
+    The system gives large pieces in pages of 2 MB. Single columns are too small for that; getting them as many small
+    pages takes half as long as filling them.
     """
     sizes = [math.prod((rows, *column.shape)) * column.dtype.itemsize for column in columns.values()]
     starts = [0, *itertools.accumulate(size + -size % _LINE for size in sizes)]
@@ -174,9 +174,9 @@ def _allocated(columns: Mapping[str, Column], rows: int) -> dict[str, NDArray[An
 
 
 def _cells(part: Part, places: Sequence[Place]) -> _Raw:
-    """Of packets of 8-byte numbers throughout: the values in the byte order of this machine.
+    """For packets that consist of 8-byte numbers only: the values in the byte order of this machine.
 
-    All numbers from the first that is wanted to the last are swapped at once: numpy takes longer for the fields one by
+    All numbers from the first to the last wanted one are swapped at once. Numpy takes longer to swap the fields one by
     one, six numbers of each packet at a time.
     """
     begin = min(place.offset for place in places)
@@ -197,7 +197,7 @@ def _cells(part: Part, places: Sequence[Place]) -> _Raw:
 
 
 def _mixed(part: Part, places: Sequence[Place]) -> _Raw:
-    """Of packets of several widths: the values as they lie on the wire."""
+    """For packets with numbers of several sizes: the values as they are on the wire."""
 
     def raw(start: int, stop: int) -> list[NDArray[Any]]:
         packets = part.view(start, stop, 0, part.layout.dtype)
@@ -208,12 +208,12 @@ def _mixed(part: Part, places: Sequence[Place]) -> _Raw:
 
 
 def _as_stored(place: Place, column: NDArray[Any]) -> NDArray[Any]:
-    """A column as it takes the numbers of the wire."""
+    """The column, viewed as the type of the numbers on the wire."""
     return column.view(NATIVE_DOUBLE) if _is_code_in_float(place, column) else column
 
 
 def _read_in_place(place: Place, column: NDArray[Any]) -> None:
-    """Make the values that users hold of the numbers that a column has taken."""
+    """Convert a column of numbers from the wire, in place, to the values that users get."""
     if place.shape is Mask64:
         # A mask may be held as an IEEE double of the same value; see `Mask64`.
         if column.max() >> np.uint64(48):
@@ -222,7 +222,7 @@ def _read_in_place(place: Place, column: NDArray[Any]) -> None:
             column[odd] = [Mask64.read(each) for each in column[odd].tolist()]
     elif _is_code_in_float(place, column):
         numbers = column.view(NATIVE_DOUBLE)
-        # What is no whole number of 32 bits becomes some other number.
+        # A double that is not a whole number of 32 bits becomes some other number here.
         with np.errstate(invalid="ignore"):
             codes = numbers.astype(np.int32)
         is_none = codes != numbers
@@ -249,7 +249,7 @@ def _column(place: Place) -> Column:
         dtype = np.dtype("i8")
     else:
         assert place.number is not None, "everything else is a number"
-        # Floats of four bytes too are handed out as float64; that is exact.
+        # Floats of four bytes are given as float64 too, which is exact.
         dtype = np.dtype("f8" if place.number.kind[0] == "f" else place.number.kind)
     is_enumeration = isinstance(meaning, type) and issubclass(meaning, OpenInt)
     return Column(field.name, field.unit, field.doc, place.count, dtype, meaning if is_enumeration else None)

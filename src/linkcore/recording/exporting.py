@@ -1,4 +1,4 @@
-"""Tables to the files of other programs: the format goes by the suffix, and a file is there whole or not at all."""
+"""Tables as files of other programs: the suffix says the format, and the file appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def export(
     writers: Mapping[str, FileWriter],
     progress: Progress | None = None,
 ) -> Path:
-    """Write tables to a file, which replaces one of the same name.
+    """Write tables to a file, which replaces one of the same name once it is complete.
 
-    It is written under another name beside it and renamed when it is whole.
+    It is written under another name in the same directory, then renamed.
 
     Args:
-        writers: suffix -> what writes such a file.
+        writers: suffix -> function that writes such a file.
 
     Raises:
-        BadValue: no such format, or the format cannot hold these tables.
+        BadValue: unknown suffix, or the format cannot hold these tables.
         BadRecording: the file cannot be written.
-        LocalError: what writes the format is not installed.
+        LocalError: the package that writes the format is not installed.
     """
     path = Path(path)
     writer = writers.get(path.suffix.lower())
@@ -56,12 +56,12 @@ def chosen(
 
     Args:
         tables: by name.
-        fields: names; one that several tables have is that of the first. ``rtde.actual_q`` is that of the table of this
-            name. None for all fields of all tables.
-        rate: rows a second to which they are resampled; None leaves them as they came.
+        fields: names. A field that several tables have is taken from the first; ``rtde.actual_q`` is taken from the
+            table ``rtde``. None for all fields of all tables.
+        rate: rows per second to resample to; None for the rows as they came.
 
     Raises:
-        BadValue: no table has such a field, or a rate that is none.
+        BadValue: no table has such a field, or `rate` is not a positive number.
     """
     found: dict[str, list[str]] = {}
     for field in fields or ():
@@ -74,7 +74,7 @@ def chosen(
             first_table = next(iter(tables.values()), None)
             if first_table is None:
                 raise BadValue(f"there is no field {field!r}: nothing was recorded")
-            first_table.arrays(field)  # adds names that are similar
+            first_table.arrays(field)  # raises; the message suggests similar names
         else:
             found.setdefault(table, []).append(field)
     kept = {name: table.with_fields(*found[name]) for name, table in tables.items() if name in found}

@@ -1,4 +1,4 @@
-"""Recordings: raw bytes with their stamps in a file that survives a crash.
+"""The file format of recordings: raw bytes with their stamps, in a file that survives a crash.
 
 The file is append-only, big-endian::
 
@@ -6,14 +6,14 @@ The file is append-only, big-endian::
     records   u32 length of what follows the checksum | u32 CRC-32 of it
               u8 kind | u8 channel | i64 monotonic ns | i64 wall ns | payload
 
-    kind 0    channel: JSON object {"name": ..., and whatever the writer knows of the source}
+    kind 0    channel: JSON object {"name": ..., and what the recorder knows of the source}
     kind 1    bytes as they came
     kind 2    connection event: JSON object {"state": ..., "error": ...}
-    kind 3    end: the recording was closed in good order
+    kind 3    end: the recording was closed properly
 
-Each record goes to the operating system in one write, so a crash of the program loses nothing that
-was recorded, and one of the machine at worst the tail. Reading stops before the first record that is
-incomplete or damaged, and says how much it left out.
+Each record is written by one system call, so a crash of the program loses nothing that was recorded, and
+a crash of the machine at most the end of the file. Reading stops before the first record that is
+incomplete or damaged, and counts the bytes that are left out.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class RecordingWriter:
             raise BadRecording(f"cannot write {self.path}: {_reason(error)}") from error
         self._lock = threading.Lock()
         self._channels = 0
-        #: What went wrong with the file; nothing is written after it.
+        #: The first error of the file, in words; nothing is written after it.
         self.failure: str | None = None
         try:
             self._append(MAGIC)
@@ -62,11 +62,11 @@ class RecordingWriter:
             raise
 
     def add_channel(self, info: Mapping[str, Any]) -> int:
-        """Declare a channel; `info` is JSON-ready and has at least "name". Returns its number.
+        """Declare a channel; `info` can be written as JSON and has at least "name". Returns its number.
 
         Raises:
-            BadValue: `info` has no name, or holds what JSON cannot; or there are 256 channels already.
-            BadRecording, Closed: as `write`.
+            BadValue: `info` has no name, or a value that JSON cannot hold; or there are 256 channels already.
+            BadRecording, Closed: as for `write`.
         """
         if not isinstance(info.get("name"), str):
             raise BadValue(f'info={info!r}; expected a mapping with a text under "name"')
@@ -86,7 +86,7 @@ class RecordingWriter:
         """Append one record.
 
         Raises:
-            BadRecording: the disk did not take it, or an earlier one.
+            BadRecording: this record, or an earlier one, could not be written.
             Closed: after `close`.
         """
         data = pack(kind, channel, stamp, payload)
@@ -96,10 +96,10 @@ class RecordingWriter:
             self._append(data)
 
     def add(self, channel: int, item: Chunk | ConnectionEvent) -> None:
-        """Append bytes as they came, or what became of the connection that they came by.
+        """Append bytes as they were received, or an event of the connection.
 
         Raises:
-            BadRecording, Closed: as `write`.
+            BadRecording, Closed: as for `write`.
         """
         if isinstance(item, Chunk):
             self.write(Kind.BYTES, channel, item.received, item.data)
@@ -109,10 +109,10 @@ class RecordingWriter:
             self.write(Kind.EVENT, channel, item.received, event)
 
     def close(self, *, complete: bool = True) -> None:
-        """Close; idempotent. Unless `complete` is False, the end record says that nothing is missing.
+        """Close; idempotent. If `complete`, an end record is written, which says that nothing is missing.
 
         Raises:
-            BadRecording: the disk did not take the end record.
+            BadRecording: the end record could not be written.
         """
         with self._lock:
             if self._file.closed:
@@ -128,7 +128,7 @@ class RecordingWriter:
             try:
                 written = self._file.write(data)
                 if written != len(data):
-                    # A full disk takes half a record: readers stop before it, so nothing is written after it.
+                    # A full disk may take half a record. Readers stop before it, so nothing may be written after it.
                     self.failure = f"{self.path}: only {written} of {len(data)} bytes were taken; is the disk full?"
             except OSError as error:
                 self.failure = f"cannot write {self.path}: {_reason(error)}"
@@ -141,16 +141,16 @@ def _reason(error: Exception) -> str:
 
 
 class Recording:
-    """A recording to read; it is read from beginning to end at once, for what it says of its channels.
+    """A recording to read. To find its channels the file is read once from beginning to end.
 
     Args:
         path: of the file.
-        progress: called with the part that is read, 0 to 1.
+        progress: called with the fraction that has been read, 0 to 1.
 
     Attributes:
         path: the file.
-        channels: number of each channel -> what the writer said of it.
-        is_complete: whether it was closed in good order.
+        channels: number of each channel -> what the recorder wrote about it.
+        is_complete: whether the recording was closed properly.
         left_out: bytes at its end that are unfinished or damaged.
 
     Raises:
@@ -166,12 +166,12 @@ class Recording:
             if record.kind is Kind.CHANNEL:
                 self.channels[record.channel] = self._described(record, "name")
             elif record.kind is Kind.EVENT:
-                self._described(record, "state")  # here, rather than in the middle of a replay
+                self._described(record, "state")  # checked here, so that a replay does not fail half-way
             elif record.kind is Kind.END:
                 self.is_complete = True
 
     def _described(self, record: Record, key: str) -> dict[str, Any]:
-        """The JSON object in a record, which holds text under `key`."""
+        """The JSON object in a record; it must hold a text under `key`."""
         try:
             info = json.loads(record.payload)
         except (ValueError, RecursionError) as error:
@@ -190,7 +190,7 @@ class Recording:
         `left_out` then says how many bytes follow.
 
         Args:
-            progress: called with the part that is read, 0 to 1.
+            progress: called with the fraction that has been read, 0 to 1.
 
         Raises:
             BadRecording: no such file, or not a recording.
@@ -222,14 +222,14 @@ class Recording:
                 if kind > Kind.END:
                     continue  # of a later version of the format
                 yield Record(Kind(kind), channel, Stamp(monotonic / 1e9, wall / 1e9), body[HEAD.size :])
-            # It may have grown meanwhile: a recording can be read while it is being made.
+            # The file may have grown meanwhile: it can be read while it is being recorded.
             self.left_out = max(size - at, 0)
 
     def channel(self, name: str) -> int:
         """Number of the channel called `name`.
 
         Raises:
-            BadRecording: there is none; says which there are.
+            BadRecording: there is no such channel; the message lists those that there are.
         """
         for number, info in self.channels.items():
             if info["name"] == name:

@@ -1,7 +1,7 @@
-"""Where each record of a recording lies, found without a Python object for each.
+"""The offsets of the records of a recording, found without a Python object for each record.
 
-Recordings are long runs of records of one size: where the next records declare the size of this one, they are taken
-together. What is damaged is passed over, and reading goes on with the next record whose checksum is right.
+Recordings contain long runs of records of one size. Where the next records declare the size of this one, they are
+checked together. Damage is skipped, and reading goes on with the next record whose checksum is right.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from .records import FRAME, HEAD, LARGEST, MAGIC, Kind
 
 __all__ = ["Gap", "Index"]
 
-#: Records of one size from which on those that follow are looked at together.
+#: After so many records of one size, those that follow are checked together.
 _FEW = 16
-#: Records that are looked at together at first; then four times as many.
+#: Records that are checked together at first; each time four times as many.
 _FIRST_RUN = 64
-#: Records that are looked at together at most.
+#: Records that are checked together at most.
 _MOST = 1 << 16
-#: Bytes that are searched at a time for a record behind damage.
+#: Bytes that are searched at a time for a record after damage.
 _SEARCHED = 1 << 20
 
 Numbers = NDArray[np.int64]
 
 
 class Gap(NamedTuple):
-    """Bytes of a file that are no record.
+    """Bytes of a file that belong to no record.
 
     Attributes:
-        record: number of the record that follows them.
-        offset: in the file.
+        record: number of the next record.
+        offset: in the file, bytes.
         size: in bytes.
     """
 
@@ -48,21 +48,21 @@ class Gap(NamedTuple):
 
 
 class Index:
-    """The records of a recording that are whole.
+    """The intact records of a recording.
 
     Args:
         path: of the file.
-        progress: called with the part that is read, 0 to 1.
+        progress: called with the fraction that has been read, 0 to 1.
 
     Raises:
         BadRecording: no such file, or not a recording.
 
     Attributes:
-        data: the bytes of the file, (n,) uint8, which stay on the disk until they are read.
+        data: the bytes of the file, (n,) uint8, mapped into memory, so that they are read from the disk when used.
         kind, channel: of each record, (n,).
         offset, size: of its payload in `data`, (n,), bytes.
         monotonic, wall: its stamps, (n,), ns.
-        gaps: what lies between the records, or behind them, and is none.
+        gaps: bytes between or after the records that belong to none.
     """
 
     def __init__(self, path: str | os.PathLike[str], progress: Progress = unseen) -> None:
@@ -92,11 +92,11 @@ class Index:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the recording was closed in good order."""
+        """Whether the recording was closed properly."""
         return bool((self.kind == Kind.END).any())
 
     def payload(self, record: int) -> bytes:
-        """What a record holds."""
+        """The payload of a record."""
         offset = int(self.offset[record])
         return self.data[offset : offset + int(self.size[record])].tobytes()
 
@@ -114,8 +114,7 @@ class Index:
         return found
 
     def _runs(self) -> list[tuple[int, int, int]]:
-        """Runs of records of one size: where each begins, the bytes of its records with all that is before them, and
-        how many there are."""
+        """Runs of records of one size: offset of the first, bytes from one record to the next, number of records."""
         runs: list[tuple[int, int, int]] = []
         view = memoryview(self.data.data)
         end, at, records = len(view), len(MAGIC), 0
@@ -132,14 +131,14 @@ class Index:
             if after - at != stride or at != start + count * stride:
                 runs.append((start, stride, count))
                 start, stride, count = at, after - at, 0
-            # One by one at first: in a short run that is quicker.
+            # One by one at first, which is quicker in a short run.
             more = self._same(after, stride) if count == _FEW else 0
             count, records, at = count + 1 + more, records + 1 + more, after + more * stride
             self._progress(at / end)
         return [*runs[1:], (start, stride, count)] if count else []
 
     def _same(self, at: int, stride: int) -> int:
-        """How many whole records of one size follow at `at`."""
+        """How many intact records of `stride` bytes begin at `at`."""
         most = (len(self.data) - at) // stride
         if not most:
             return 0
@@ -159,9 +158,9 @@ class Index:
         return done
 
     def _next(self, view: memoryview, at: int, after: int) -> int:
-        """Where the next whole record begins behind damage at `at`; the end of the file if none does."""
-        # Whatever the damage was, a record has a length and a kind that can be. As a rule the next one begins where the
-        # damaged one ends; but what is damaged may be the length itself.
+        """The offset of the next intact record after damage at `at`; the end of the file if there is none."""
+        # Any record has a valid length and kind. Usually the next one begins at `after`, where the damaged one ends;
+        # but the damaged bytes may be its length.
         last = len(view) - FRAME.size - HEAD.size + 1
         begin, stop = at + 1, after + 1
         while begin < last:

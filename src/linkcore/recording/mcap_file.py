@@ -15,16 +15,16 @@ from .topics import Topic, table_topic
 
 __all__ = ["McapFile", "write_mcap", "write_stretches"]
 
-#: Seconds of a recording of which the messages are made together: all at once might be more than there is memory.
+#: Seconds of a recording whose messages are made together: all of them might not fit into memory.
 _STRETCH = 10.0
 
 
 class McapFile:
-    """Writes messages into an open file; a file that was not finished can be read up to its last whole chunk.
+    """Writes messages into an open file. A file that was not finished can be read up to its last complete chunk.
 
     Args:
         file: open for writing bytes.
-        chunk: bytes of messages that are compressed together, and can be lost together.
+        chunk: bytes of messages that are compressed together, and that a killed program can lose.
 
     Raises:
         LocalError: the extra ``mcap`` is not installed.
@@ -58,7 +58,7 @@ class McapFile:
             self._schemas[definition] = self._writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
         key = (topic.name, self._schemas[definition])
         if key not in self._channels:
-            # rosbag2 takes the quality of service from here; an empty text is the default one.
+            # rosbag2 reads the quality of service from here; an empty text is the default.
             about = {"offered_qos_profiles": ""}
             self._channels[key] = self._writer.register_channel(topic.name, "cdr", key[1], about)
         return self._channels[key]
@@ -69,7 +69,7 @@ class McapFile:
 
 
 def write_mcap(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
-    """A topic for each table, with a message for each row, of a type of the table's own."""
+    """A topic for each table, with a message for each row, of a type made of the fields of the table."""
 
     def topics(start: float, stop: float) -> list[Topic]:
         return [table_topic(name, table.between(start, stop), "recorded_msgs") for name, table in tables.items()]
@@ -84,11 +84,11 @@ def write_stretches(
     progress: Progress,
     begin: Iterable[Topic] = (),
 ) -> None:
-    """A file of the messages of tables, one stretch of time after the other.
+    """Write a file of the messages of tables, one stretch of time after the other.
 
     Args:
-        topics: makes the messages from one second of the recording to another.
-        begin: what is said once, before everything else.
+        topics: makes the messages from one time to another, s since the recording began.
+        begin: messages that are written once, before all others.
     """
     filled = [table for table in tables.values() if len(table)]
     first = min((table.time[0] for table in filled), default=0.0)

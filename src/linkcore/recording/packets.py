@@ -1,9 +1,9 @@
-"""The packets in the bytes of a recorded connection, without an object for each.
+"""The packets of a recorded connection, found without a Python object for each packet.
 
-A controller sends packets of one size, and they are recorded one by one: a piece of bytes that is as long as the packet
-before it, or several times as long, and has the same header in the right places, is that many more packets of the same
-layout. Where they lie in the file is all that is kept of them. Everything else goes through the framer and the decoder
-that a stream has, so what is found is the same however the bytes were cut; a property test holds the two equal.
+A controller sends packets of one size, and most are recorded one by one. If a piece of bytes is as long as the packet
+before it, or several times as long, and has the same header in the right places, it holds that many packets of the same
+layout, and only their offsets in the file are kept. All other bytes go through the framer and the decoder of a stream,
+so the result does not depend on how the bytes were cut; a property test holds the two equal.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ __all__ = ["Channel", "Part", "read_channel", "states_of"]
 
 
 class Part:
-    """Packets of one layout, by where their bytes are.
+    """Packets of one layout, by the offsets of their bytes.
 
     Attributes:
         layout: of all of them.
-        place: of each, (n,): offset in the file; below 0, ``~place`` is one in `extra`.
-        record: the number of the record with which each was complete, (n,).
+        place: of each packet, (n,): its offset in the file; a negative one is the offset ``~place`` in `extra`.
+        record: the number of the record that completed each packet, (n,).
     """
 
     def __init__(
@@ -45,14 +45,15 @@ class Part:
         self._data = data
         self._extra = extra
         steps = np.diff(place)
-        #: bytes from one packet to the next where that is the same for all, which then need not be gathered
+        #: bytes from one packet to the next if they are the same for all packets, which need not be gathered then; else
+        #: 0
         self._stride = int(steps[0]) if len(steps) and place[0] >= 0 and (steps == steps[0]).all() else 0
 
     def __len__(self) -> int:
         return len(self.place)
 
     def view(self, begin: int, end: int, offset: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """What lies `offset` bytes behind the beginning of the packets `begin` to `end`, as `dtype`: (end - begin,)."""
+        """The bytes from `offset` on in each of the packets `begin` to `end`, as one `dtype` each: (end - begin,)."""
         count = end - begin
         if self._stride and count:
             return np.ndarray((count,), dtype, self._data, int(self.place[begin]) + offset, (self._stride,))
@@ -77,11 +78,11 @@ class Channel(NamedTuple):
     """What was recorded of one stream.
 
     Attributes:
-        parts: the packets of its main class, in order; another part begins where the layout changes.
+        parts: the packets of its main class, in order; a new part begins where the layout changes.
         others: everything else that was decoded, each with the number of its record.
-        begins: numbers of the records with which a connection begins, the first one aside.
-        skipped: bytes that belong to no packet.
-        failed: what was wrong with packets that could not be decoded.
+        begins: numbers of the records with which a connection begins, except the first one.
+        skipped: number of bytes that belong to no packet.
+        failed: the error of each packet that could not be decoded.
     """
 
     parts: list[Part]
@@ -103,10 +104,10 @@ def read_channel(
     """The packets of a channel.
 
     Args:
-        protocol: makes the protocol of a connection.
+        protocol: makes a protocol; called for each connection.
         kind: class of the packets that become rows.
-        is_uniform: packets of this class that have the same header and size have the same layout.
-        progress: called with the part that is done, 0 to 1.
+        is_uniform: whether packets of this class with the same header and size have the same layout.
+        progress: called with the fraction that is done, 0 to 1.
     """
     reader = _Reader(index, kind, is_uniform, progress)
     begins: list[int] = []
@@ -118,7 +119,7 @@ def read_channel(
 
 
 def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
-    """Packets that have been decoded, each with the number of its record, by layout."""
+    """Decoded packets, each with the number of its record, grouped by layout."""
     places = _Places()
     for record, state in states:
         places.add(state._layout, places.keep(bytes(state)), record)
@@ -126,7 +127,7 @@ def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
 
 
 def _connections(index: Index, number: int) -> Iterator[Numbers]:
-    """The records with the bytes of each connection, or of what is left of one on each side of damage."""
+    """The records with the bytes of each connection; damage ends a connection too."""
     mine = index.of(number)
     kinds = index.kind[mine]
     ends = [int(record) for record in mine[kinds == Kind.EVENT] if json.loads(index.payload(record))["state"] == "lost"]
@@ -138,7 +139,7 @@ def _connections(index: Index, number: int) -> Iterator[Numbers]:
 
 
 class _Places:
-    """Gathers where packets lie, run by run."""
+    """Gathers the offsets of packets, run by run."""
 
     def __init__(self) -> None:
         self._runs: list[tuple[Layout, Numbers, Numbers]] = []
@@ -146,7 +147,7 @@ class _Places:
         self._extra = bytearray()
 
     def keep(self, data: bytes) -> int:
-        """Keep the bytes of a packet that lie in no one place of the file; where they are."""
+        """Keep the bytes of a packet that is not in one piece in the file; returns its place."""
         place = ~len(self._extra)
         self._extra += data
         return place
@@ -161,7 +162,7 @@ class _Places:
         records.append(record)
 
     def extend(self, layout: Layout, place: Numbers, record: Numbers) -> None:
-        """Many, by where they lie in the file."""
+        """Add packets by their offsets in the file."""
         self._finish()
         self._runs.append((layout, place, record))
 
@@ -208,7 +209,7 @@ class _Reader:
         self.has_read = True
         framer = protocol.framer
         last: State | None = None  # the last packet of the main class
-        header, odd = b"", np.empty(0, np.int64)  # what the pieces of bytes were compared with, and those that differ
+        header, odd = b"", np.empty(0, np.int64)  # the header that records were compared with; records that differ
         at = 0
         try:
             while at < len(records):
@@ -221,7 +222,7 @@ class _Reader:
                     if until > at:
                         before = self._take(records[at:until], last)
                         if until < len(records):
-                            # The framer goes on from the last packet, as if it had cut all of them.
+                            # The framer continues after the last packet, as if it had cut all of them.
                             framer.feed(before)
                         at = until
                         continue
@@ -233,18 +234,18 @@ class _Reader:
         self.skipped += framer.skipped + len(framer.rest)
 
     def _are_packets(self, records: Numbers, header: bytes, size: int) -> NDArray[np.bool_]:
-        """Which of the records hold whole packets of this size and header, and nothing else."""
+        """Which of the records consist of packets of this size and header."""
         sizes = self._index.size[records]
         good: NDArray[np.bool_] = (sizes % size == 0) & (sizes > 0)
         places, owners = self._packets(records[good], size)
-        # As text of a fixed width, which numpy compares at once.
+        # Compared as text of a fixed width, which numpy does for all at once.
         width = len(header)
         every = np.ndarray((len(self._index.data) - width + 1,), f"S{width}", self._index.data, 0, (1,))
         good[np.searchsorted(records, owners[every[places] != header])] = False
         return good
 
     def _packets(self, records: Numbers, size: int) -> tuple[Numbers, Numbers]:
-        """Where each packet of records that are full of them lies, and of which record it is."""
+        """The offset and the record of each packet, for records that consist of packets."""
         offsets, counts = self._index.offset[records], self._index.size[records] // size
         if (counts == 1).all():
             return offsets, records
@@ -252,7 +253,7 @@ class _Reader:
         return np.repeat(offsets, counts) + size * within, np.repeat(records, counts)
 
     def _take(self, records: Numbers, like: State) -> bytes:
-        """Keep where the packets of these records lie; the last of them."""
+        """Keep the offsets of the packets in these records; returns the bytes of the last one."""
         size = len(bytes(like))
         places, owners = self._packets(records, size)
         self._places.extend(like._layout, places, owners)
@@ -260,7 +261,7 @@ class _Reader:
         return self._index.data[last : last + size].tobytes()
 
     def _decode(self, record: int, protocol: PacketProtocol, last: State | None) -> State | None:
-        """What a record completes, packet by packet; the packet that the next ones can be compared with, if any."""
+        """Decode what a record completes; returns the packet that the next records can be compared with, if any."""
         index = self._index
         stamp = Stamp(index.monotonic[record].item() / 1e9, index.wall[record].item() / 1e9)
         payload = index.payload(record)

@@ -1,4 +1,4 @@
-"""Replay: a recording as a transport, on absolute deadlines."""
+"""Replay: a recording as a transport. Each chunk is due at an absolute time, so delays do not add up."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ReplayClock:
     """The time line that the channels of one replay share; it starts when the first one opens.
 
     Args:
-        recording: whose time line.
+        recording: the recording that is replayed.
         rate: 1 is the speed of the recording, 2 twice that; 0 as fast as possible.
     """
 
@@ -33,13 +33,13 @@ class ReplayClock:
         self._first = 0.0 if first is None else first.stamp.monotonic
 
     def start(self) -> None:
-        """Start the time line, if nothing has yet."""
+        """Start the time line, unless it has started."""
         with self._lock:
             if self._started is None:
                 self._started = time.monotonic()
 
     def delay(self, stamp: Stamp) -> float:
-        """Seconds from now until what was stamped so is due."""
+        """Seconds until bytes with this stamp are due; negative if they are late."""
         if self.rate == 0 or self._started is None:
             return 0.0
         return self._started + (stamp.monotonic - self._first) / self.rate - time.monotonic()
@@ -48,9 +48,8 @@ class ReplayClock:
 class ReplayTransport:
     """One channel of a recording as a source of bytes.
 
-    Chunks come as they were cut, at the recorded times. Their stamps have the recorded wall time, and
-    the present time of the monotonic clock. Where the recorded connection was lost, this one is too, and
-    it is connected again when the recorded one was.
+    Chunks have their recorded sizes and come at their recorded times. Their stamps have the recorded wall
+    time, and the present monotonic time. Connections are lost and made again when the recorded ones were.
     """
 
     def __init__(self, recording: Recording, channel: str, clock: ReplayClock) -> None:
@@ -58,21 +57,21 @@ class ReplayTransport:
         self.name = f"{recording.path.name} ({channel})"
         self._clock = clock
         self._records: Iterator[Record] = (record for record in recording if record.channel == number)
-        self._next: Record | None = None  # taken from the records, not yet due
+        self._next: Record | None = None  # read, but not yet due
         self._was_open = False
         self._closed = threading.Event()
 
     def open(self, timeout: float) -> None:
-        """Start, or go on after a lost connection, once the recorded one went on.
+        """Start; after a lost connection, wait until the recorded one was made again.
 
         Raises:
-            Finished: it never did.
-            ConnectFailed: as recorded.
-            LinkTimeout: it did not within `timeout` seconds.
+            Finished: the recorded connection was not made again.
+            ConnectFailed: the recorded attempt failed.
+            LinkTimeout: the recorded connection was not made again within `timeout` seconds.
         """
         self._closed.clear()
         self._clock.start()
-        # The first connection is made at once, also of a channel whose recording began later than others.
+        # The first connection is made at once, also if the recording of this channel began later than that of others.
         again, self._was_open = self._was_open, True
         while (record := self._peek()) is not None and record.kind is not Kind.BYTES:
             state, error = self._event(record)
@@ -88,11 +87,11 @@ class ReplayTransport:
             raise Finished
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
-        """Wait until the next chunk is due, however long that is.
+        """Wait until the next chunk is due, however long; `timeout` is ignored.
 
         Raises:
-            Finished: that was all.
-            ConnectionLost: as recorded, or closed.
+            Finished: the recording has ended.
+            ConnectionLost: the recorded connection was lost, or this transport was closed.
         """
         while (record := self._peek()) is not None:
             state, error = self._event(record)
@@ -120,7 +119,7 @@ class ReplayTransport:
         return event["state"], event.get("error")
 
     def _wait(self, stamp: Stamp, most: float = float("inf")) -> bool:
-        """Wait until what was stamped so is due, for `most` seconds; False if it is not due yet."""
+        """Wait until bytes with this stamp are due, at most `most` seconds; False if they are not due by then."""
         delay = self._clock.delay(stamp)
         if delay > 0:
             self._closed.wait(min(delay, most, threading.TIMEOUT_MAX))
@@ -139,7 +138,7 @@ class ReplayTransport:
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
     def wait_for_room(self, timeout: float) -> bool:
-        """There never is any."""
+        """False at once: nothing can be sent to a recording."""
         return False
 
     def abort(self) -> None:
@@ -147,5 +146,5 @@ class ReplayTransport:
         self._closed.set()
 
     def close(self) -> None:
-        """As `abort`: there is nothing to deliver."""
+        """As `abort`: there are no bytes left to send."""
         self.abort()

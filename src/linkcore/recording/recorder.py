@@ -18,16 +18,16 @@ from .file import RecordingWriter
 __all__ = ["Recorder"]
 
 
-#: Seconds for which bytes gather before they are written; what a killed program can lose at most.
+#: Seconds for which bytes are gathered before they are written: the most that a killed program loses.
 _GATHER = 0.02
 
 
 class Recorder:
     """Records streams into one file, from now until closed; a context manager.
 
-    In the receive path it costs one hand-over to a queue; the file is written in its own threads.
-    Nothing is lost: should the disk fall 1024 chunks behind, the stream waits for it. Should the disk
-    fail, the streams go on, and `close` raises.
+    The reader only puts bytes into a queue; the recorder writes the file in its own threads. Nothing is
+    dropped: if the disk is 1024 chunks behind, the stream waits for it. If the disk fails, the streams go
+    on, and `close` raises.
 
     Args:
         path: a file that does not exist yet.
@@ -42,15 +42,15 @@ class Recorder:
         self._subscriptions: list[Subscription] = []
 
     def _open(self, path: str | os.PathLike[str]) -> RecordingWriter:
-        """What writes the file; recorders of other formats have another."""
+        """The writer of the file; recorders of other formats return another."""
         return RecordingWriter(path)
 
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
-        """Record `stream` too; `info` says of it what a reader needs, and has at least "name".
+        """Record `stream` too; `info` describes it for readers: it can be written as JSON and has at least "name".
 
         Raises:
-            BadValue: `info` has no name, or holds what JSON cannot.
-            BadRecording: the disk failed.
+            BadValue: `info` has no name, or a value that JSON cannot hold.
+            BadRecording: the file could not be written.
             Closed: the recorder, or the stream, was closed.
             RemoteError: the stream could not be opened.
         """
@@ -63,15 +63,15 @@ class Recorder:
 
     @property
     def failure(self) -> str | None:
-        """Why the disk took no more, or None while all is well."""
+        """Why the file could not be written; None if it could."""
         return self._writer.failure
 
     def close(self, timeout: float = 5.0) -> None:
-        """Write what still waits, and close the file, within `timeout` seconds; idempotent.
+        """Write what is still queued, and close the file, within `timeout` seconds; idempotent.
 
         Raises:
-            LinkTimeout: the disk did not take it in time; the file is as after a crash.
-            BadRecording: the disk failed; the file holds what came before.
+            LinkTimeout: the disk was too slow; the file is as after a crash.
+            BadRecording: the file could not be written; it holds the records before that.
         """
         until = time.monotonic() + timeout
         subscriptions, self._subscriptions = self._subscriptions, []

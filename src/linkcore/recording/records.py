@@ -1,4 +1,4 @@
-"""The records of a recording: what they hold, and how they lie in the file (`linkcore.recording.file` describes it)."""
+"""The records of a recording, and their bytes in the file (format: `linkcore.recording.file`)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..stamp import Stamp
 __all__ = ["FRAME", "HEAD", "LARGEST", "MAGIC", "Kind", "Record", "pack"]
 
 MAGIC = b"LINKREC1"
-#: Length of what follows the checksum, and the checksum.
+#: Length of what follows the checksum; checksum.
 FRAME = struct.Struct(">II")
 #: Kind, channel, monotonic and wall time in ns.
 HEAD = struct.Struct(">BBqq")

@@ -1,4 +1,4 @@
-"""Parts of one long computation on several processors, in threads: for what lets go of the interpreter's lock."""
+"""Parts of one long computation on several processors, in threads: for functions that release the interpreter lock."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ __all__ = ["side_by_side"]
 
 T = TypeVar("T")
 
-#: Threads at most: from some on, it is the memory that is waited for.
+#: Most threads: with more, the memory is the limit.
 _THREADS = 4
 
 
 def side_by_side(part: Callable[[int, int], T], begin: int, end: int, share: int) -> list[T]:
-    """What `part` returns of each share of a range, in order.
+    """The results of `part` for each share of a range, in order.
 
     Args:
-        part: is called with the begin and the end of a share; for several at a time where there are several processors.
+        part: called with the begin and the end of a share; in several threads if there are several processors.
         begin, end: the range.
-        share: how much is worth a thread's while.
+        share: length of a share that is worth a thread.
 
     Raises:
-        Exception: what `part` raises, of the first share for which it does.
+        Exception: the error of `part`, for the first share that has one.
     """
     shares = [(at, min(at + share, end)) for at in range(begin, end, share)]
     threads = min(os.cpu_count() or 1, _THREADS, len(shares))

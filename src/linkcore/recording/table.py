@@ -25,16 +25,16 @@ class Table:
     """Columns of one kind of packet: ``table["q_actual"]`` is an (n, 6) array of float64 in the byte order of this
     machine.
 
-    A column is made when it is first asked for, and kept. Arrays are read-only. Codes are their numbers; `fields` says
-    of which enumeration.
+    A column is made when it is first used, and kept. Arrays are read-only. Codes are given as numbers; `fields` names
+    their enumeration.
 
     Args:
-        name: for messages.
-        columns: where the columns come from.
-        time: when each row came, seconds since the recording began, (n,).
-        wall: the same by the clock on the wall, UTC, (n,) datetime64[ns].
-        begins: rows with which a connection begins, the first one aside.
-        missing: what of it was recorded and could not be read.
+        name: used in messages.
+        columns: the source of the columns.
+        time: arrival of each row, s since the recording began, (n,).
+        wall: arrival of each row, UTC, (n,) datetime64[ns].
+        begins: rows with which a connection begins, except the first one.
+        missing: descriptions of what was recorded and could not be read.
     """
 
     def __init__(
@@ -68,17 +68,17 @@ class Table:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """When each row came, seconds since the recording began, (n,)."""
+        """Arrival of each row, s since the recording began, (n,)."""
         return self._time
 
     @property
     def wall(self) -> NDArray[np.datetime64]:
-        """When each row came by the clock on the wall, UTC, (n,) datetime64[ns]."""
+        """Arrival of each row, UTC, (n,) datetime64[ns]."""
         return self._wall
 
     @property
     def begins(self) -> list[int]:
-        """Rows with which a connection begins, the first one aside: before them, something is missing."""
+        """Rows with which a connection begins, except the first one: something is missing before them."""
         return list(self._begins)
 
     @property
@@ -93,18 +93,18 @@ class Table:
         return name in self._columns.known
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """One column, (n,) and the shape of its rows.
+        """One column, with a row for each packet.
 
         Raises:
-            BadValue: no such field; says which are like it.
+            BadValue: no such field; the message suggests similar names.
         """
         return self.arrays(name)[name]
 
     def arrays(self, *names: str) -> dict[str, NDArray[Any]]:
-        """Several columns, or all of them; that is quicker than to ask for one after the other.
+        """Several columns, or all of them: quicker than one after the other.
 
         Raises:
-            BadValue: no such field; says which are like it.
+            BadValue: no such field; the message suggests similar names.
         """
         wanted = list(names or self._columns.known)
         for name in wanted:
@@ -127,7 +127,7 @@ class Table:
     # -- parts of it -------------------------------------------------------------------------------
 
     def between(self, t0: float, t1: float) -> Self:
-        """The rows that came from `t0` on and before `t1`, in seconds since the recording began, as `time` has them.
+        """The rows that came at `t0` or later and before `t1`, in s since the recording began, as in `time`.
 
         Raises:
             BadValue: `t1` is before `t0`.
@@ -141,7 +141,7 @@ class Table:
         """The same rows with some of the columns.
 
         Raises:
-            BadValue: no such field; says which are like it.
+            BadValue: no such field; the message suggests similar names.
         """
         arrays = self.arrays(*names)
         known = {name: self._columns.known[name] for name in arrays}
@@ -149,9 +149,9 @@ class Table:
 
     @property
     def parts(self) -> list[Table]:
-        """The rows of each layout by themselves, where the firmware or the recipe changed while it was recorded.
+        """The rows of each layout as a table of its own, if the firmware or the recipe changed during the recording.
 
-        Each has all of its fields, of which this table has those that all of them have.
+        Each part has all fields of its layout; this table has only the fields that all layouts have.
         """
         if not isinstance(self._columns, PacketColumns):
             return [self]
@@ -163,14 +163,14 @@ class Table:
         return found
 
     def resampled(self, rate: float) -> Table:
-        """The same at even times, `rate` times a second, from the first row to the last.
+        """The same data at `rate` rows per second, from the first row to the last.
 
-        Numbers are interpolated linearly, and a rotation vector behind a position along the shorter way; codes, masks,
-        counters and text are those of the row before. From the last row of a lost connection to the first of the next
-        one, numbers are NaN.
+        Numbers are interpolated linearly, and the rotation vector of a pose along the shorter way; codes, masks,
+        counters and text are those of the row before. Between the last row of a lost connection and the first row of
+        the next one, numbers are NaN.
 
         Raises:
-            BadValue: `rate` is no positive number, or there is no row.
+            BadValue: `rate` is not a positive number, or there are no rows.
         """
         if not 0 < rate < float("inf"):
             raise BadValue(f"rate={rate!r}; expected a positive number of rows a second")
@@ -198,19 +198,19 @@ class Table:
         return Table(f"{self.name} at {rate:g} Hz", ArrayColumns(self.fields, arrays), time, wall)
 
     def to_frame(self, *names: str, library: str | None = None) -> Any:
-        """A data frame of all columns, or of some; each number of a row is a column: ``q_actual_0`` to ``q_actual_5``.
+        """A data frame of all columns, or of some. A field of several numbers is split: ``q_actual_0`` to ``_5``.
 
         Args:
             names: of fields; none for all.
-            library: "pandas" or "polars"; None for the first of them that is installed.
+            library: "pandas" or "polars"; None for the first one that is installed.
 
         Returns:
-            A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. `wall` is
-            a column of it.
+            A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. Either has
+            a column ``wall``.
 
         Raises:
             BadValue: no such field or library.
-            LocalError: the library is not installed; says how to.
+            LocalError: the library is not installed; the message says how to install it.
         """
         if library not in (None, "pandas", "polars"):
             raise BadValue(f"library={library!r}; expected 'pandas' or 'polars'")
@@ -225,7 +225,7 @@ class Table:
 
             return polars.DataFrame(columns)
 
-    # -- how it shows ------------------------------------------------------------------------------
+    # -- display -----------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         if not len(self):
@@ -244,13 +244,13 @@ class Table:
 
 
 def flat_columns(table: Table, *names: str) -> dict[str, NDArray[Any]]:
-    """A column for each number of a row, as files of tables have them.
+    """A column for each number of a row, as files of tables need them.
 
     Args:
         names: of fields; none for all.
 
     Returns:
-        ``t`` and ``wall``, then the fields; of one with several elements ``q_actual_0`` to ``q_actual_5``.
+        ``t`` and ``wall``, then the fields; a field of several numbers is split: ``q_actual_0`` to ``q_actual_5``.
     """
     columns: dict[str, NDArray[Any]] = {"t": table.time, "wall": table.wall}
     for name, array in table.arrays(*names).items():
@@ -271,7 +271,7 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 def _interpolated(
     time: NDArray[np.float64], old: NDArray[np.float64], values: NDArray[Any], before: NDArray[np.intp], is_pose: bool
 ) -> NDArray[np.float64]:
-    """Values at the times, of which the last row before each is known."""
+    """Values at `time`, interpolated between the rows; `before` is the last row before each time."""
     after = np.minimum(before + 1, len(old) - 1)
     first, last = values[before], values[after]
     if is_pose:
@@ -283,7 +283,7 @@ def _interpolated(
 
 
 def _closer(first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of the two rotation vectors that each rotation has, in `last` (n, 3), the one that is closer to `first`."""
+    """The rotation vectors of the same rotations as `last`, (n, 3), that are closest to `first`: of two each."""
     angle = np.linalg.norm(last, axis=1, keepdims=True)
     other = last - 2 * np.pi * np.divide(last, angle, out=np.zeros_like(last), where=angle > 0)
     is_closer = np.linalg.norm(other - first, axis=1) < np.linalg.norm(last - first, axis=1)

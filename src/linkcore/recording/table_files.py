@@ -18,12 +18,12 @@ from .table import Table, flat_columns
 
 __all__ = ["TABLE_WRITERS"]
 
-#: Rows that are written at a time.
+#: Rows that are written at once.
 _ROWS = 10_000
 
 
 def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
-    """The table of a format that holds one."""
+    """The table, for a format that holds one."""
     if len(tables) != 1:
         there = ", ".join(tables) or "none"
         raise BadValue(
@@ -33,7 +33,7 @@ def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
 
 
 def write_csv(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
-    """A line for each row; numbers as Python shows them, which loses nothing, and `wall` by ISO 8601."""
+    """A line for each row; numbers with all their digits, `wall` as in ISO 8601."""
     table = _only(path, tables, ".csv")
     columns = flat_columns(table)
     with path.open("x", newline="", encoding="utf-8") as file:
@@ -109,7 +109,7 @@ def write_h5(path: Path, tables: Mapping[str, Table], progress: Progress) -> Non
             progress((done + 1) / len(tables))
 
 
-#: suffix -> what writes such a file
+#: suffix -> function that writes such a file
 TABLE_WRITERS: Mapping[str, FileWriter] = {
     ".csv": write_csv,
     ".parquet": write_parquet,

@@ -21,7 +21,7 @@ _NAMES |= {"f4": "float32", "i1": "int8", "u1": "uint8", "b1": "bool"}
 
 
 def definition(text: str, *others: tuple[str, str]) -> str:
-    """A definition with those that it is made of, as ROS joins them."""
+    """A definition followed by those of the types in it, in the format of ROS."""
     return "\n".join([text, *(f"{'=' * 80}\nMSG: {name}\n{each}" for name, each in others)])
 
 
@@ -32,7 +32,7 @@ class Topic(NamedTuple):
         name: of the topic.
         type: of the messages.
         definition: of that type.
-        wall: the stamp of each, (n,) datetime64[ns].
+        wall: the stamp of each message, (n,) datetime64[ns].
         messages: in CDR.
     """
 
@@ -44,10 +44,10 @@ class Topic(NamedTuple):
 
 
 def table_topic(name: str, table: Table, package: str) -> Topic:
-    """A message for each row with all of its fields, by their names in lower case, as ROS demands. Text goes into none.
+    """A message for each row with all fields but text. Names are in lower case, as ROS demands.
 
     Args:
-        name: of the topic and, with a capital, of the type.
+        name: of the topic; with a capital, of the type.
         package: that the type belongs to.
     """
     message = Message(len(table)).header(table.wall, "")

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["FoxgloveServer", "RobotView"]
 
-#: Seconds after which the arm is described again, for viewers that have come meanwhile: nothing is kept for them.
+#: Seconds after which the arm is described again: the server keeps no message for viewers that connect later.
 _AGAIN = 2.0
-#: Messages of the controller that wait for the next round at most.
+#: Most messages of the controller that are kept until the next `show`; the oldest are dropped.
 _ROOM = 1024
 
 
@@ -36,12 +36,12 @@ class FoxgloveServer:
     """Serves topics to any number of viewers. A context manager.
 
     Args:
-        name: that viewers show.
+        name: shown by viewers.
         host: address to listen on.
         port: to listen on; 0 for a free one.
 
     Raises:
-        ConnectFailed: the port cannot be had.
+        ConnectFailed: it cannot listen on the port.
         LocalError: the extra ``foxglove`` is not installed.
     """
 
@@ -49,7 +49,7 @@ class FoxgloveServer:
         with needs("foxglove", "a view in Foxglove"):
             import foxglove
         self._foxglove = foxglove
-        # A context of its own: what else this program shows in Foxglove is no concern of ours.
+        # A context of its own: other parts of the program may use Foxglove too.
         self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(name=name, host=host, port=port, context=self._context)
@@ -60,16 +60,16 @@ class FoxgloveServer:
 
     @property
     def port(self) -> int:
-        """That it listens on."""
+        """The TCP port that it listens on."""
         return int(self._server.port)
 
     @property
     def address(self) -> str:
-        """What a viewer connects to."""
+        """The address for viewers: ``ws://host:port``."""
         return f"ws://{self.host}:{self.port}"
 
     def write(self, topics: Iterable[Topic]) -> None:
-        """Send messages to whoever looks at their topics."""
+        """Send messages to the viewers that are subscribed to their topics."""
         for topic in topics:
             key = (topic.name, topic.definition)
             if key not in self._channels:
@@ -98,12 +98,12 @@ class FoxgloveServer:
 
 
 class RobotView:
-    """What a robot says, handed to a server in rounds: the newest state of each stream, and every message.
+    """Shows a robot on a server: `show` sends the newest state of each stream, and all messages since the last call.
 
     Args:
-        realtime, primary: its streams.
-        arm: which it is; None draws none.
-        server: that shows it.
+        realtime, primary: streams of the robot.
+        arm: the arm to draw; None draws none.
+        server: the server that sends.
 
     Raises:
         RemoteError: a stream could not be opened.
@@ -125,7 +125,7 @@ class RobotView:
             self._messages.append(message)
 
     def show(self) -> None:
-        """One round."""
+        """Send the newest states, and the messages since the last call."""
         now = time.monotonic()
         if self._arm is not None and now - self._described >= _AGAIN:
             self._described = now
@@ -140,5 +140,5 @@ class RobotView:
         self._server.write(topics_of_states("primary", messages, None))
 
     def close(self) -> None:
-        """Read the messages no more; idempotent."""
+        """Stop collecting messages; idempotent."""
         self._subscription.close()

@@ -1,4 +1,4 @@
-"""Streams recorded live into a file of messages of ROS 2."""
+"""Streams recorded live into an MCAP file, as messages of ROS 2."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ __all__ = ["McapRecorder", "table_of", "topics_of_states"]
 
 _log = logging.getLogger(__name__)
 
-#: Seconds for which packets gather, since messages are made many at a time.
+#: Seconds for which packets are gathered: making many messages at a time is quicker.
 _GATHER = 0.1
-#: Seconds between two looks into the queue of a stream.
+#: Seconds between two reads of the queue of a stream.
 _LOOK = 0.02
-#: Bytes of messages that are compressed together: what a killed program loses besides what gathers.
+#: Bytes of messages that are compressed together. A killed program loses at most these, and the gathered packets.
 _CHUNK = 1 << 14
 
 
 class McapRecorder(Recorder):
-    """As `Recorder`, into an MCAP file: messages of ROS 2 that Foxglove and `ros2 bag` know.
+    """As `Recorder`, but writes an MCAP file: messages of ROS 2, which Foxglove and `ros2 bag` read.
 
-    What a killed program can lose are the packets of the last 0.1 s and 16 kB of messages.
+    A killed program loses at most the packets of the last 0.1 s and 16 kB of messages.
 
     Args:
         path: a file that does not exist yet.
@@ -63,7 +63,7 @@ class McapRecorder(Recorder):
         return _McapWriter(Path(path))
 
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
-        """Record `stream` too; see `Recorder.add`. The first one that is added says which arm it is."""
+        """Record `stream` too; see `Recorder.add`. The arm is that of the first `info` that identifies one."""
         writer, name = self._writer, info["name"]
         with contextlib.suppress(LocalError, WrongPeer):
             writer.describe(described_identity(info).kinematics)
@@ -72,7 +72,7 @@ class McapRecorder(Recorder):
             if isinstance(state, (stream._kind, RobotMessage)):
                 writer.add(name, state)
 
-        # One subscription for all classes: with the second one of two, the first packets would be missed.
+        # One subscription for all classes: of two, the second would miss the packets that come before it is made.
         subscription = stream._connection.subscribe(State, write, policy=block, gather=_LOOK, owner=stream)
         self._subscriptions.append(subscription)
         return subscription
@@ -103,14 +103,14 @@ class _McapWriter:
             raise
 
     def describe(self, arm: Arm) -> None:
-        """Say which arm it is, once."""
+        """Write the description of the arm, once."""
         with self._lock:
             if self._arm is None:
                 self._arm = arm
                 self._write([description_topic(arm, np.datetime64(time.time_ns(), "ns"))])
 
     def add(self, name: str, state: State) -> None:
-        """A state of the stream called `name`; may be called from several threads."""
+        """Add a state of the stream called `name`; may be called from several threads."""
         with self._lock:
             self._waiting.setdefault(name, []).append(state)
             if time.monotonic() - self._since >= _GATHER:
@@ -122,7 +122,7 @@ class _McapWriter:
         topics = []
         for name, states in waiting.items():
             for topic in topics_of_states(name, states, self._arm):
-                # A topic that several streams could have is that of the first.
+                # If several streams have the same topic, only the first one writes it.
                 if self._owners.setdefault(topic.name, name) == name:
                     topics.append(topic)
         self._write(topics)
@@ -138,7 +138,7 @@ class _McapWriter:
             _log.error("%s; the streams go on without it", self.failure)
 
     def close(self, *, complete: bool = True) -> None:
-        """Write what waits, and the index; idempotent."""
+        """Write what was gathered, and the index; idempotent."""
         with self._lock:
             if self._file.closed:
                 return
@@ -153,7 +153,7 @@ class _McapWriter:
 
 
 def topics_of_states(name: str, states: Sequence[State], arm: Arm | None) -> list[Topic]:
-    """The messages of ROS 2 that states of a live stream make."""
+    """Messages of ROS 2 made of states of a live stream."""
     rows = [state for state in states if not isinstance(state, RobotMessage)]
     topics = list(topics_of(name, table_of(name, rows), arm)) if rows else []
     messages = [state for state in states if isinstance(state, RobotMessage)]
@@ -163,7 +163,7 @@ def topics_of_states(name: str, states: Sequence[State], arm: Arm | None) -> lis
 
 
 def table_of(name: str, states: list[State]) -> Table:
-    """States of a live stream as columns; `Table.time` is by the monotonic clock."""
+    """States of a live stream as columns; `Table.time` is the monotonic time of arrival, s."""
     numbered = list(enumerate(states))
     wall = _wall(states)
     time = np.array([0.0 if state.received is None else state.received.monotonic for state in states])

@@ -45,14 +45,14 @@ __all__ = ["Recording", "load"]
 
 
 def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> Recording:
-    """A recording as arrays.
+    """Load a recording as arrays.
 
-    What is damaged or unfinished is left out, and `Recording.missing` says so.
+    Damaged and unfinished parts are left out; `Recording.missing` lists them.
 
     Args:
         path: of the file.
-        progress: called with the part that is done, 0 to 1, while its records are found, and while the packets of a
-            stream are, when it is first asked for.
+        progress: called with the fraction that is done, 0 to 1, while the records are found, and again for each stream,
+            when it is first used, while its packets are found.
 
     Raises:
         BadRecording: no such file, or not a recording of a robot.
@@ -65,7 +65,7 @@ class Recording:
 
     Attributes:
         path: of the file.
-        channels: what the recorder said of each stream, by its name.
+        channels: name of each stream -> what the recorder wrote about it.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
@@ -78,21 +78,21 @@ class Recording:
             info = _described(self.path, index.payload(record))
             self.channels[info["name"]] = info
             self._numbers[info["name"]] = int(index.channel[record])
-        # Each stream is written by a thread of its own, so that the first record need not have the earliest stamp.
+        # Each stream is written by its own thread, so the first record need not have the earliest stamp.
         times = index.monotonic[index.kind == Kind.BYTES]
         self._start, self._stop = (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
-    # -- what it says of itself --------------------------------------------------------------------
+    # -- the robot and the file --------------------------------------------------------------------
 
     @property
     def firmware(self) -> Firmware | None:
-        """Of the controller, when the recording began; None if the recorder did not say."""
+        """Firmware of the controller when the recording began; None if it was not recorded."""
         said = self._said("firmware")
         return None if said is None else Firmware.parse(said)
 
     @property
     def model(self) -> str | None:
-        """Name of the arm, such as "UR5e"; None if the recorder did not say."""
+        """Name of the arm, such as "UR5e"; None if it was not recorded."""
         said: str | None = self._said("model")
         return said
 
@@ -101,11 +101,11 @@ class Recording:
 
     @property
     def kinematics(self) -> Arm:
-        """Of the arm that was recorded, as calibrated where the recorder said how it is; see `Robot.kinematics`.
+        """Kinematics of the recorded arm, calibrated if its DH parameters were recorded; see `Robot.kinematics`.
 
         Raises:
-            LocalError: the recorder did not say which arm it is, or nobody knows it.
-            BadRecording: it did not say which firmware it has, or wrote down what are no DH parameters.
+            LocalError: the model was not recorded, or is unknown.
+            BadRecording: the firmware was not recorded, or the recorded DH parameters are invalid.
         """
         for info in self.channels.values():
             if "firmware" in info:
@@ -124,7 +124,7 @@ class Recording:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it was closed in good order."""
+        """Whether the recording was closed properly."""
         return self._index.is_complete
 
     @property
@@ -134,7 +134,7 @@ class Recording:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What was lost, and what could not be read, in words; empty if nothing is missing. Reads all of it."""
+        """What was lost or cannot be read, one text each; empty if nothing is missing. Reads the whole recording."""
         said = [f"{gap.size} bytes from {gap.offset} on are damaged or unfinished" for gap in self._index.gaps]
         if not self.is_complete:
             said.append("it was not closed in good order")
@@ -198,22 +198,22 @@ class Recording:
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write it to a file of another program, which replaces one of the same name once it is whole.
+        """Write the recording to a file of another program. It replaces a file of the same name once it is complete.
 
         Args:
             path: its suffix says the format: .csv or .parquet for one table, .mat, .h5 or .mcap for all of them.
-            fields: names, such as ``"q_actual"``, ``"joint_data.T_motor"`` or ``"rtde.actual_q"``; None for all. A
-                .csv or .parquet file is then of the first table that was recorded.
-            rate: rows a second to which it is resampled; None for the packets as they came.
-            progress: called with the part that is done, 0 to 1.
+            fields: names, such as ``"q_actual"``, ``"joint_data.T_motor"`` or ``"rtde.actual_q"``; None for all; a .csv
+                or .parquet file then holds the first table that was recorded.
+            rate: rows per second to resample to; None for the packets as they came.
+            progress: called with the fraction that is done, 0 to 1.
 
         Returns:
             The path.
 
         Raises:
-            BadValue: no such format or field, or fields of several tables for a format that holds one.
+            BadValue: unknown suffix or field, or fields of several tables for a format that holds one.
             BadRecording: the file cannot be written.
-            LocalError: what writes the format is not installed; says how to.
+            LocalError: the package that writes the format is not installed; the message says how to install it.
         """
         tables = self.tables
         is_of_one = Path(path).suffix.lower() in (".csv", ".parquet")
@@ -223,14 +223,14 @@ class Recording:
         return export(path, chosen(tables, fields, rate), writers, progress)
 
     def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
-        """Fields over time, a panel for each; a notebook shows it, and `Plot.save` writes it to a file.
+        """Fields over time, one panel each. A notebook shows it; `Plot.save` writes it to a file.
 
         Args:
             fields: named as for `export`.
-            start, end: the part of the recording that is drawn, s.
+            start, end: the part to draw, s since the recording began.
 
         Raises:
-            BadValue: no field, no such field, one that is no number, or an end before the start.
+            BadValue: no field was given, or an unknown or non-numeric one, or `end` is before `start`.
         """
         tables = chosen(self.tables, fields) if fields else {}
         curves = []
@@ -245,7 +245,7 @@ class Recording:
             label = key if len(tables) == 1 else f"{name}.{key}"
             time, values = part.time, part[key]
             if part.begins and is_continuous(table.fields[key]):
-                # No line leads over what is missing.
+                # NaN interrupts the line while the connection was lost.
                 time = np.insert(time, part.begins, time[part.begins])
                 values = np.insert(values, part.begins, np.nan, axis=0)
             curves.append(Curves(label, table.fields[key].unit, time, values))
@@ -261,7 +261,7 @@ class Recording:
             found: dict[str, Topic] = {}
             for name, table in tables.items():
                 for topic in topics_of(name, table.between(start, stop), arm):
-                    found.setdefault(topic.name, topic)  # of a topic that several streams have, the first
+                    found.setdefault(topic.name, topic)  # if several streams have a topic: the first
                 if isinstance(stream := self.tables[name], RobotStates):
                     said = stream.of(RobotMessage)
                     begin, end = np.searchsorted(said.time, [start, stop]).tolist()
@@ -299,7 +299,7 @@ class Recording:
         return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing)
 
     def _timed(self, records: Any) -> tuple[Any, Any]:
-        """Seconds since the recording began, and wall time, of records by their numbers."""
+        """Times of records by their numbers: s since the recording began, and wall time."""
         index = self._index
         return (index.monotonic[records] - self._start) / 1e9, index.wall[records].astype("M8[ns]")
 
@@ -319,7 +319,7 @@ class Recording:
         return f"<Recording {self.path}: {streams} of {who}, {self.duration:.3f} s>"
 
     def _repr_html_(self) -> str:
-        from linkcore.html_view import html_table  # whoever imports us should not pay for it
+        from linkcore.html_view import html_table  # imported here: importing the package stays cheap
 
         rows = [
             (

@@ -28,15 +28,15 @@ _CLASSES = {
 #: Sub-packages that come only in the first state of a connection.
 _FIRST_ONLY = ("kinematics_info", "configuration_data")
 
-#: Numbers of records -> seconds since the recording began, and wall time.
+#: Gives, for numbers of records, their times in s since the recording began, and their wall times.
 Timed = Callable[[Any], tuple[Any, Any]]
 
 
 class RobotStates(Table):
     """A row for each robot state: ``run.primary["joint_data.q_actual"]``.
 
-    Columns are those of the sub-packages that every robot state has. `of` has every class by itself, with its own
-    times; so have the attributes ``joint_data``, ``tool_data`` and so on. Made by `Recording`.
+    The columns are those of the sub-packages that every robot state has. `of`, and the attributes ``joint_data``,
+    ``tool_data`` and so on, give a table of one class with its own times. Made by `Recording`.
 
     Attributes:
         messages: robot messages and other packages as they came, in order, with their stamps.
@@ -66,14 +66,14 @@ class RobotStates(Table):
 
     @property
     def robot_messages(self) -> list[State]:
-        """Those of `messages` that are robot messages: the rows of ``of(RobotMessage)``."""
+        """The robot messages in `messages`: the rows of ``of(RobotMessage)``."""
         return [state for state in self.messages if isinstance(state, RobotMessage)]
 
     def of(self, kind: type[State]) -> Table:
-        """What came of one class, a row for each: of a sub-package, of a message, or of the other packages.
+        """A table of all packets of one class: of sub-packages, of robot messages, or `OtherPackage`.
 
         Raises:
-            BadValue: a class that is none of these.
+            BadValue: `kind` is none of these classes.
         """
         if not (isinstance(kind, type) and issubclass(kind, (SubPackage, RobotMessage, OtherPackage))):
             raise BadValue(f"kind={kind!r}; expected a class of sub-packages or messages, such as urlink.JointData")

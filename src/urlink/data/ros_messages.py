@@ -1,7 +1,7 @@
-"""What was recorded of a robot as messages of ROS 2, with the definitions that go into a file beside them.
+"""What was recorded of a robot as messages of ROS 2, with the definitions of their types.
 
-Joint states, poses, twists, wrenches and logs are those that every viewer knows. Each packet as a whole goes into a
-message of a type that is defined by the fields of its stream.
+Joint states, poses, twists, wrenches and logs have the standard types, which every viewer knows. Each packet as a whole
+also becomes a message, of a type that is defined by the fields of its stream.
 
 `JointState.effort` has the joint currents in A, as the vendor's ROS driver puts them there. Poses, twists and wrenches
 are as the controller reports them: in the frame of the base, and wrenches about the TCP.
@@ -66,7 +66,7 @@ _DEFINITIONS = {
     ),
 }
 
-#: Fields of the real-time interface and of RTDE that mean the same.
+#: Fields of the real-time interface and of RTDE with the same meaning.
 _POSITION, _VELOCITY, _CURRENT = ("q_actual", "actual_q"), ("qd_actual", "actual_qd"), ("I_actual", "actual_current")
 _TCP_POSE, _TCP_SPEED, _TCP_FORCE = (
     ("tool_vector_actual", "actual_TCP_pose"),
@@ -84,7 +84,7 @@ _LEVELS = {
 
 
 def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic]:
-    """The messages of a stream called `name`, as far as it has the fields for them. Text goes into none.
+    """The topics of a stream called `name`, as far as it has the fields for them. Fields with text are left out.
 
     With the arm, `/tf` has the frames of its links.
     """
@@ -124,14 +124,14 @@ def topics_of(name: str, table: Table, arm: Arm | None = None) -> Iterator[Topic
 
 
 def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions of poses; NaN where they are, which what is resampled is while a connection was lost."""
+    """Quaternions of poses; NaN where the pose is NaN, as in resampled rows while a connection was lost."""
     quaternions = rotvec_to_quaternion(np.nan_to_num(poses[:, 3:]))
     quaternions[np.isnan(poses[:, 3:]).any(axis=1)] = np.nan
     return quaternions
 
 
 def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
-    """What the controller said in words."""
+    """The messages of the controller as a log."""
     kind = "rcl_interfaces/msg/Log"
     encoded = []
     for message, stamp in zip(messages, wall, strict=True):
@@ -143,7 +143,7 @@ def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
 
 
 def _level(message: State) -> int:
-    """As `rcl_interfaces/msg/Log` counts."""
+    """The level, as `rcl_interfaces/msg/Log` numbers it."""
     if isinstance(message, RobotCommMessage):
         return _INFO if message.report_level is None else _LEVELS.get(message.report_level, _INFO)
     if isinstance(message, PopupMessage):
@@ -157,12 +157,12 @@ def _words(message: State) -> str:
     if isinstance(message, (KeyMessage, PopupMessage)):
         return f"{message.title}: {message.text}"
     text = getattr(message, "text", None)
-    # A NUL would end the text for readers in C.
+    # A reader written in C would take a NUL for the end of the text.
     return (text if isinstance(text, str) else str(message)).replace("\0", "")
 
 
 def description_topic(arm: Arm, wall: np.datetime64) -> Topic:
-    """The description of the arm, once, for viewers that draw it."""
+    """The arm as URDF, in one message, for viewers that draw it."""
     urdf = to_urdf(arm, shapes=True)
     kind = "std_msgs/msg/String"
     return Topic("/robot_description", kind, _DEFINITIONS[kind], np.array([wall]), Message(1).text(urdf).encoded())
