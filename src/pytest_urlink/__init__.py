@@ -1,8 +1,8 @@
 """Fixtures for tests of programs that use urlink or rhdlink: a simulated controller, a robot, a mobile robot.
 
-pytest loads this in every run in an environment where urlink is installed, so it imports nothing of it at the top:
-neither does a run that has nothing to do with robots pay for numpy, nor is a line of urlink executed before a
-measurement of its coverage begins.
+pytest loads this module in every run in an environment where urlink is installed. So it imports nothing of urlink at
+the top: other test runs do not pay for numpy, and no line of urlink is executed before a measurement of its coverage
+begins.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MARKERS = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the markers known."""
+    """Register the markers."""
     for marker in _MARKERS:
         config.addinivalue_line("markers", marker)
 
@@ -75,8 +75,8 @@ def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
 def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) -> Iterator[Robot]:
     """A robot that is connected to `urlink_controller`, and closed when the test is over.
 
-    The marker's ``connect={"require_enable": "always"}`` has arguments of `urlink.connect`. Of a controller that is
-    stepped, silence means nothing: the robot waits for an hour.
+    The marker's ``connect={"require_enable": "always"}`` has arguments of `urlink.connect`. With a stepped controller
+    the inactivity timeout is one hour, since its time passes only when it is stepped.
     """
     import contextlib
 
@@ -87,7 +87,7 @@ def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) 
     passing: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
     if wanted.get("stepped"):
         options = {"silence": 3600.0, "stale_after": 3600.0}
-        passing = urlink_controller.passing()  # it says who it is with its first state
+        passing = urlink_controller.passing()  # its identity comes with its first state
     options |= wanted.get("connect", {})
     with passing:
         robot = urlink.connect(urlink_controller.address, **options)

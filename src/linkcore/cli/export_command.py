@@ -16,11 +16,11 @@ __all__ = ["Exportable", "add_export"]
 
 
 class Exportable(Protocol):
-    """What was recorded."""
+    """A recording that can be exported."""
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What of it is not there, in words."""
+        """What could not be read, one text each."""
 
     def export(
         self,
@@ -30,7 +30,7 @@ class Exportable(Protocol):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write it to a file, of which the suffix says the format."""
+        """Write it to a file; the suffix says the format."""
 
 
 _T = TypeVar("_T", bound=Exportable)
@@ -47,9 +47,9 @@ def add_export(
     """Declare the command.
 
     Args:
-        load: reads a recording, and tells how far it is.
-        content: what is in it, for the line at the end.
-        tell: a line on stderr.
+        load: reads a recording, and reports the progress.
+        content: describes what is in it, for the line at the end.
+        tell: prints a line on stderr.
     """
     parser = add_command(subparsers, "export", "write a recording to a file of another program", description, examples)
     parser.add_argument("file", metavar="FILE", help="a recording")
@@ -58,12 +58,12 @@ def add_export(
     parser.add_argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second")
 
     def run(args: argparse.Namespace) -> int:
-        """Export, and say what was missing.
+        """Export, and print what was missing.
 
         Raises:
             BadRecording: no such recording, or the file cannot be written.
-            BadValue: no such format or field.
-            LocalError: what writes the format is not installed.
+            BadValue: unknown suffix or field.
+            LocalError: the package that writes the format is not installed.
         """
         with ProgressBar(f"reading {args.file}", args.quiet) as reading:
             recording = load(args.file, reading)

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, for commands that put something in order before they end."""
+"""Ctrl-C and SIGTERM, for commands that clean up before they end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Interrupted", "Interruption", "raise_on_sigterm"]
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asked the program to end.
+    """Raised by a signal that ends the program.
 
     Attributes:
         number: of the signal.
@@ -24,7 +24,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def raise_on_sigterm() -> contextlib.AbstractContextManager[object]:
-    """While it lasts, SIGTERM unwinds the program as Ctrl-C does."""
+    """A context in which SIGTERM unwinds the program as Ctrl-C does."""
 
     def handler(number: int, frame: FrameType | None) -> None:
         raise Interrupted(number)
@@ -33,7 +33,7 @@ def raise_on_sigterm() -> contextlib.AbstractContextManager[object]:
 
 
 class Interruption:
-    """While it lasts, Ctrl-C and SIGTERM are only noted: nothing is torn out of the middle of its work.
+    """A context in which Ctrl-C and SIGTERM are only noted, so that no call is interrupted; a second one raises.
 
     Attributes:
         number: the signal that came, or None.
@@ -45,22 +45,22 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.number is not None:
-            raise Interrupted(number)  # the second signal: end at once, without tidying up
+            raise Interrupted(number)  # the second signal: end at once, without cleaning up
         self.number = number
 
     def wait(self, seconds: float) -> bool:
-        """Sleep, but not past a signal; whether one has come."""
+        """Sleep until a signal comes, at most `seconds`; returns whether one has come."""
         until = time.monotonic() + seconds
         while self.number is None:
             left = until - time.monotonic()
             if left <= 0:
                 return False
-            # A signal that is only noted does not end a sleep.
+            # A signal that is only noted does not end a sleep, so it sleeps in short steps.
             time.sleep(min(left, 0.05))
         return True
 
     def raise_if_any(self) -> None:
-        """End as a program does that the signal ended.
+        """End the program as the signal would have ended it.
 
         Raises:
             Interrupted: a signal has come.
@@ -84,7 +84,7 @@ class _Handlers:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> None:
-        # Only the main thread may set handlers; elsewhere the program around us has the say.
+        # Only the main thread may set handlers; elsewhere the surrounding program handles signals.
         with contextlib.suppress(ValueError):
             for number, handler in self._wanted.items():
                 self._before[number] = signal.signal(number, handler)

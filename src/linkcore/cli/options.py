@@ -1,4 +1,4 @@
-"""What the options of all commands have in common: numbers that are checked, and help that keeps its lines."""
+"""What all commands have in common: options with checked numbers, and help with its own line breaks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Subparsers = Any  # argparse's own class for it is private
 def add_command(
     subparsers: Subparsers, name: str, summary: str, description: str, examples: Sequence[str]
 ) -> argparse.ArgumentParser:
-    """A subcommand whose help ends in examples."""
+    """A subcommand whose help ends with examples."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         name,
         help=summary,

@@ -1,4 +1,4 @@
-"""The frame around every command: how it begins, how it fails, how it is ended from outside."""
+"""What surrounds every command: parsing, logging, errors, signals and the exit status."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .options import Subparsers
 
 __all__ = ["Command", "program"]
 
-#: The distribution that all of it comes in.
+#: The distribution of all packages.
 _DISTRIBUTION = "urlink"
 
 
 class Command(Protocol):
-    """A module with a subcommand; `run` of the parsed arguments does it and returns the exit status."""
+    """A module with a subcommand; `run` gets the parsed arguments and returns the exit status."""
 
     def add_parser(self, subparsers: Subparsers) -> None:
         """Declare the command."""
@@ -38,7 +38,7 @@ def program(
     Args:
         name: of the package, and of the program.
         commands: each command -> the module in the package's `cli` that declares it, in the order of the help. Only the
-            module of the command that was asked for is imported: all of them take longer than most commands.
+            module of the given command is imported: importing all of them takes longer than most commands.
         description, epilog: of the help.
         argv: the arguments; those of the process by default.
     """
@@ -57,16 +57,16 @@ def program(
         command.add_parser(subparsers)
     try:
         args, extra = parser.parse_known_args(argv)
-        # argparse gives up on what can be given many times where it stands after an option.
+        # argparse does not assign positional arguments of variable number that come after an option.
         trailing = getattr(args, "trailing", None)
         if extra and trailing is not None and not any(each.startswith("-") for each in extra):
             getattr(args, trailing).extend(extra)
         elif extra:
             args.usage_error(f"unrecognized arguments: {' '.join(extra)}")
-    except SystemExit as exit_:  # argparse has said what is wrong, or has shown the help
+    except SystemExit as exit_:  # argparse has printed the error, or the help
         return int(exit_.code or 0)
     for stream in (sys.stdout, sys.stderr):
-        # Text from the wire must not fail on a terminal that is not UTF-8.
+        # Text from the wire must not fail on a terminal that is not UTF-8, so what it lacks is escaped.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -91,7 +91,7 @@ def program(
 
 
 class _Version(argparse.Action):
-    """Looks the version up when it is asked for: that imports more than most commands need."""
+    """Finds the version only when it is printed: that imports more than most commands need."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         import importlib.metadata
@@ -105,7 +105,7 @@ class _Version(argparse.Action):
 
 
 class _SafeFormatter(logging.Formatter):
-    """Log lines quote what came over the wire, so they are made safe as well."""
+    """Log lines quote text from the wire, so control characters in them are escaped."""
 
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)
@@ -113,7 +113,7 @@ class _SafeFormatter(logging.Formatter):
 
 
 class _Stderr(logging.Handler):
-    """Writes to whatever stderr is at the time: a live view puts lines above its picture."""
+    """Writes to `sys.stderr` as it is at the time: a live view replaces it, to print lines above its picture."""
 
     def emit(self, record: logging.LogRecord) -> None:
         with contextlib.suppress(BrokenPipeError):

@@ -1,4 +1,4 @@
-"""A bar on stderr while something long goes on; nothing where stderr is no terminal."""
+"""A progress bar on stderr; nothing if stderr is no terminal."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ __all__ = ["ProgressBar"]
 
 #: Characters of a bar.
 _WIDTH = 30
-#: Seconds between two pictures of it, and before the first: what is done sooner needs no bar.
+#: Seconds between two drawings, and before the first: shorter work needs no bar.
 _PERIOD = 0.2
 
 
 class ProgressBar:
-    """A context manager; call it with the part that is done, 0 to 1.
+    """A progress bar, as a context manager; call it with the fraction that is done, 0 to 1.
 
     Args:
-        text: what is going on.
-        quiet: draw nothing on a terminal either.
+        text: what is being done.
+        quiet: do not draw on a terminal either.
 
     Attributes:
-        is_shown: whether it will be seen.
+        is_shown: whether it is drawn.
     """
 
     def __init__(self, text: str, quiet: bool = False) -> None:
@@ -34,13 +34,13 @@ class ProgressBar:
         self._is_drawn = False
 
     def __call__(self, part: float) -> None:
-        """Draw it, if it is time to."""
+        """Draw it, if the last drawing is old enough."""
         now = time.monotonic()
-        if not self.is_shown or now < self._next or part <= 0.0:  # what has no end in sight has no bar
+        if not self.is_shown or now < self._next or part <= 0.0:  # 0: there is no progress to show
             return
         self._next = now + _PERIOD
         done = round(min(max(part, 0.0), 1.0) * _WIDTH)
-        # The rest of the line is erased: a longer bar may have been there.
+        # The rest of the line is erased: the bar before may have been longer.
         bar = f"\r{printable(self._text)} [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}\x1b[K"
         print(bar, end="", file=sys.stderr, flush=True)
         self._is_drawn = True

@@ -1,4 +1,4 @@
-"""`connect_async` and `AsyncRobot`: what a program that uses asyncio holds."""
+"""`connect_async` and `AsyncRobot`: a robot for programs that use asyncio."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ __all__ = ["AsyncRobot", "connect_async"]
 
 T = TypeVar("T")
 
-#: Calls of one robot that may wait at the same time.
+#: Calls of one robot that can run at the same time.
 _CALLS = 16
 
 
@@ -45,11 +45,11 @@ class AsyncRobot:
     """A robot: its streams, and what it is. Made by `connect_async`; an asynchronous context manager, which closes it.
 
     The event loop reads the streams. `motion`, `io`, `safety`, `script`, `dashboard`, `rtde` and `registers` are those
-    of `Robot`, with methods that are awaited; see `Call`. Their calls wait in a thread of the robot, which the first of
-    them starts.
+    of `Robot`, with methods that are awaited; see `Call`. Their calls run in threads of the robot, which are started
+    when they are needed.
 
     Attributes:
-        address: what it was connected by.
+        address: the address that was connected to.
     """
 
     def __init__(self, robot: threaded.Robot, workers: Workers) -> None:
@@ -59,7 +59,7 @@ class AsyncRobot:
         self._streams: dict[str, AsyncStream[Any]] = {}
         self._ending: asyncio.Task[None] | None = None
 
-    # -- what it says ------------------------------------------------------------------------------
+    # -- streams and identity ----------------------------------------------------------------------
 
     @property
     def realtime(self) -> AsyncStream[RealtimeState]:
@@ -73,7 +73,7 @@ class AsyncRobot:
 
     @property
     def secondary(self) -> AsyncStream[RobotState]:
-        """As `primary`, without messages but the version (port 30002)."""
+        """As `primary`, but of the messages only the version message (port 30002)."""
         return self._stream("secondary")
 
     def _stream(self, name: str) -> AsyncStream[Any]:
@@ -84,14 +84,14 @@ class AsyncRobot:
 
     @property
     def identity(self) -> Identity:
-        """The last known identity of the controller; `identify` asks again."""
+        """The last known identity of the controller; `identify` reads it again."""
         return self._robot._who.last
 
     async def identify(self) -> Identity:
-        """The identity of the controller, asked anew after a reconnect.
+        """The identity of the controller, read again after a reconnect.
 
         Raises:
-            RemoteError: it had to be asked, and did not answer.
+            RemoteError: the controller did not answer.
         """
         return await self.call(lambda: self._robot.identity)
 
@@ -107,7 +107,7 @@ class AsyncRobot:
 
     @property
     def kinematics(self) -> Arm:
-        """Forward and inverse kinematics of this very arm; see `Robot.kinematics` and `identity`."""
+        """Forward and inverse kinematics of this arm, calibrated; see `Robot.kinematics` and `identity`."""
         return self.identity.kinematics
 
     @property
@@ -124,7 +124,7 @@ class AsyncRobot:
         """
         return self.call(self._robot.record, path, [taken(each) for each in interfaces])
 
-    # -- what it is told -----------------------------------------------------------------------------
+    # -- commands ------------------------------------------------------------------------------------
 
     @property
     def motion(self) -> Awaited:
@@ -193,7 +193,7 @@ class AsyncRobot:
         return self.call(self._robot.popup, *arguments, **options)
 
     def call(self, function: Callable[..., T], *arguments: Any, **options: Any) -> Call[T]:
-        """Call something that waits, in a thread of the robot.
+        """Call a function that blocks, in a thread of the robot.
 
         Raises:
             Closed: the robot was closed.
@@ -206,7 +206,7 @@ class AsyncRobot:
     async def close(self) -> None:
         """End motions, close every stream, and the simulator if there is one, in two seconds. Idempotent.
 
-        It goes on to its end also where the task that asked for it is cancelled.
+        It runs to its end even if the task that awaits it is cancelled.
         """
         if self._ending is None:
             self._ending = asyncio.create_task(self._close())
@@ -234,7 +234,7 @@ class AsyncRobot:
 
 
 class _Connecting:
-    """The result of `connect_async`: to be awaited, or entered by ``async with``."""
+    """The result of `connect_async`: to be awaited, or entered with ``async with``."""
 
     def __init__(self, address: str | os.PathLike[str], options: dict[str, Any]) -> None:
         arguments = inspect.signature(threaded.connect).bind(address, **options)
@@ -290,7 +290,7 @@ class _Connecting:
 
 
 def connect_async(address: str | os.PathLike[str], **options: Any) -> _Connecting:
-    """Connect to a robot, or to the simulator: to be entered or awaited.
+    """Connect to a robot or to the simulator; the result is entered or awaited.
 
     ``async with urlink.connect_async(...) as robot``, or ``robot = await urlink.connect_async(...)``.
 
@@ -300,15 +300,15 @@ def connect_async(address: str | os.PathLike[str], **options: Any) -> _Connectin
 
     Raises:
         BadAddress, BadValue, TypeError: at once, as `urlink.connect`.
-        LocalError: a recording; when it is awaited or entered.
-        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: nobody, or somebody else, is there; when it is awaited or
-            entered.
+        LocalError: the address is a recording; raised when it is awaited or entered.
+        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: there is no controller at the address; raised when it is
+            awaited or entered.
     """
     return _Connecting(address, options)
 
 
 async def _identified(place: RobotAddress, wanted: threaded.Wanted) -> Identity:
-    """Who is there; as `networked` asks, on the loop."""
+    """The identity of the controller at an address, read on the event loop; otherwise as `networked`."""
     suffix = "_readonly" if wanted.read_only else ""
     try:
         return await _identify(place.host, place.ports["primary" + suffix], wanted.timeout)

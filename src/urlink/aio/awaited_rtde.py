@@ -1,4 +1,4 @@
-"""An RTDE connection that an event loop makes and reads."""
+"""An RTDE connection that is made and read by an event loop."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class AwaitedRtde(RtdeTransport):
     """As `RtdeTransport`, for an event loop.
 
     Args:
-        transport: of the bytes.
-        plan: what is asked for.
+        transport: the TCP connection.
+        plan: what to request.
     """
 
     def __init__(self, transport: AwaitedTcp, plan: Plan) -> None:
@@ -29,13 +29,13 @@ class AwaitedRtde(RtdeTransport):
         self.disconnect = transport.disconnect
 
     async def connect(self, timeout: float) -> None:
-        """Connect, ask for what the plan says, and wait for the first data package; see `RtdeTransport.open`."""
+        """Connect, request what the plan says, and wait for the first data package; see `RtdeTransport.open`."""
         until = time.monotonic() + timeout
         await self._tcp.connect(timeout)
         dialogue = Dialogue(self._plan)
         try:
             while not dialogue.is_over:
-                # The first words on a connection: the kernel has room for them.
+                # The first bytes on a connection: the buffer of the kernel has room for them.
                 self._tcp.send(dialogue.requests(), 0.0)
                 try:
                     dialogue.hear(*await self._tcp.receive_awaited(max(until - time.monotonic(), 0.001)))

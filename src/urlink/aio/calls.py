@@ -1,8 +1,7 @@
-"""Commands for programs that use asyncio: each method of `robot.motion` and its like, to be awaited.
+"""Commands for programs that use asyncio: each method of `robot.motion` and its like returns an awaitable.
 
-Commands go through the same interlock, channel and state machines as those of `urlink.connect`. These wait: for what
-the robot says, and for what it takes. So each call is made in a thread of the robot, while the event loop, which reads
-what the robot says, goes on.
+Commands use the same interlock, channel and state machines as those of `urlink.connect`, which block until the robot
+has answered. So each call is made in a thread of the robot, while the event loop goes on reading the streams.
 """
 
 from __future__ import annotations
@@ -25,18 +24,19 @@ T = TypeVar("T")
 
 
 class Call(Generic[T]):
-    """A command that has been begun: await its result.
+    """A command that has been started: await its result.
 
-    Of what gives a `Handle`, such as a motion, that is its end: ``await robot.motion.move_joints(q)`` goes on when the
-    arm has arrived, and raises what `Handle.wait` raises. `begun` gives the handle as soon as the robot was told.
+    If the command returns a `Handle`, as a motion does, the result is its end: ``await robot.motion.move_joints(q)``
+    returns when the arm has arrived, and raises what `Handle.wait` raises. `begun` returns the handle as soon as the
+    command is sent.
 
-    A task that is cancelled, or runs into a timeout, while it awaits this, takes the command with it, as with
-    everything that is awaited: what has not been sent is not sent, and what moves brakes. `asyncio.shield` keeps it
-    from that. ``async with robot.motion.servo() as servo:`` enters a block, and leaves it whatever happens.
+    If a task is cancelled, or times out, while it awaits this, the command is cancelled as well: what has not been sent
+    is not sent, and a motion brakes. `asyncio.shield` prevents this. ``async with robot.motion.servo() as servo:``
+    enters a block, and always leaves it.
 
     Args:
-        workers: make the call.
-        call: is made once, at once.
+        workers: the threads that make the calls.
+        call: called once, at once.
 
     Raises:
         Closed: the robot was closed.
@@ -50,7 +50,7 @@ class Call(Generic[T]):
         self._entered: Any = None
 
     async def begun(self) -> T:
-        """What the call returns, as soon as it does.
+        """What the call returns, as soon as it returns.
 
         Raises:
             LinkError: as the same call of a robot of `urlink.connect`.
@@ -75,7 +75,7 @@ class Call(Generic[T]):
         return self._ended().__await__()
 
     def cancel(self) -> None:
-        """Give it up: what has not been begun is not, and what runs on the robot is cancelled. Returns at once."""
+        """Cancel: a call that has not begun is not made, and what runs on the robot is cancelled. Returns at once."""
         self._submitted.cancel()
         self._begun.add_done_callback(self._undo)
 
@@ -84,7 +84,7 @@ class Call(Generic[T]):
             return
         value = begun.result()
         if isinstance(value, Handle) and not value.done:
-            with contextlib.suppress(LinkError):  # the robot is closed, which has ended it
+            with contextlib.suppress(LinkError):  # the robot is closed, which has ended the command
                 self._workers.submit(value.cancel)
 
     async def __aenter__(self) -> Any:
@@ -103,7 +103,7 @@ class Call(Generic[T]):
 
 
 async def _made(workers: Workers, call: Callable[[], T]) -> T:
-    """A call, made to its end also where the task is cancelled meanwhile."""
+    """Make a call; it runs to its end even if the task is cancelled."""
     making = asyncio.wrap_future(workers.submit(call))
     try:
         return await asyncio.shield(making)
@@ -113,14 +113,14 @@ async def _made(workers: Workers, call: Callable[[], T]) -> T:
 
 
 class Awaited:
-    """A part of a robot, such as `robot.motion`: the same names, whose methods give a `Call` each.
+    """A part of a robot, such as `robot.motion`: the same names, but each method returns a `Call`.
 
-    What is no method is read and set as it is. Where it would have to wait, because the robot is not listened to yet,
-    it raises `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
+    Attributes that are not methods are read and set directly. One that would have to wait, because its stream is not
+    open yet, raises `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
 
     Args:
-        part: tells the part.
-        workers: make the calls.
+        part: returns the part.
+        workers: the threads that make the calls.
     """
 
     __slots__ = ("_part", "_workers")
@@ -151,10 +151,10 @@ class Awaited:
 
 
 def given(value: Any) -> Any:
-    """A result as programs that use asyncio hold it."""
+    """A result of the library, converted for programs that use asyncio."""
     return AsyncStream(value) if isinstance(value, Stream) else value
 
 
 def taken(value: Any) -> Any:
-    """An argument as the library takes it."""
+    """An argument, converted for the library."""
     return value.stream if isinstance(value, AsyncStream) else value

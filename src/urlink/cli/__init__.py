@@ -41,7 +41,7 @@ addresses:
   replay:///tmp/run.urlog?rate=2   a recording
 
 exit status:
-  0 done, 1 the robot, the file or the address was at fault (one line on stderr says how), 2 wrong usage,
+  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
   130 ended by Ctrl-C, 143 by SIGTERM
 
 `urlink COMMAND --help` explains each command, with examples."""

@@ -1,4 +1,4 @@
-"""`python -m urlink.cli`: the command, where it is not on the path."""
+"""`python -m urlink.cli`: the `urlink` command, for systems where it is not on the path."""
 
 import sys
 

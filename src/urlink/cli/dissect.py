@@ -38,10 +38,10 @@ Show every packet in a file, field by field: offset, bytes in hex, name, value, 
 
 FILE holds raw bytes, as cut from a network capture, or is a recording. Robot states are shown sub-package
 by sub-package. Bytes that no known layout explains are shown as `tail`, packets that cannot be decoded with
-the reason, bytes outside packets and packets that are cut off as what they are: nothing is hidden.
+the reason. Bytes outside packets, and packets that are cut off, are shown too: nothing is hidden.
 
 Offsets count from the beginning of the file's bytes; in a recording from the first byte of the connection.
-The layout of a packet is worked out from its size; --firmware fixes it."""
+The layout of a packet is found from its size, unless --firmware is given."""
 
 _EXAMPLES = (
     "urlink dissect packet.bin",
@@ -74,10 +74,10 @@ def run(args: argparse.Namespace) -> int:
     """Show the file.
 
     Raises:
-        BadRecording: no such file, or there is nothing in it that could be shown.
+        BadRecording: no such file, or nothing in it can be shown.
     """
     shown = read = 0
-    # Where the packets themselves are seen, they show how far it is.
+    # On a terminal the printed packets show the progress.
     with ProgressBar(f"dissecting {args.file}", args.quiet or sys.stdout.isatty()) as progress:
         for number, piece in enumerate(_pieces(args, progress), 1):
             shown += 1
@@ -115,14 +115,14 @@ def _sources(path: Path, wanted: Interface | None) -> Iterator[tuple[Interface, 
         return
     interface = wanted or guess_interface(data)
     if interface is None and data:
-        raise BadRecording(f"no packet of any interface is in {path}; --interface shows it all the same")
+        raise BadRecording(f"no packet of any interface is in {path}; with --interface its bytes are shown anyway")
     if interface is not None and data:
         yield interface, data
 
 
 def _recorded(recording: Recording, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
     if wanted is not None:
-        recording.channel(wanted)  # says at once what there is instead
+        recording.channel(wanted)  # raises at once, and names the interfaces that there are
     for number, info in recording.channels.items():
         name = info["name"]
         if name not in INTERFACES or wanted not in (None, name):
@@ -148,10 +148,10 @@ class Piece:
         offset: of its first byte.
         data: its bytes.
         title: class of the packet, or what the bytes are.
-        layout: first firmware that sends this layout; None where there is none.
-        rows: the fields, with offsets that count from the piece.
+        layout: first firmware that sends this layout; None if there is none.
+        rows: the fields; their offsets count from the beginning of the piece.
         parts: the sub-packages.
-        error: why it could not be decoded, or could not whole; None where it could.
+        error: why it could not be decoded completely; None if it could.
     """
 
     offset: int
@@ -215,7 +215,7 @@ def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Ite
         else:
             piece, state = _package(stretch.data, stretch.offset, said)
             if isinstance(state, VersionMessage) and firmware is None:
-                # From here on the controller has said which layouts it sends.
+                # The packets after it have the layouts of the firmware that the controller has sent.
                 said = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             yield piece
 
@@ -251,7 +251,7 @@ def _package(data: bytes, offset: int, firmware: Firmware | None) -> tuple[Piece
 
 
 def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
-    """A robot state, each sub-package by itself, so that a bad one does not hide the others."""
+    """A robot state, decoded one sub-package at a time, so that a bad one does not hide the others."""
     piece = Piece(offset, data, RobotState.__name__)
     decoder = PackageDecoder(firmware)
     piece.rows = list(header_rows(PACKAGE, data))
@@ -264,7 +264,7 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> Piece:
             break
         part = data[at : at + size]
         try:
-            # As the only one of a robot state.
+            # As if it were the only sub-package of a robot state.
             state = decoder.decode(PACKAGE.pack(size=5 + size, type=16) + part)
         except PacketError as error:
             piece.parts.append(Piece(offset + at, part, f"sub-package of type {part[4]}", error=str(error)))
@@ -294,7 +294,7 @@ def _row_lines(row: Row, start: int) -> Iterator[str]:
     for number, value in enumerate(values):
         at = number * width
         name, part = f"{row.name}[{number}]", row.data[at : at + width]
-        # The meaning of a vector is said once.
+        # The meaning of a vector is printed with its first element only.
         yield from _field_lines(
             start + row.offset + at, part, name, as_text(value), row.unit, "" if number else row.doc
         )

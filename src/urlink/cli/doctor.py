@@ -1,4 +1,4 @@
-"""`urlink doctor`: what is there, what is in the way, and what to do about it."""
+"""`urlink doctor`: checks a controller, the network and this computer, and says what to do about problems."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from .tap import Tap
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Look at a controller, at the way to it and at this computer, and say what is in the way.
+Check a controller, the network to it and this computer, and say what is wrong.
 
-One line for each thing looked at: "ok", "look" for what may be meant so, "BAD" for what keeps something from
-working, with what to do about it. Nothing is moved or switched. Each free RTDE input is claimed for some
-milliseconds to see whether somebody holds it; a client that asks for it just then is refused."""
+One line for each check: "ok", "look" for what may be intended, "BAD" for what keeps something from working,
+with what to do about it. Nothing is moved or switched. Each free RTDE input is claimed for some milliseconds
+to see whether another client holds it; a client that claims it at that moment is refused."""
 
 _EXAMPLES = (
     "urlink doctor 192.168.56.101",
@@ -40,7 +40,7 @@ _EXAMPLES = (
     "urlink doctor 192.168.56.101 --json",
 )
 
-#: What a port is for, where it should be open.
+#: What each port is for, if it should be open.
 _PORTS = {
     "primary": "states, messages, programs",
     "secondary": "states, programs",
@@ -49,15 +49,15 @@ _PORTS = {
     "dashboard": "power, brakes, installed programs",
 }
 
-#: Seconds that this computer may be late. A servo loop at 500 Hz has 2 ms.
+#: Seconds by which this computer may wake up late. A servo loop at 500 Hz has 2 ms.
 _LATE_OK, _LATE_BAD = 0.001, 0.01
 
-#: Of the period of packets: how far the longest may be from the mean, before it is worth a look.
+#: Periods by which the longest gap between packets may exceed the mean.
 _JITTER = 1.5
 
 
 class Finding(NamedTuple):
-    """One line: how it is, what was looked at, what was seen, and what to do about it."""
+    """One line: state, what was checked, what was seen, and what to do about it."""
 
     state: str  # "ok", "look" or "BAD"
     topic: str
@@ -67,7 +67,7 @@ class Finding(NamedTuple):
 
 def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "doctor", "say what is in the way", _DESCRIPTION, _EXAMPLES)
+    parser = add_command(subparsers, "doctor", "check a robot, the network and this computer", _DESCRIPTION, _EXAMPLES)
     add_address(parser)
     parser.add_argument(
         "--duration", type=seconds, default=2.0, metavar="S", help="listen to packets for S seconds (2)"
@@ -77,7 +77,7 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look, and print; the status is 1 where something is bad.
+    """Run the checks, and print the findings; the status is 1 if one of them is BAD.
 
     Raises:
         BadValue: the address is a recording.
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding]:
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        raise BadValue(f"{address} is a recording; a doctor looks at what is there now")
+        raise BadValue(f"{address} is a recording; doctor checks a controller that is running")
     yield _scheduling()
     if isinstance(place, SimulatorAddress):
         with connect(address, timeout=timeout) as robot:
@@ -120,7 +120,7 @@ def _findings(address: str, timeout: float, duration: float) -> Iterator[Finding
 
 
 def _expected(ports: Iterable[Finding], robot: Robot) -> Iterator[Finding]:
-    """What was found of the ports, without blame for one that this generation does not have."""
+    """The findings about ports; a port that this generation does not have may be closed."""
     for finding in ports:
         if finding.state == "BAD" and finding.seen.startswith("rtde") and not _has_rtde(robot):
             yield Finding("ok", finding.topic, "rtde: closed; controllers before 3.3 have none")
@@ -138,7 +138,7 @@ def _of_robot(robot: Robot, duration: float) -> Iterator[Finding]:
         try:
             yield from look(robot)
         except LinkError as error:
-            yield Finding("look", look.__name__.strip("_").replace("_", " "), f"could not be asked: {error}")
+            yield Finding("look", look.__name__.strip("_").replace("_", " "), f"could not be checked: {error}")
     yield from _packets(robot, duration)
 
 
@@ -146,7 +146,7 @@ def _of_robot(robot: Robot, duration: float) -> Iterator[Finding]:
 
 
 def _scheduling() -> Finding:
-    """How late this computer wakes who sleeps for 1 ms, which is what a loop at 500 Hz depends on."""
+    """How late this computer wakes a thread that sleeps for 1 ms, which a loop at 500 Hz depends on."""
     late = []
     for _ in range(200):
         due = time.monotonic() + 0.001
@@ -161,12 +161,12 @@ def _scheduling() -> Finding:
             "look",
             "computer",
             seen,
-            "set-points may come late: give other programs less, or take a servo rate of 125 Hz",
+            "set-points may come late: stop other programs, or use a servo rate of 125 Hz",
         )
     return Finding("ok", "computer", seen)
 
 
-# -- the way to it ---------------------------------------------------------------------------------
+# -- the network -----------------------------------------------------------------------------------
 
 
 def _ports(place: RobotAddress, timeout: float) -> Iterator[Finding]:
@@ -177,7 +177,7 @@ def _ports(place: RobotAddress, timeout: float) -> Iterator[Finding]:
         try:
             transport.open(timeout)
         except LinkTimeout:
-            yield Finding("BAD", f"port {port}", f"{name}: nobody answers", "a firewall, a wrong address, or no route")
+            yield Finding("BAD", f"port {port}", f"{name}: no answer", "a firewall, a wrong address, or no route")
         except ConnectFailed as error:
             remedy = f"needed for {purpose}: is the service switched off (Settings, Security, Services)?"
             yield Finding("BAD", f"port {port}", f"{name}: {error}", remedy)
@@ -197,14 +197,14 @@ def _identity(robot: Robot) -> Iterator[Finding]:
     if not identity.said_so:
         yield Finding("look", "controller", seen, "the firmware is inferred from the sizes of its packages")
     elif identity.firmware[:2] > (newest := _newest(identity.firmware))[:2]:
-        remedy = f"newer than {newest}, the newest that is known: what it adds is kept and not understood"
+        remedy = f"newer than {newest}, the newest that is known: what it adds is kept, but not decoded"
         yield Finding("look", "controller", seen, remedy)
     else:
         yield Finding("ok", "controller", seen)
 
 
 def _newest(firmware: Firmware) -> Firmware:
-    """The newest firmware of the table that is no newer in its generation."""
+    """The newest known firmware of the same generation that is not newer than `firmware`."""
     return [row.since for row in RELEASES if row.since.major <= firmware.major][-1]
 
 
@@ -237,7 +237,7 @@ def _remote_control(robot: Robot) -> Iterator[Finding]:
     elif robot.dashboard.is_in_remote_control():
         yield Finding("ok", "control", "remote: it takes programs and commands")
     else:
-        remedy = "programs and commands are ignored, without a word: switch to remote control at the pendant"
+        remedy = "programs and commands are ignored silently: switch to remote control at the pendant"
         yield Finding("BAD", "control", "local", remedy)
 
 
@@ -246,10 +246,10 @@ def _inputs(robot: Robot) -> Iterator[Finding]:
         return
     held = sorted(name for name, why in robot.rtde.who_holds().items() if why == "in use")
     if held:
-        remedy = "another RTDE client, a URCap or a fieldbus: it has to let go before they can be written from here"
+        remedy = "another RTDE client, a URCap or a fieldbus: it must release them before they can be written from here"
         yield Finding("look", "inputs", f"{len(held)} in use: {_shortened(held)}", remedy)
     else:
-        yield Finding("ok", "inputs", "nobody holds an RTDE input")
+        yield Finding("ok", "inputs", "no RTDE input is in use")
 
 
 def _shortened(names: list[str]) -> str:
@@ -288,7 +288,7 @@ def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
 
 
 def _arrivals(stream: Stream[Any], kind: type, duration: float) -> list[float]:
-    """When packets came, for so many seconds."""
+    """Monotonic times of arrival of packets, s, for `duration` seconds."""
     arrivals: list[float] = []
     with Tap(stream, kind) as tap:
         until = time.monotonic() + duration

@@ -26,10 +26,10 @@ __all__ = ["add_options", "add_parser", "echo", "kind_of", "shower"]
 _DESCRIPTION = """\
 Print packets, one line each: every packet, in order.
 
-Without a FIELD a line has all of them. Of the real-time interface a field is named as it is, q_actual; of
-robot states (--interface primary) it stands in a sub-package, joint_data.q_actual. --type chooses
+Without a FIELD a line has all of them. A field of the real-time interface is named as it is, q_actual; one of
+robot states (--interface primary) comes after its sub-package, joint_data.q_actual. --type selects
 sub-packages, messages or other packages by their class. A field that the controller does not send is "-",
-in JSON null. Packets that this output is too slow for are dropped, and counted on stderr at the end."""
+in JSON null. If the output is too slow, packets are dropped, and counted on stderr at the end."""
 
 _EXAMPLES = (
     "urlink echo 192.168.56.101 q_actual tcp_force",
@@ -48,7 +48,7 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What to print, and how."""
+    """Options that say what to print, and how."""
     parser.add_argument("fields", metavar="FIELD", nargs="*", help="print only these fields")
     parser.set_defaults(trailing="fields")
     parser.add_argument(
@@ -66,7 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _packet_class(name: str) -> type[State]:
-    # Every public name is imported only to say which there are: some bring asyncio with them.
+    # All public names are imported only to list them in the message: some of them import asyncio.
     kind = getattr(urlink, name, None)
     if _is_packet_class(kind):
         return kind
@@ -79,7 +79,7 @@ def _is_packet_class(value: object) -> TypeGuard[type[State]]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print until told to stop."""
+    """Print until interrupted, or until there is nothing more to print."""
     interface, kind = kind_of(args)
     show = shower(args, kind)
     with connect(args.address, timeout=args.connect_timeout) as robot:
@@ -102,7 +102,7 @@ def kind_of(args: argparse.Namespace) -> tuple[str, type[State]]:
 
 
 def shower(args: argparse.Namespace, kind: type[State]) -> Callable[[State], str]:
-    """What makes a line of a packet."""
+    """The function that makes a line of a packet."""
     try:
         getters = {path: getter(kind, path) for path in args.fields}
     except NoSuchField as error:
@@ -134,5 +134,5 @@ def echo(
         packets: Iterable[State] = tap.packets(args.timeout)
         for packet in itertools.islice(packets, args.count):
             print(show(packet))
-            # A line is worth having at once, in a pipe too.
+            # Flushed line by line: the reader of a pipe gets each line at once.
             sys.stdout.flush()

@@ -16,7 +16,7 @@ ros2 bag), by its suffix.
 
 Without fields everything is written; into .csv and .parquet, which hold one table, everything of the first
 stream that was recorded. Fields are named as `urlink echo` names them: q_actual, joint_data.T_motor,
-rtde.actual_q. A file of that name is replaced once the new one is whole. .parquet, .mat, .h5 and .mcap need the
+rtde.actual_q. A file of that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the
 extra of the same name: pip install 'urlink[mcap]', or 'urlink[data]' for all."""
 
 _EXAMPLES = (

@@ -1,4 +1,4 @@
-"""Which packets and which of their fields were asked for on the command line."""
+"""Packet classes and their fields, by the names that are used on the command line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class NoSuchField(ValueError):
 
 
 def field_names(kind: type[State]) -> list[str]:
-    """What can be asked of packets of class `kind`."""
+    """The paths of the fields of packets of class `kind`."""
     if kind is not RobotState:
         return list(kind.FIELDS)
     parts = [part for classes in SUB_PACKAGES.values() for part in classes if part is not UnknownSubPackage]
@@ -26,10 +26,10 @@ def field_names(kind: type[State]) -> list[str]:
 
 
 def getter(kind: type[State], path: str) -> Callable[[Any], Any]:
-    """A function from a packet to the field called `path`; None where the packet does not have it.
+    """A function from a packet to the field called `path`; it returns None if the packet does not have it.
 
     Raises:
-        NoSuchField: says which there are.
+        NoSuchField: no such field; the message lists those that there are.
     """
     names = field_names(kind)
     parts = {name.partition(".")[0] for name in names if "." in name}

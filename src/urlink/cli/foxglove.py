@@ -46,17 +46,17 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def arm_of(robot: Robot) -> Arm | None:
-    """Which arm it is; None where nobody knows it."""
+    """The kinematics of the arm; None if its model is unknown."""
     with contextlib.suppress(LocalError, WrongPeer):
         return robot.kinematics
     return None
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until told to stop, or until a recording is over.
+    """Serve until interrupted, or until a recording is over.
 
     Raises:
-        RemoteError: nobody is there, a stream gave up, or the port cannot be had.
+        RemoteError: the robot cannot be connected to, a stream gave up, or the port cannot be listened on.
         LocalError: the extra is not installed.
     """
     until = float("inf") if args.duration is None else time.monotonic() + args.duration
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
             for stream in streams:
                 if stream.failure is not None:
                     raise stream.failure
-            # On absolute times, so that the rate is kept whatever a round takes.
+            # At absolute times: the rate does not depend on how long a round takes.
             due = max(due + 1 / args.rate, time.monotonic())
             if interruption.wait(due - time.monotonic()):
                 break

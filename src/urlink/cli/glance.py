@@ -1,4 +1,4 @@
-"""All that the monitor knows at one moment, ready to be shown as a picture or as a line."""
+"""What the monitor knows at one moment, to be shown as a picture or as a line."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .reading import Reading
 
 __all__ = ["Glance", "Status", "status_of"]
 
-#: Data older than this, in seconds, is called old while the connection still stands: five states of the slow
+#: Data older than this, in seconds, counts as old although the connection stands: five states of the 10 Hz
 #: interfaces, 60 and more of the real-time one.
 FRESH = 0.5
 
 
 class Status(enum.Enum):
-    """In one word, whether what is shown is what is."""
+    """State of a stream in one word: whether the values that are shown are current."""
 
     CONNECTING = "CONNECTING"
     WAITING = "WAITING"
@@ -33,8 +33,8 @@ def status_of(connection: ConnectionState, has_latest: bool, reading: Reading | 
 
     Args:
         connection: of the stream.
-        has_latest: whether the stream still vouches for its newest state.
-        reading: the last that was read, maybe long ago.
+        has_latest: whether the stream has a newest state; `latest` of a stream is None after a lost connection.
+        reading: the last one, possibly old; None before the first state.
     """
     if connection is ConnectionState.CLOSED:
         return Status.ENDED
@@ -42,7 +42,7 @@ def status_of(connection: ConnectionState, has_latest: bool, reading: Reading | 
         if reading is None:
             return Status.WAITING
         return Status.CONNECTED if has_latest and reading.age <= FRESH else Status.SILENT
-    # A lost connection is tried again and again; that is still lost.
+    # A lost connection that is being tried again is still lost.
     return Status.CONNECTING if reading is None else Status.LOST
 
 
@@ -53,11 +53,11 @@ class Glance:
     Attributes:
         robot: model and firmware.
         address: what was connected to, and which interface of it.
-        status: whether the reading can be trusted.
+        status: whether the reading is current.
         reading: the newest, or the last before the connection was lost; None before the first.
         stats: of the stream.
-        rate: states a second; None where that cannot be told yet.
-        trouble: what ended the connection last, or None.
+        rate: states per second; None in the first second.
+        trouble: the last error of the connection, or None.
         message: the last robot message, or None.
     """
 
@@ -72,5 +72,5 @@ class Glance:
 
     @property
     def is_fresh(self) -> bool:
-        """Whether the reading shows what is, and not what was."""
+        """Whether the reading is current."""
         return self.status is Status.CONNECTED

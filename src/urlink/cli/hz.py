@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     """Measure until the time is up, or a recording is over.
 
     Raises:
-        RemoteError: nobody is there, or no state ever came.
+        RemoteError: the robot cannot be connected to, or no state came.
     """
     kind = RealtimeState if args.interface == "realtime" else RobotState
     with connect(args.address, timeout=args.connect_timeout) as robot:
@@ -60,10 +60,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(stream: Stream[Any], kind: type[State], window: int, duration: float | None) -> None:
-    """Print a line each second, for `duration` seconds, or until no state will come any more.
+    """Print a line each second, for `duration` seconds, or until the stream ends.
 
     Raises:
-        RemoteError: the stream could not be opened, gave up, or no state ever came.
+        RemoteError: the stream could not be opened, gave up, or no state came.
     """
     periods: deque[float] = deque(maxlen=window)
     last: float | None = None

@@ -1,4 +1,4 @@
-"""`urlink info`: who is there, and what is known of it."""
+"""`urlink info`: which controller this is, and what is known of its firmware."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .options import Subparsers, add_address, add_command
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Ask a controller who it is: firmware and arm, and what this library knows of that firmware.
+Say which controller this is: firmware and arm, and what this library knows of that firmware.
 
-What is on the wire comes from the row of the firmware table that holds for it; `evidence` says what backs
-that row. Where a controller does not send its version, the firmware is the oldest that sends packages of the
-same sizes, and is said to be inferred."""
+Sizes and rates are those of the row of the firmware table that holds for it; `evidence` says what backs that
+row. If a controller does not send its version, the firmware is the oldest that sends packages of the same
+sizes, and is said to be inferred."""
 
 _EXAMPLES = (
     "urlink info 192.168.56.101",
@@ -32,7 +32,7 @@ _EXAMPLES = (
 
 def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "info", "tell which controller is there", _DESCRIPTION, _EXAMPLES)
+    parser = add_command(subparsers, "info", "say which controller this is", _DESCRIPTION, _EXAMPLES)
     add_address(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object")
     parser.set_defaults(run=run)
@@ -84,7 +84,7 @@ def _facts(robot: Robot) -> dict[str, Any]:
 
 
 def _name(kind: int, size: int) -> str:
-    """Of a sub-package; where a number has two meanings, by its size."""
+    """The name of a sub-package; if its number has two meanings, the size decides."""
     for part in SUB_PACKAGES[kind]:
         if size >= min(layout.size for layout in part.LAYOUTS.all):
             return part.__name__

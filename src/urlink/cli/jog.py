@@ -20,7 +20,7 @@ from .options import Subparsers, add_address, add_command, seconds
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is let go.
+Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is released.
 
   1 2 3 4 5 6   joints 1 to 6 one way; in a frame of the tool: along x, y, z and about x, y, z
   q w e r t y   the other way
@@ -29,8 +29,8 @@ Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and b
   space         brake
   x, Ctrl-C     end
 
-A terminal tells of a key that is held by sending it again and again, after a pause. --hold says for how long the arm
-goes on after each of them: with less than that pause, it stutters as it begins."""
+A terminal reports a held key by sending it again and again, the second time after a pause. --hold says for how long
+the arm moves after each of them: if this is shorter than the pause, the arm stutters at first."""
 
 _EXAMPLES = (
     "urlink jog 192.168.56.101",
@@ -38,13 +38,13 @@ _EXAMPLES = (
     "urlink jog 192.168.56.101 --speed 0.05 --hold 1",
 )
 
-#: Keys that turn or move each of the six one way, and the other.
+#: Keys that move each of the six one way, and the other way.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
-#: rad/s, m/s and rad/s at full speed: what the vendor's `movej` and `movel` do where nothing is said.
+#: rad/s, m/s and rad/s at full speed: the defaults of the vendor's `movej` and `movel`.
 _JOINT_SPEED, _TOOL_SPEED, _TURN_SPEED = 1.05, 0.25, 0.8
-#: Parts of full speed.
+#: Fractions of full speed: the slowest; the factor of each + and -.
 _SLOWEST, _FACTOR = 0.01, 1.5
-#: Bytes that end it: x, Ctrl-C where the terminal sends it as it is, Ctrl-D.
+#: Bytes that end it: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
 _END = b"x\x03\x04"
 
 
@@ -54,8 +54,8 @@ def add_parser(subparsers: Subparsers) -> None:
     add_address(parser)
     frames = get_args(FrameName)
     parser.add_argument("--frame", choices=frames, default=frames[0], help=f"what keys move at first ({frames[0]})")
-    parser.add_argument("--speed", type=_part, default=0.2, metavar="PART", help="of full speed, 0.01 to 1 (0.2)")
-    parser.add_argument("--hold", type=_hold, default=0.6, metavar="S", help="s that a key counts for (0.6)")
+    parser.add_argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (0.2)")
+    parser.add_argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (0.6)")
     parser.set_defaults(run=run)
 
 
@@ -76,11 +76,11 @@ def _hold(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Move by keys until one of them ends it.
+    """Move by keys until one of them ends it, or a signal.
 
     Raises:
         LocalError: there is no terminal.
-        LinkError: whatever ended it.
+        LinkError: the error that ended it.
     """
     with (
         _keys() as terminal,
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Hand:
-    """What keys have chosen so far."""
+    """What the keys have selected so far: frame and speed."""
 
     def __init__(self, robot: Robot, frame: FrameName, part: float, hold: float) -> None:
         self.goes_on = True
@@ -107,7 +107,7 @@ class _Hand:
         self._hold = hold
 
     def use(self, terminal: int, interruption: Interruption) -> None:
-        """Move in one frame, until another is chosen or it ends."""
+        """Move in one frame, until a key selects another one or ends it."""
         frame = self._frame
         with self._robot.motion.jog(frame, timeout=self._hold, watchdog=self._hold) as jog:
             self._tell()
@@ -148,18 +148,18 @@ class _Hand:
 
 @contextlib.contextmanager
 def _keys() -> Iterator[int]:
-    """The terminal, key by key and without showing them; as it was, afterwards.
+    """The terminal, set to send single keys without showing them; restored afterwards.
 
     Raises:
-        LocalError: stdin is no terminal, or the system has none of this kind.
+        LocalError: stdin is no terminal, or this system has no termios.
     """
     try:
         import termios
         import tty
     except ImportError:
-        raise LocalError("this system has no terminal that tells of single keys (termios)") from None
+        raise LocalError("this system has no terminal that sends single keys (termios)") from None
     if not sys.stdin.isatty():
-        raise LocalError("stdin is no terminal: the arm is moved by its keys")
+        raise LocalError("stdin is no terminal, and jog needs its keys")
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal)

@@ -27,9 +27,9 @@ from .values import as_text
 __all__ = ["add_parser", "watch"]
 
 _DESCRIPTION = """\
-Watch a robot: joints, tool, modes, inputs and outputs, and how well its data comes in.
+Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
 
-On a terminal the view is painted ten times a second; elsewhere it is one line a second, as with --plain.
+On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain.
 When the connection is lost the view says LOST, shows the last values as old, and goes on as soon as the
 controller is back. The real-time interface shows tool speed and force 125 or 500 times a second; the
 primary interface ten times a second, with the analogue signals and the messages of the controller."""
@@ -55,11 +55,11 @@ def run(args: argparse.Namespace) -> int:
     """Watch until the time is up, a recording is over, or Ctrl-C.
 
     Raises:
-        RemoteError: nobody is there, or no state ever came.
+        RemoteError: the robot cannot be connected to, or no state came.
     """
     with connect(args.address, timeout=args.connect_timeout) as robot:
         glances = watch(robot, args.interface)
-        next(glances)  # connects, so that what fails there is said before anything is painted
+        next(glances)  # connects: an error is printed before anything is drawn
         show, pause = _painter(args.plain)
         until = None if args.duration is None else time.monotonic() + args.duration
         with Interruption() as interruption, show as draw:
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             while True:
                 glance = next(glances)
                 over = glance.status is Status.ENDED or (until is not None and time.monotonic() >= until)
-                # A last look at the end, so that what stays on the screen is what was there.
+                # Once more at the end, so that the last values stay on the screen.
                 draw(glance)
                 if over or interruption.wait(_next(pause, until)):
                     break
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _await_first(glances: Iterator[Glance], interruption: Interruption, until: float | None) -> None:
-    """Wait a little for the first state, which mostly comes at once: it makes a better first look than none."""
+    """Wait briefly for the first state, so that the first picture has values."""
     deadline = time.monotonic() + 0.5
     deadline = deadline if until is None else min(deadline, until)
     while time.monotonic() < deadline:
@@ -96,7 +96,7 @@ def _next(pause: float, until: float | None) -> float:
 
 
 def watch(robot: Robot, interface: str) -> Iterator[Glance]:
-    """A glance at the robot whenever one is asked for, without end.
+    """A glance at the robot each time the iterator is advanced, without end.
 
     Raises:
         RemoteError: the first connection could not be made, or the stream gave up.
@@ -113,11 +113,11 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             troubles.clear()
 
     def on_message(message: RobotMessage) -> None:
-        if not isinstance(message, (VersionMessage, UnnamedMessage12)):  # those of every connection are no news
+        if not isinstance(message, (VersionMessage, UnnamedMessage12)):  # sent at the start of every connection
             messages[:] = [_told(message)]
 
     if interface == "primary":
-        # First, since what comes first connects, and messages come at once.
+        # Subscribed first: the first subscription connects, and messages are sent at once.
         stream.subscribe(on_message, RobotMessage)
     stream.subscribe(on_connection, ConnectionEvent)
     reading: Reading | None = None
@@ -137,7 +137,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
             status=status_of(connection, state is not None, reading),
             reading=reading,
             stats=stats,
-            # Of less than a second no rate can be told.
+            # Less than a second is too short to measure a rate.
             rate=stats.rate if time.monotonic() - since > 1.1 else None,
             trouble=next(iter(troubles), None),
             message=next(iter(messages), None),
@@ -145,7 +145,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
 
 
 def _told(message: RobotMessage) -> str:
-    """What a message says, without what all of them have."""
+    """The content of a message, without the fields that all messages have."""
     own = [name for name in message.FIELDS if name not in RobotMessage.FIELDS]
     told = ((name, getattr(message, name)) for name in own)
     return f"{type(message).__name__} " + " ".join(
@@ -154,7 +154,7 @@ def _told(message: RobotMessage) -> str:
 
 
 class _Name:
-    """Model and firmware, asked for again in the background whenever the controller has come back."""
+    """Model and firmware, read again in the background after each reconnect."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -169,7 +169,7 @@ class _Name:
         return self._text
 
     def _ask(self) -> None:
-        with contextlib.suppress(LinkError):  # it has gone again: the next reconnect asks again
+        with contextlib.suppress(LinkError):  # lost again: the next reconnect tries again
             identity = self._robot.identity
             self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
 
@@ -178,13 +178,13 @@ _Draw = Callable[[Glance], None]
 
 
 def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], float]:
-    """What shows glances, and how many seconds apart."""
+    """The function that shows glances, and the seconds between two of them."""
     if plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
         return _lines(), 1.0
     try:
         import rich  # noqa: F401
     except ImportError:
-        print("urlink: plain lines, since rich is missing; pip install 'urlink[cli]' paints them", file=sys.stderr)
+        print("urlink: plain lines, since rich is not installed; pip install 'urlink[cli]' adds it", file=sys.stderr)
         return _lines(), 1.0
     return _pictures(), 0.1
 

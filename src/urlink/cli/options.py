@@ -1,4 +1,4 @@
-"""The options that several commands have: whom to read, and what of it."""
+"""Options of several commands: address, time to connect, interface."""
 
 from __future__ import annotations
 

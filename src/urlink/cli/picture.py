@@ -21,7 +21,7 @@ from .reading import Reading
 
 __all__ = ["WIDTH", "Picture"]
 
-#: Columns that the picture takes where there are as many.
+#: Columns of the picture, if the terminal has as many.
 WIDTH = 100
 #: Columns below which the bars are left out.
 _NARROW = 92
@@ -101,7 +101,7 @@ class Picture:
         return text
 
     def _body(self, reading: Reading, has_room: bool) -> list[Table | Text | Rule]:
-        # Old values are dim from end to end, whatever they say.
+        # Old values are dim, all of them.
         shade: Callable[[str], str] = (lambda style: style) if self._glance.is_fresh else (lambda style: "dim")
         rows: list[Table | Text | Rule] = []
         if reading.q is not None:
@@ -137,7 +137,7 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
     if has_room:
         table.add_column(_scale(), width=_BAR)
     for name, width in (("q deg", 9), ("q rad", 8), ("qd rad/s", 8), ("I A", 7), ("T °C", 6)):
-        # Half a number would be a wrong number: the modes give way.
+        # Part of a number would be a wrong number, so the modes get narrower instead.
         table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=width)
     table.add_column("  mode", no_wrap=True, ratio=1)
     for number, q in enumerate(reading.q):
@@ -162,7 +162,7 @@ def _scale() -> Text:
 
 
 def _bar(q: float, shade: Callable[[str], str]) -> Text:
-    """Where the joint stands between minus and plus one turn."""
+    """A bar that shows the joint position between minus and plus one turn."""
     middle = _BAR // 2
     bar = list("─" * _BAR)
     bar[middle] = "┼"
@@ -189,7 +189,7 @@ def _tool(reading: Reading, shade: Callable[[str], str]) -> Table:
     )
     for name, vector, units, digits in lines:
         if vector is not None:
-            # Of fixed width, so that signs do not make the columns move.
+            # Of fixed width, so that the columns do not move with the signs.
             cells = [f"{value:9.{digits}f}" for value in vector]
             table.add_row(name, *cells[:3], units[0], *cells[3:], units[1])
     return table

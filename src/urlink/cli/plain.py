@@ -1,4 +1,4 @@
-"""The monitor as a line of text, where there is no terminal to paint on."""
+"""The monitor as a line of text, where stdout is no terminal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["age_text", "line"]
 
 
 def line(glance: Glance, clock: str) -> str:
-    """One line with the values that matter most; old values say that they are old."""
+    """One line with the most important values; old values are marked as old."""
     parts = [f"{clock} {glance.status.value}", printable(glance.robot)]
     reading, stats = glance.reading, glance.stats
     if glance.status is Status.CONNECTED:

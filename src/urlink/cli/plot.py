@@ -29,7 +29,7 @@ def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "plot", "draw fields of a recording", _DESCRIPTION, _EXAMPLES)
     parser.add_argument("file", metavar="FILE", help="a recording")
-    parser.add_argument("fields", metavar="FIELD", nargs="+", help="field to draw, from the top on")
+    parser.add_argument("fields", metavar="FIELD", nargs="+", help="field to draw; the first one is at the top")
     parser.add_argument("--output", "-o", metavar="OUT", help="picture to write (a window)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="second at which it begins (0)")
     parser.add_argument(
@@ -39,11 +39,11 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw.
+    """Draw the fields.
 
     Raises:
         BadRecording: no such recording, or the picture cannot be written.
-        BadValue: no such field, or no such kind of picture.
+        BadValue: no such field, or unknown suffix of the picture.
         LocalError: matplotlib is not installed.
     """
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:

@@ -1,4 +1,4 @@
-"""What the monitor shows of a state: the same few things, whichever interface and firmware they come from."""
+"""The values of a state that the monitor shows: the same for every interface and firmware."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Analog:
 
 @dataclass(frozen=True)
 class Reading:
-    """One state as the monitor sees it; None, or nothing, is what the controller did not send.
+    """One state as the monitor shows it; None, or an empty vector, is what the controller did not send.
 
     Attributes:
         received: when it arrived.
-        q: joint positions, rad; and so on joint by joint: speeds in rad/s, currents in A, temperatures in degC.
+        q: joint positions, rad; likewise for each joint: speeds in rad/s, currents in A, temperatures in degC.
         pose: of the tool, m and rad; its speed in m/s and rad/s, the force on it in N and Nm.
         robot_mode: by name, as are the other modes.
         speed_scaling: 1 is the full speed of the program.
@@ -90,7 +90,7 @@ def _realtime(state: RealtimeState) -> Reading:
         speed=_numbers(state.tcp_speed_actual),
         force=_numbers(state.tcp_force),
         robot_mode=_name(state.robot_mode),
-        # The status tells the stops of the newer firmware apart that the mode lumps together.
+        # In the status of newer firmware there are stops of their own which the mode does not tell apart.
         safety_mode=_name(state.safety_mode if state.safety_status is None else state.safety_status),
         program=_name(state.program_state),
         speed_scaling=state.speed_scaling,
@@ -122,7 +122,7 @@ def _primary(state: RobotState) -> Reading:
 
 
 def _safety(mode: RobotModeData | None, board: MasterboardData | None) -> str | None:
-    """The safety mode; of CB2, which has none, what its flags say."""
+    """The safety mode; CB2 has none, so for CB2 what the flags of the robot mode say."""
     if board is not None and board.safety_mode is not None:
         return board.safety_mode.name
     if mode is None:

@@ -1,4 +1,4 @@
-"""`urlink record`: keep what a robot sends."""
+"""`urlink record`: write what a robot sends to a file."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ __all__ = ["add_parser"]
 _DESCRIPTION = """\
 Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
 
-Every byte is kept, whether this library understands it or not, and lost connections are noted and made
-again. Ctrl-C or SIGTERM ends the recording in order; so does --duration or --count. After a crash the file
-is still readable up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use
-it as an address: replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for
-Foxglove and ros2 bag, which cannot be replayed (pip install 'urlink[mcap]')."""
+Every byte is kept, whether this library can decode it or not. A lost connection is noted and made again.
+Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
+up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
+replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
+which cannot be replayed (pip install 'urlink[mcap]')."""
 
 _EXAMPLES = (
     "urlink record 192.168.56.101 run.urlog",
@@ -44,7 +44,7 @@ def add_parser(subparsers: Subparsers) -> None:
         "--interface",
         action="append",
         choices=INTERFACES,
-        help="interface to record, can be given again (realtime and primary)",
+        help="interface to record; can be repeated (realtime and primary)",
     )
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.add_argument(
@@ -54,11 +54,11 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until told to stop, and say what is in the file.
+    """Record until interrupted, and print what is in the file.
 
     Raises:
         BadRecording: the file exists, or cannot be made.
-        RemoteError: nobody is there, or a stream gave up.
+        RemoteError: the robot cannot be connected to, or a stream gave up.
     """
     interfaces = list(dict.fromkeys(args.interface or ("realtime", "primary")))
     with connect(args.address, timeout=args.connect_timeout) as robot, Interruption() as interruption:
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
                     if stream.failure is not None:
                         raise stream.failure
                 if all(stream.connection is ConnectionState.CLOSED for stream in streams):
-                    break  # a recording, recorded to its end
+                    break  # the source is a recording, and it is over
     if Path(args.file).suffix.lower() == ".mcap":
         print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
     else:

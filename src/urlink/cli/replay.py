@@ -1,4 +1,4 @@
-"""`urlink replay`: what is in a recording, or the recording played."""
+"""`urlink replay`: print what is in a recording, or play it."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .summary import summarise
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Say what is in a recording; with --rate, play it.
+Print what is in a recording; with --rate, play it.
 
 Without --rate: interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether the file was
-closed in order. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
-at the times at which they came, made faster by the rate; `--rate max` prints them at once.
+closed properly. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
+at the times at which they came, divided by the rate; `--rate max` prints them at once.
 
 A recording is an address as well: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it, and so does
 every other command that takes one."""
@@ -41,7 +41,7 @@ _EXAMPLES = (
 
 def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "replay", "tell what is in a recording, or play it", _DESCRIPTION, _EXAMPLES)
+    parser = add_command(subparsers, "replay", "print what is in a recording, or play it", _DESCRIPTION, _EXAMPLES)
     parser.add_argument("file", metavar="FILE", help="a recording")
     add_options(parser)
     parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
@@ -61,10 +61,10 @@ def _rate(text: str) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Summarise, or play.
+    """Print a summary, or play.
 
     Raises:
-        BadRecording: no such file, or it is none, or it holds no such interface.
+        BadRecording: no such file, or no recording, or it does not have this interface.
     """
     if args.rate is None:
         for name in ("fields", "interface", "type", "count", "timeout"):
@@ -78,9 +78,9 @@ def run(args: argparse.Namespace) -> int:
     show = shower(args, kind)
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
         recording = Recording(args.file, progress)
-    number = recording.channel(interface)  # says at once what there is instead
+    number = recording.channel(interface)  # raises at once, and names the interfaces that there are
     address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate}"
-    # Where the packets themselves are seen, they show how far it is.
+    # On a terminal the printed packets show the progress.
     with connect(address) as robot, ProgressBar("playing", args.quiet or sys.stdout.isatty()) as progress:
         if progress.is_shown:
             show = _drawing(show, progress, getattr(robot, interface), _size(recording, number))
@@ -89,14 +89,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _size(recording: Recording, channel: int) -> int:
-    """Bytes that came over one interface."""
+    """Number of bytes that came over one interface."""
     return sum(len(record.payload) for record in recording if (record.channel, record.kind) == (channel, Kind.BYTES))
 
 
 def _drawing(
     show: Callable[[State], str], progress: ProgressBar, stream: Stream[Any], size: int
 ) -> Callable[[State], str]:
-    """As `show`, and draws which part of so many bytes has been played."""
+    """`show`, which also draws how much of `size` bytes has been played."""
 
     def show_and_draw(packet: State) -> str:
         progress(stream.stats.bytes / max(size, 1))

@@ -28,9 +28,9 @@ __all__ = ["add_parser"]
 _DESCRIPTION = """\
 Print variables of the controller over RTDE (port 30004), one line for each data package.
 
---list says which variables this controller has, with their types and units, and which inputs somebody
-holds. A variable that it lacks is an error, unless --leave-out says to go on without it. --record keeps
-what comes in a file; of a recording the variables need not be named."""
+--list prints which variables this controller has, with their types and units, and which inputs another client
+holds. A variable that it does not have is an error, unless --leave-out is given. --record also writes the
+packages to a file; if the address is a recording, the variables need not be named."""
 
 _EXAMPLES = (
     "urlink rtde 192.168.56.101 actual_q actual_TCP_pose --frequency 125",
@@ -48,12 +48,12 @@ def add_parser(subparsers: Subparsers) -> None:
     add_address(parser)
     parser.add_argument("names", metavar="NAME", nargs="*", help="variables to print, such as actual_q")
     parser.set_defaults(trailing="names")
-    parser.add_argument("--list", action="store_true", help="say what this controller has, and end")
-    parser.add_argument("--frequency", type=float, metavar="HZ", help="packages a second (the most it sends)")
-    parser.add_argument("--leave-out", action="store_true", help="go on without variables that it lacks")
+    parser.add_argument("--list", action="store_true", help="print what this controller has, and end")
+    parser.add_argument("--frequency", type=float, metavar="HZ", help="packages a second (as many as it sends)")
+    parser.add_argument("--leave-out", action="store_true", help="leave out variables that it does not have")
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null")
-    form.add_argument("--csv", action="store_true", help="a head line, then one line each; a column for each number")
+    form.add_argument("--csv", action="store_true", help="a header line, then one line each; a column for each number")
     form.add_argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does")
     parser.add_argument("--record", metavar="FILE", help="record into a file too; it must not exist yet")
     parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
@@ -63,11 +63,11 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print until told to stop.
+    """Print until interrupted, or until there is nothing more to print.
 
     Raises:
-        BadValue: a name or a frequency that cannot be asked for.
-        RemoteError: nobody is there, or the controller refuses.
+        BadValue: a name or a frequency that no controller has.
+        RemoteError: the robot cannot be connected to, or the controller refuses.
     """
     with connect(args.address, timeout=args.connect_timeout) as robot:
         if args.list:
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
     names = args.names or list(stream.names)
-    with Tap(stream, Outputs) as tap:  # connects; of a recording, nothing is read before somebody listens
+    with Tap(stream, Outputs) as tap:  # connects; a recording starts when there is a subscriber
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")
         show = _as_json if args.json else _csv_of(stream, names) if args.csv else _as_line(names)
@@ -104,7 +104,7 @@ def _as_line(names: Sequence[str]) -> Callable[[State], str]:
 
 
 def _csv_of(stream: OutputStream[Any], names: Sequence[str]) -> Callable[[State], str]:
-    """A line of a packet; writes the head."""
+    """A function that makes a line of a packet; prints the header line."""
     recipe = stream.recipe
     assert recipe is not None, "the stream is connected"
     counts = {name: recipe.fields[name].shape.count for name in names if name in recipe.fields}
@@ -131,7 +131,7 @@ def _csv_line(row: Sequence[Any]) -> str:
 
 
 def _list(robot: Robot) -> None:
-    """The variables of the table, and what this controller says of each.
+    """Print the variables of the table, and which of them this controller has.
 
     Raises:
         BadValue: the address is a recording.

@@ -1,4 +1,4 @@
-"""`urlink run`: send a program, show what it says, and tell how it ends."""
+"""`urlink run`: send a program, print its messages, and report how it ends."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _EXAMPLES = (
     "urlink run sim:// pick.script --timeout 30",
 )
 
-#: Seconds for which a program that was told to stop is waited for.
+#: Seconds to wait for a program that is being stopped.
 _STOPPING = 5.0
 
 
@@ -43,10 +43,10 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send it, and wait.
+    """Send the program, and wait for its end.
 
     Raises:
-        LinkError: whatever kept it from its own end.
+        LinkError: the error that ended it.
     """
     source = _read(args.file)
     with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
@@ -87,10 +87,10 @@ def _show(text: str) -> None:
 
 
 def _stop(robot: Robot) -> None:
-    """Stop what runs, and wait until the arm stands."""
+    """Stop the program, and wait until the arm stands still."""
     try:
         robot.motion.stop().wait(_STOPPING)
     except LinkTimeout:
-        tell("the controller does not say that the program has stopped")
+        tell("the controller has not confirmed that the program has stopped")
     except LinkError as error:
         tell(str(error))

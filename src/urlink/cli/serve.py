@@ -1,4 +1,4 @@
-"""`urlink serve`: robots in a middleware, by distributions that are installed beside this one."""
+"""`urlink serve`: robots in a middleware, by adapters that are distributions of their own."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["GROUP", "Adapter", "add_parser", "named"]
 #: The group of entry points in which a distribution names its adapter.
 GROUP = "urlink.serve"
 
-#: The adapters of this project: name -> distribution, and what it makes of a robot.
+#: The adapters of this project: name -> distribution, and how it serves a robot.
 _DISTRIBUTIONS = {
     "zenoh": ("urlink-zenoh", "a fleet over Zenoh: states as streams, commands as queries"),
     "rr": ("urlink-rr", "a Robot Raconteur robot service"),
@@ -32,11 +32,11 @@ _DISTRIBUTIONS = {
 }
 
 _DESCRIPTION = """\
-Make robots citizens of a middleware. Each adapter is a distribution of its own, so that this one needs no
-middleware; without KIND it is listed which there are and which are installed.
+Serve robots to a middleware. Each adapter is a distribution of its own, so that this one needs no middleware;
+without KIND all adapters are listed, with whether they are installed.
 
-Options after KIND are those of the adapter, and of connecting: `urlink serve KIND --help` lists them. Motions that a
-client asks for pass the same interlock as those of a program here, and end when that client is lost."""
+Options after KIND are those of the adapter and of the connection: `urlink serve KIND --help` lists them. Motions that a
+client requests pass the same interlock as those of a local program, and end when that client is lost."""
 
 _EXAMPLES = (
     "urlink serve",
@@ -45,7 +45,7 @@ _EXAMPLES = (
     "urlink serve -v ros2 arm=sim://ur5e",
 )
 
-#: A name that every middleware takes: of a topic, a key or a node.
+#: A name that is valid in every middleware, for a topic, a key or a node.
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL)
 
 
@@ -62,7 +62,7 @@ class Adapter(Protocol):
 def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "serve", "serve robots to a middleware", _DESCRIPTION, _EXAMPLES)
-    parser.add_argument("kind", metavar="KIND", nargs="?", help="which middleware; without it they are listed")
+    parser.add_argument("kind", metavar="KIND", nargs="?", help="the middleware; without it, all are listed")
     parser.add_argument(
         "rest", metavar="[NAME=]ADDRESS ...", nargs=argparse.REMAINDER, help="the robots, and options of the adapter"
     )
@@ -70,11 +70,11 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until told to stop.
+    """Serve until interrupted.
 
     Raises:
-        LocalError: no such adapter is installed, or two robots have one name.
-        RemoteError: a robot, or the middleware, is not there.
+        LocalError: no such adapter is installed, or two robots have the same name.
+        RemoteError: a robot, or the middleware, cannot be connected to.
     """
     installed = {entry.name: entry for entry in importlib.metadata.entry_points(group=GROUP)}
     if args.kind is None:
@@ -116,12 +116,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What every adapter has: whom to connect to, and how."""
+    """Options of every adapter: the robots, and how to connect to them."""
     parser.add_argument(
         "addresses",
         metavar="[NAME=]ADDRESS",
         nargs="+",
-        help="a robot, and what it is called; without NAME, it is called by its address",
+        help="a robot and its name; without NAME it is named after its address",
     )
     parser.add_argument(
         "--connect-timeout", type=seconds, default=5.0, metavar="S", help="give up connecting after S seconds (5)"
@@ -131,16 +131,16 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "--require-enable",
         choices=get_args(Policy),
         default="never",
-        help="when motions have to be enabled first: on_startup, or always, after each stop too (never)",
+        help="when motions have to be enabled: on_startup, or always: also after each stop (never)",
     )
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
 
 
 def named(texts: Iterable[str]) -> dict[str, str]:
-    """Name -> address, of ``NAME=ADDRESS`` and of bare addresses, which are called by their host, model or file.
+    """Name -> address, from ``NAME=ADDRESS`` and bare addresses, which are named after their host, model or file.
 
     Raises:
-        BadAddress: no address, or two of one name.
+        BadAddress: not an address, or two robots with the same name.
 
     >>> named(["left=10.0.0.7", "10.0.0.8", "sim://ur5e?firmware=5.11"])
     {'left': '10.0.0.7', 'ur_10_0_0_8': '10.0.0.8', 'sim_ur5e': 'sim://ur5e?firmware=5.11'}

@@ -1,4 +1,4 @@
-"""`urlink sim`: a controller in software, in the foreground."""
+"""`urlink sim`: a simulated controller in the foreground."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _DESCRIPTION = """\
 Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
 It serves the primary, secondary and real-time interface, their read-only twins, RTDE and the dashboard, each to a
-hundred clients, in the wire format of the firmware. The arm follows a gentle motion until a program is sent
-to it, which it then runs. With --ports standard the ports are those of a real controller, so that any other
-program finds them.
+hundred clients, in the wire format of the firmware. The arm moves slowly about a home posture until a
+program is sent, which it then runs. With --ports standard it has the ports of a real controller, where other
+programs expect them.
 
 Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
 """
@@ -45,7 +45,7 @@ def add_parser(subparsers: Subparsers) -> None:
         "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or any that are free (free)"
     )
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="FAULT", help="let something go wrong; can be given again"
+        "--fault", action="append", default=[], metavar="FAULT", help="make a fault happen; can be repeated"
     )
     parser.add_argument(
         "--program",
@@ -53,10 +53,10 @@ def add_parser(subparsers: Subparsers) -> None:
         default=[],
         type=_program,
         metavar="NAME=FILE",
-        help="a URScript file that the dashboard can load as NAME; can be given again",
+        help="a URScript file that the dashboard can load as NAME; can be repeated",
     )
     parser.add_argument(
-        "--local-control", action="store_true", help="as an e-Series that takes commands from its pendant only"
+        "--local-control", action="store_true", help="as an e-Series in local control: commands only from the pendant"
     )
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=run)
@@ -86,7 +86,7 @@ def _program(text: str) -> tuple[str, str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until told to stop.
+    """Serve until interrupted.
 
     Raises:
         LocalError: no such model, firmware or fault, or the ports are taken.

@@ -1,4 +1,4 @@
-"""Bytes cut at the frame boundaries, with what lies between them: nothing is left out."""
+"""Bytes cut at the frame boundaries, including the bytes between frames."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Stretch(NamedTuple):
     Attributes:
         offset: in the stream.
         data: the bytes.
-        is_packet: a whole packet; otherwise bytes that belong to none.
-        expected: size of the packet that begins here and is cut off, or None.
+        is_packet: whether it is a whole packet; if not, its bytes belong to none.
+        expected: size of the packet that begins here and is cut off; None otherwise.
     """
 
     offset: int
@@ -37,9 +37,9 @@ class Stretch(NamedTuple):
 
 
 def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
-    """Every byte of `data`, in order, as whole packets and what is between, before and after them."""
+    """Every byte of `data`, in order, as whole packets and the bytes between, before and after them."""
     boundary = _BOUNDARIES["realtime" if interface == "realtime" else "primary"]()
-    framer = Framer(boundary, limit=None)  # whatever comes, somebody wants to see it
+    framer = Framer(boundary, limit=None)  # no limit: all bytes are shown, whatever they are
     at = 0
     for frame in framer.feed(data) if data else ():
         start = data.index(frame, at)
@@ -53,7 +53,7 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
     if framer.rest:
         size, _ = boundary.declared(framer.rest, 0)
         if 0 < size <= len(framer.rest):
-            # Whole, but so odd that the framer has to see the next header before it believes it.
+            # Whole, but unusual: the framer would wait for the next header to confirm it.
             yield Stretch(rest, framer.rest[:size], is_packet=True)
             rest, size = rest + size, 0
         if rest < len(data):
@@ -61,15 +61,15 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
 
 
 def guess_interface(data: bytes) -> Interface | None:
-    """The interface whose packets fill most of `data`; None where no packet of any is in it."""
+    """The interface whose packets fill most of `data`; None if no packet of any is in it."""
     found = {interface: _filled(data, interface) for interface in _BOUNDARIES}
-    # The primary interface wins where both are possible: it knows its packets by more than their size.
+    # The primary interface is preferred if both are possible: its packets have more marks than their size.
     best = max(found, key=lambda interface: found[interface])
     return best if found[best] else None
 
 
 def _filled(data: bytes, interface: Interface) -> int:
-    """Bytes of whole packets, or of the one that `data` is the beginning of."""
+    """Bytes in whole packets, or in the beginning of the one packet that `data` is."""
     try:
         Framer(_BOUNDARIES[interface]()).feed(data)
     except WrongPeer:

@@ -17,7 +17,7 @@ from ..interfaces.realtime.protocol import RealtimeProtocol
 
 __all__ = ["Channel", "Summary", "summarise"]
 
-#: A gap is a silence of so many usual periods, but of this many seconds at least.
+#: A gap is a silence of at least so many usual periods, and at least so many seconds.
 _GAP_PERIODS, _GAP_SECONDS = 5, 0.05
 
 
@@ -26,12 +26,12 @@ class Channel:
     """One interface in a recording.
 
     Attributes:
-        name: of the interface; address, firmware and model are what the recorder said of the robot.
+        name: of the interface; address, firmware and model: of the robot, as the recorder wrote them.
         bytes: received.
-        packets: decoded, by class; `failed` could not be.
-        skipped: bytes that belong to no packet; `unfinished` those of packets that were cut off.
-        connections: made while recording; `lost` says what ended them.
-        started: wall time of the first bytes, seconds since 1970; None where there are none.
+        packets: decoded ones, by class; `failed`: number of those that could not be decoded.
+        skipped: bytes that belong to no packet; `unfinished`: bytes of packets that were cut off.
+        connections: made while recording; `lost`: the errors that ended them.
+        started: wall time of the first bytes, seconds since 1970; None if there are none.
         duration: seconds from the first bytes to the last.
         gaps: seconds of each silence that was much longer than usual.
     """
@@ -58,7 +58,7 @@ class Summary:
 
     Attributes:
         path: the file; `size` in bytes.
-        is_complete: it was closed in good order.
+        is_complete: whether it was closed properly.
         left_out: bytes at its end that cannot be read.
         duration: seconds from the first bytes to the last, over all channels.
         channels: in the order in which they were recorded.
@@ -72,7 +72,7 @@ class Summary:
     channels: list[Channel]
 
     def as_json(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """The summary as values for JSON."""
         return asdict(self)
 
     def as_text(self) -> str:
@@ -122,7 +122,7 @@ def summarise(recording: Recording, progress: Progress | None = None) -> Summary
     """Read a recording from beginning to end.
 
     Args:
-        progress: called with the part that is read, 0 to 1.
+        progress: called with the fraction that has been read, 0 to 1.
     """
     readers = {number: _Reader(info) for number, info in recording.channels.items()}
     for record in recording.records(progress):

@@ -1,4 +1,4 @@
-"""A stream tapped for a command: every packet, in order, and what was lost said at the end."""
+"""A command's subscription: every packet, in order; what was lost is printed at the end."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from linkcore.text import printable
 
 __all__ = ["Tap", "tell"]
 
-#: Packets that wait at most: half a minute of the fastest interface.
+#: Packets that are queued at most: half a minute of the fastest interface.
 _ROOM = 16384
 
 
@@ -33,12 +33,12 @@ class Tap:
     def __init__(self, stream: Stream[Any], kind: type) -> None:
         self._stream = stream
         self._kind = kind
-        # What is not read from a wire in time is gone, so there is much room; a recording can wait.
+        # A packet that is not read in time is dropped, so the queue is long; a recording waits instead.
         self._queue = stream._connection.open_queue(kind, stream._policy(None, drop_oldest(_ROOM)))
         self._connection = stream.subscribe(_tell_connection, ConnectionEvent)
 
     def take(self, timeout: float | None = None) -> Sequence[Any] | None:
-        """The next packets, or none within `timeout` seconds; None when no more will come.
+        """The next packets; none if none came within `timeout` seconds; None when the stream has ended.
 
         Raises:
             RemoteError: the stream gave up.
@@ -53,7 +53,7 @@ class Tap:
         return ()
 
     def packets(self, silence: float | None = None) -> Iterator[Any]:
-        """Each packet, until no more will come.
+        """Each packet, until the stream ends.
 
         Raises:
             LinkTimeout: none came for `silence` seconds.
@@ -71,8 +71,8 @@ class Tap:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._connection.close()  # before it tells of the connection that is given up on purpose
-        # What waits when the command ends was not too late.
+        self._connection.close()  # first, so that closing is not printed as a lost connection
+        # Packets that are still queued at the end were not dropped.
         dropped = self._queue.dropped
         self._stream._connection.close_queue(self._queue)
         stats = self._stream.stats

@@ -1,4 +1,4 @@
-"""`urlink teach`: keep waypoints while a person moves the arm by hand, and play them back."""
+"""`urlink teach`: save waypoints while a person moves the arm by hand, and play them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from .options import Subparsers, add_address, add_command
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Keep waypoints while a person moves the arm by hand, and save them to FILE. THE ARM YIELDS: it goes where it is pushed,
-and drifts where its payload is not set right.
+Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it goes where it is pushed,
+and drifts if its payload is set wrong.
 
   Enter          keeps a waypoint
   u, Enter       forgets the last one
@@ -41,9 +41,9 @@ def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "teach", "teach waypoints by hand, and play them", _DESCRIPTION, _EXAMPLES)
     add_address(parser)
-    parser.add_argument("file", metavar="FILE", help="where the waypoints are kept, as JSON")
+    parser.add_argument("file", metavar="FILE", help="file of the waypoints, in JSON")
     parser.add_argument("--digital-input", type=int, metavar="N", help="standard digital input that keeps one too")
-    parser.add_argument("--button", action="store_true", help="move it with the arm's own button; letting go keeps one")
+    parser.add_argument("--button", action="store_true", help="move it by the arm's own button; releasing it keeps one")
     parser.add_argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (all)")
     parser.add_argument("--play", action="store_true", help="play FILE instead of teaching it")
     parser.add_argument("--speed", type=float, default=0.5, metavar="V", help="rad/s while playing (0.5)")
@@ -61,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
     """Teach, or play.
 
     Raises:
-        BadValue: the file, or a number.
-        LinkError: whatever ended it.
+        BadValue: the file, or a number, is invalid.
+        LinkError: the error that ended it.
     """
     known = Taught.load(args.file) if args.play else None
     with Interruption() as interruption, connect(args.address, timeout=args.connect_timeout) as robot:
@@ -114,10 +114,10 @@ def _show(point: TaughtPoint) -> None:
 
 
 def _lines(interruption: Interruption) -> Iterator[str | None]:
-    """Lines of stdin without their ends, until it ends or a signal comes; None where there is none yet.
+    """Lines of stdin without line ends, until it ends or a signal comes; None while there is no line.
 
     Raises:
-        LocalError: this system cannot wait for stdin.
+        LocalError: this system cannot wait for stdin with a timeout.
     """
     held = b""
     while interruption.number is None:

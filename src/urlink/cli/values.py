@@ -17,7 +17,7 @@ __all__ = ["as_json", "as_line", "as_text", "plain"]
 
 
 def plain(value: Any) -> Any:
-    """A field's value as JSON has it: codes by name, bytes in hex."""
+    """A field's value for JSON: codes by name, bytes in hex."""
     if isinstance(value, State):
         return _content(value)
     if isinstance(value, (np.ndarray, np.generic)):
@@ -41,7 +41,7 @@ def _content(packet: State) -> dict[str, Any]:
         known = [part for part in packet if not isinstance(part, UnknownSubPackage)]
         content: dict[str, Any] = {snake_case(type(part).__name__): _content(part) for part in known}
         unknown = [_content(part) for part in packet if isinstance(part, UnknownSubPackage)]
-        # There can be several, so they cannot go by their name.
+        # There can be several of them, so their name cannot be the key.
         return content | {"unknown_sub_packages": unknown} if unknown else content
     content = packet.to_dict()
     if isinstance(packet, (UnknownSubPackage, OtherPackage)):
@@ -52,7 +52,7 @@ def _content(packet: State) -> dict[str, Any]:
 
 
 def as_text(value: Any) -> str:
-    """A field's value for one line; what came over the wire is made safe."""
+    """A field's value for one line; control characters from the wire are escaped."""
     if value is None:
         return "-"
     if isinstance(value, OpenInt):
@@ -67,6 +67,6 @@ def as_text(value: Any) -> str:
 
 
 def as_line(packet: State) -> str:
-    """A packet on one line, its unknown tail too."""
+    """A packet on one line, with its tail."""
     tail = f" tail={packet.tail.hex()}" if packet.tail else ""
     return printable(str(packet)) + tail
