@@ -24,7 +24,7 @@ _COMMANDS = {
 }
 
 _DESCRIPTION = """\
-Look at, drive, host and imitate mobile robots that run the Robot Hardware Daemon (RHD)."""
+Read, drive, host and simulate mobile robots that run the Robot Hardware Daemon (RHD)."""
 
 _EPILOG = """\
 addresses:
@@ -36,7 +36,7 @@ a first try, in two terminals:
   rhdlink watch localhost
 
 exit status:
-  0 done, 1 the robot, the file or the address was at fault (one line on stderr says how), 2 wrong usage,
+  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
   130 ended by Ctrl-C, 143 by SIGTERM
 
 `rhdlink COMMAND --help` explains each command, with examples."""

@@ -23,9 +23,9 @@ _DESCRIPTION = """\
 Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
 raw bytes, such as the payload of a network capture, or is a recording.
 
-What a client sends does not say how long its variables are: --tables names the file with what the server
-sent in the same connection. The words of a time stamp, 2 or 4, are found out from the server's handshake;
---width fixes them. Bytes that are no package are shown as what they are: nothing is hidden."""
+The bytes of a client do not say how long its variables are: --tables names a file with the bytes of the server
+from the same connection. The number of words of a time stamp, 2 or 4, is found from the server's handshake,
+unless --width is given. Bytes that belong to no package are shown too: nothing is hidden."""
 
 _EXAMPLES = (
     "rhdlink dissect server.bin",
@@ -40,7 +40,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("file", metavar="FILE", help="raw bytes of one direction, or a recording")
     parser.add_argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)")
     parser.add_argument("--tables", metavar="FILE", help="raw bytes of the server, for those of its client")
-    parser.add_argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (found out, or 2)")
+    parser.add_argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (as found, or 2)")
     parser.add_argument("--count", type=positive_int, metavar="N", help="only the first N packages")
     parser.add_argument("--json", action="store_true", help="one JSON object a line, for each package")
     parser.set_defaults(run=run)
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     """Show the file.
 
     Raises:
-        BadRecording: no such file, or there are no bytes in it.
+        BadRecording: no such file, or it holds no bytes.
     """
     shown = read = 0
     for piece in _pieces(args):
@@ -107,7 +107,7 @@ def _as_json(piece: Piece) -> dict[str, Any]:
 
 
 def lines(number: int, piece: Piece) -> Iterator[str]:
-    """A piece for people."""
+    """A piece as lines of text."""
     yield f"#{number} {printable(piece.package) or '??'}: {piece.meaning}, {piece.size} bytes at {piece.offset}"
     if piece.error is not None:
         yield f"  !! {printable(piece.error)}"

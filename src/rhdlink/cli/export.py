@@ -15,7 +15,7 @@ Write a recording to a file of another program: .csv, .parquet, .mat (MATLAB), .
 ros2 bag), by its suffix.
 
 A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
-that name is replaced once the new one is whole. .parquet, .mat, .h5 and .mcap need the extra of the same name:
+that name is replaced once the new one is complete. .parquet, .mat, .h5 and .mcap need the extra of the same name:
 pip install 'urlink[parquet]', or 'urlink[data]' for all."""
 
 _EXAMPLES = (

@@ -1,4 +1,4 @@
-"""`rhdlink serve` and `turtle`: be a robot, from an `rhdconfig.xml` or without hardware."""
+"""`rhdlink serve` and `turtle`: host a robot, from an `rhdconfig.xml` or without hardware."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from .options import add_world, port, tell, world
 __all__ = ["add_parser"]
 
 _SERVE = """\
-Be a robot: run the plugins that an rhdconfig.xml names, and serve their variables, until Ctrl-C, SIGTERM or
---duration. Plugins are ended in order.
+Host a robot: run the plugins that an rhdconfig.xml names, and serve their variables, until Ctrl-C, SIGTERM or
+--duration. Plugins are closed at the end.
 
 The file is that of the original daemon, with plugins in Python: lib="package.module:Class". Modules are
-looked for where Python finds them, and then beside the file. Without <address value="..."/> in <server>
-only programs on this machine can connect: whoever can connect can drive the robot. When a plugin with
-critical="true" fails, the robot ends in order with exit status 1; others are disabled."""
+searched in Python's path, then in the folder of the file. Without <address value="..."/> in <server> only
+programs on this machine can connect: whoever can connect can drive the robot. When a plugin with
+critical="true" fails, the robot is shut down with exit status 1; other plugins that fail are disabled."""
 
 _SERVE_EXAMPLES = (
     "rhdlink serve rhdconfig.xml",
@@ -41,15 +41,15 @@ _SERVE_EXAMPLES = (
 )
 
 _TURTLE = """\
-Run a robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration; programs connect to it as
-to a real one.
+Run a simulated robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration; programs connect to
+it as to a real one.
 
   --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
   --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor
 
-It stops when its master leaves, and at walls. With --lockstep the time of the world goes on with each request
-of the master and not otherwise: the same each time, and as fast as the program asks. With --picture the way
-it went is drawn at the end."""
+It stops when its master leaves, and at walls. With --lockstep simulated time advances with each request of the
+master and not otherwise: the same each time, and as fast as the program requests. With --picture the path is
+drawn at the end."""
 
 _TURTLE_EXAMPLES = (
     "rhdlink turtle",
@@ -68,7 +68,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=_serve)
 
-    parser = add_command(subparsers, "turtle", "run a robot in a square world", _TURTLE, _TURTLE_EXAMPLES)
+    parser = add_command(subparsers, "turtle", "run a simulated robot in a square world", _TURTLE, _TURTLE_EXAMPLES)
     parser.add_argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (velocity)")
     parser.add_argument(
         "--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free one ({PORT})"
@@ -77,7 +77,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--lockstep", action="store_true", help="one tick with each request of the master")
     _add_service(parser, "")
     add_world(parser)
-    parser.add_argument("--picture", metavar="FILE", help="draw the way into FILE at the end: .svg or .png")
+    parser.add_argument("--picture", metavar="FILE", help="draw the path into FILE at the end: .svg or .png")
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=_turtle)
 
@@ -87,19 +87,19 @@ def _add_service(parser: argparse.ArgumentParser, default: str) -> None:
         "--width",
         type=int,
         choices=WIDTHS,
-        help="32-bit words of a time stamp, as the clients have it: 4 for 64-bit builds of the ordinary sources of "
-        f"the original, which read garbage otherwise ({default}2)",
+        help="32-bit words of a time stamp, as the clients have it: 4 if they are 64-bit builds of the original's "
+        f"ordinary sources, which would decode garbage ({default}2)",
     )
     parser.add_argument(
         "--resend",
         choices=get_args(Resend),
-        help=f"what a reply tells: what was set since the last one, or all that ever was ({default}changed)",
+        help=f"variables in a reply: those set since the last one, or all that were ever set ({default}changed)",
     )
     parser.add_argument(
         "--client-timeout",
         type=seconds,
         metavar="S",
-        help=f"seconds for a request half sent, or a reply unread ({default}5)",
+        help=f"seconds for a request to be complete, or a reply to be read ({default}5)",
     )
     parser.add_argument(
         "--inactivity-timeout",
@@ -113,7 +113,7 @@ def _add_service(parser: argparse.ArgumentParser, default: str) -> None:
         default=[],
         type=_limit,
         metavar="NAME=N",
-        help=f"the most that a client may ask for: {', '.join(_LIMITS)} (in bytes); can be given again",
+        help=f"the most that a client may request: {', '.join(_LIMITS)} (in bytes); can be repeated",
     )
 
 
@@ -121,7 +121,7 @@ _LIMITS = tuple(field.name for field in fields(Limits))
 
 
 def _limit(text: str) -> tuple[str, int]:
-    """One of the limits, as it is given on the command line."""
+    """One limit, as it is given on the command line."""
     name, _, number = text.partition("=")
     if name not in _LIMITS or not number.isdecimal() or int(number) < 1:
         raise argparse.ArgumentTypeError(f"{text!r}; expected NAME=N, NAME being one of {', '.join(_LIMITS)}")
@@ -129,14 +129,14 @@ def _limit(text: str) -> tuple[str, int]:
 
 
 def _service(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """The options of the command line; `limits` hold for those that it does not give."""
+    """The options of the service; those that were not given come from `limits`."""
     names = ("width", "resend", "client_timeout", "inactivity_timeout")
     said = {name: value for name in names if (value := getattr(args, name)) is not None}
     return {**said, "limits": replace(limits, **dict(args.limit))}
 
 
 def _serve(args: argparse.Namespace) -> int:
-    """Serve until told to stop.
+    """Serve until interrupted.
 
     Raises:
         BadConfiguration: the file, or a plugin in it, cannot be used.
@@ -144,7 +144,7 @@ def _serve(args: argparse.Namespace) -> int:
     """
     config = read_config(args.config)
     folder = str(Path(args.config).resolve().parent)
-    # Last, so that no file there takes the place of a module that others mean.
+    # Last, so that no file there shadows a module that is imported elsewhere.
     sys.path.append(folder)
     try:
         place = {name: value for name, value in (("port", args.port), ("address", args.listen)) if value is not None}
@@ -158,7 +158,7 @@ def _serve(args: argparse.Namespace) -> int:
 
 
 def _turtle(args: argparse.Namespace) -> int:
-    """Serve until told to stop.
+    """Serve until interrupted.
 
     Raises:
         BadAddress: the port is taken.
@@ -166,7 +166,7 @@ def _turtle(args: argparse.Namespace) -> int:
     """
     robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
-        save(robot.world, args.picture)  # says at once whether it can be written
+        save(robot.world, args.picture)  # raises at once if it cannot be written
     host = Host(
         [robot],
         period=args.period,
@@ -184,9 +184,10 @@ def _turtle(args: argparse.Namespace) -> int:
 
 
 def _serve_until_told(host: Host, what: str, duration: float | None) -> Interruption:
-    """Serve until Ctrl-C, SIGTERM or the end of `duration`; end in order, and tell how it went.
+    """Serve until Ctrl-C, SIGTERM or the end of `duration`; then stop properly, and print statistics.
 
-    The address to connect to is printed on stdout, once it can be connected to. Returned is whether a signal ended it.
+    The address is printed on stdout once clients can connect. The `Interruption` that is returned has the signal, if
+    any.
 
     Raises:
         PluginFailed: a critical plugin raised.

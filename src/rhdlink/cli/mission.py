@@ -29,7 +29,7 @@ __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
 Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle
-in this process. The script is checked before it begins; one that fails says on which line, and the robot stands.
+in this process. The script is checked before it begins; an error names its line, and the robot stops.
 
 Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as
 it is executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
@@ -45,7 +45,7 @@ _EXAMPLES = (
     "rhdlink mission --serve --robot smr12",
 )
 
-#: Seconds between two pictures of the live view.
+#: Seconds between two drawings of the live view.
 _VIEW = 0.2
 
 
@@ -60,17 +60,17 @@ def add_parser(subparsers: Subparsers) -> None:
         nargs="?",
         const="velocity",
         choices=("velocity", "smr"),
-        help="a robot in a walled square of 11 x 11 m in this process, driven by its velocity (default) or by wheels",
+        help="a robot in a walled square of 11 x 11 m in this process, driven by velocity (default) or by two wheels",
     )
     parser.add_argument("--profile", choices=sorted(PROFILES), default="sound", help="as MRC does it, or sound (sound)")
     parser.add_argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in")
     parser.add_argument("--trace", action="store_true", help="show each line as it is executed")
-    parser.add_argument("--svg", metavar="FILE", help="draw the turtle's way into FILE at the end: .svg or .png")
+    parser.add_argument("--svg", metavar="FILE", help="draw the turtle's path into FILE at the end: .svg or .png")
     add_world(parser)
-    parser.add_argument("--realtime", action="store_true", help="let the turtle take its time; otherwise it hurries")
+    parser.add_argument("--realtime", action="store_true", help="run the turtle in real time, not as fast as possible")
     parser.add_argument("--lockstep", action="store_true", help="the robot waits for each request: $time counts ticks")
     parser.add_argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)")
-    parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="seconds of a silent robot (5)")
+    parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="fail after S seconds of silence (5)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--check", action="store_true", help="only check the script")
     what.add_argument("--serve", action="store_true", help="serve clients of MRC until Ctrl-C, SIGTERM or --duration")
@@ -81,10 +81,10 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Carry out the command.
+    """Run the command.
 
     Raises:
-        LinkError: the script, the robot or a file is at fault.
+        LinkError: an error of the script, the robot or a file.
     """
     if args.serve:
         return _serve(args)
@@ -128,7 +128,7 @@ def _execute(args: argparse.Namespace) -> int:
 
 
 def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace) -> None:
-    """Wait for the end, and show how it goes where stderr is a terminal."""
+    """Wait for the end; if stderr is a terminal, show the progress."""
     is_seen = sys.stderr.isatty() and not args.quiet and not args.trace and args.profile != "mrc"
     due = time.monotonic() + _VIEW
     while not run.done:
@@ -138,7 +138,7 @@ def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace
         if is_seen and time.monotonic() >= due:
             due = time.monotonic() + _VIEW
             print(f"\r\x1b[K{_view(run)}", end="", file=sys.stderr, flush=True)
-    # The robot is told to stand, and gets its time to answer.
+    # After a signal the robot is stopped, and has time to answer.
     with contextlib.suppress(LinkError):
         run.wait(args.timeout + 1.0)
     if is_seen:
@@ -172,12 +172,12 @@ def _print(text: str) -> None:
 
 
 def _print_as_mrc(said: Said) -> None:
-    # As it is: the lines are those of the user's own script.
+    # Not escaped: the lines are those of the user's own script.
     print(said.printed, end="", flush=True)
 
 
 def _print_what_clients_said(said: Said) -> None:
-    # Lines from the network: made safe for a terminal, line by line.
+    # Lines from the network are escaped for the terminal, line by line.
     print("\n".join(map(printable, said.printed.split("\n"))), end="", flush=True)
 
 
@@ -221,10 +221,10 @@ def _serve(args: argparse.Namespace) -> int:
 
 
 def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, World | None]:
-    """The robot, and the world that it is in if that is known.
+    """The robot, and its world if it is a turtle.
 
     Raises:
-        BadValue: there is none, or the picture cannot be written.
+        BadValue: the world cannot be made, or the picture cannot be written.
     """
     if args.turtle is None:
         if not (args.svg is None and args.floor is None and args.start is None):
@@ -233,5 +233,5 @@ def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, Wo
         return ClientLink(robot, is_lockstep=args.lockstep, owns=True), None
     turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:
-        save(turtle.world, args.svg)  # says at once whether it can be written
+        save(turtle.world, args.svg)  # raises at once if it cannot be written
     return PluginLink([turtle], is_realtime=is_realtime), turtle.world

@@ -1,4 +1,4 @@
-"""`rhdlink record` and `replay`: keep what a robot sends; tell what was kept, or play it."""
+"""`rhdlink record` and `replay`: write what a robot sends to a file; summarise the file, or play it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ __all__ = ["add_parser"]
 _RECORD = """\
 Record the raw bytes that a robot sends to a reader, with the times at which they came, into a new file.
 
-Every variable is in it from the first batch on, whether this library knows what it means or not. A lost
-connection is noted and made again. Ctrl-C or SIGTERM ends the recording in order; so does --duration or
---count. After a crash the file is still readable up to the crash. Play it with `rhdlink replay`, look into it
-with `rhdlink dissect`."""
+Every variable is in it from the first batch on, whether this library knows its meaning or not. A lost
+connection is noted and made again. Ctrl-C, SIGTERM, --duration and --count end the recording properly.
+After a crash the file can still be read up to the crash. Play it with `rhdlink replay`, look into it with
+`rhdlink dissect`."""
 
 _RECORD_EXAMPLES = (
     "rhdlink record localhost drive.urlog",
@@ -39,10 +39,10 @@ _RECORD_EXAMPLES = (
 )
 
 _REPLAY = """\
-Tell what is in a recording: how long it is, how many batches, how often each variable was set.
+Print what is in a recording: how long it is, how many batches, how often each variable was set.
 
-With --rate print what was set instead, a line for each batch that brought something new: at R times the speed
-at which it was recorded, or at once with --rate max. A recording is what `rhdlink record` makes, or the
+With --rate print what was set instead, a line for each batch that set a variable: at R times the speed
+at which it was recorded, or at once with --rate max. Recordings are made by `rhdlink record`, or by the
 logger plugin in a file that ends in .urlog."""
 
 _REPLAY_EXAMPLES = (
@@ -62,7 +62,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--count", type=positive_int, metavar="N", help="end after N syncs (never)")
     parser.set_defaults(run=_record)
 
-    parser = add_command(subparsers, "replay", "tell what is in a recording, or play it", _REPLAY, _REPLAY_EXAMPLES)
+    parser = add_command(subparsers, "replay", "print what is in a recording, or play it", _REPLAY, _REPLAY_EXAMPLES)
     parser.add_argument("file", metavar="FILE", help="a recording")
     parser.add_argument("names", metavar="NAME", nargs="*", help="print only these variables")
     parser.add_argument("--rate", type=_rate, metavar="R", help="play at R times the recorded speed, or max")
@@ -72,7 +72,7 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def _rate(text: str) -> float:
-    """Of a `ReplayClock`: 0 is as fast as possible."""
+    """The rate of a `ReplayClock`: 0 is as fast as possible."""
     try:
         value = 0.0 if text == "max" else float(text)
     except ValueError:
@@ -83,11 +83,11 @@ def _rate(text: str) -> float:
 
 
 def _record(args: argparse.Namespace) -> int:
-    """Record until told to stop, and say what is in the file.
+    """Record until interrupted, and print what is in the file.
 
     Raises:
-        BadRecording: the file exists, or cannot be made, or the disk failed.
-        RemoteError: nobody is there.
+        BadRecording: the file exists, or cannot be made or written.
+        RemoteError: the robot cannot be connected to.
     """
     with (
         Interruption() as interruption,
@@ -112,11 +112,11 @@ def _record(args: argparse.Namespace) -> int:
 
 
 def _replay(args: argparse.Namespace) -> int:
-    """Summarise, or play.
+    """Print a summary, or play.
 
     Raises:
-        BadRecording: no such file, or it is none, or it holds no such variable.
-        PacketError: it holds bytes that are no batch.
+        BadRecording: no such file, or no recording, or it does not have this variable.
+        PacketError: it has bytes that are no batch.
     """
     if args.rate is None:
         if args.names or args.count is not None:
@@ -158,7 +158,7 @@ def _line(update: Update) -> str:
     clock = time.strftime("%H:%M:%S", time.localtime(update.received.wall))
     parts = [f"{clock}.{int(update.received.wall * 1000) % 1000:03d}"]
     for name, change in update.changes.items():
-        # The direction is not told with an update; a name has the same meaning in both.
+        # An update does not have the direction; a name has the same meaning in both.
         words = words_of(change.value)
         meaning = in_units("r", name, words) or in_units("w", name, words)
         parts.append(f"{printable(name)} {words_text(words)}" + (f" = {meaning}" if meaning else ""))

@@ -1,7 +1,7 @@
 """The meaning of a variable's words, by the names that are in common use.
 
-A robot tells names and lengths, and neither types nor units. The ready-made classes know them for the conventional
-names; they are taken where direction and length are theirs, too.
+A robot sends names and lengths, but no types and units. The ready-made classes declare those of the conventional
+names; a declaration is used if its direction and length match as well.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def in_units(direction: str, name: str, words: Words) -> str:
 
 
 def words_of(value: int | Words) -> Words:
-    """The words of a variable that was not declared, as `rhdlink.Variable` has it: an int or an array."""
+    """The words of a variable that was not declared: its value is an int or an array (see `rhdlink.Variable`)."""
     return np.atleast_1d(np.asarray(value, np.int32))
 
 
@@ -70,7 +70,7 @@ def typed(name: str, words: Words, type_name: str, order: Order) -> list[int | f
     """The values in the words of a variable.
 
     Raises:
-        BadValue: a value of that type takes more words, or the variable has some left.
+        BadValue: the number of words is not a multiple of those of the type.
     """
     value_type = TYPES[type_name]
     size = value_type.length(1)

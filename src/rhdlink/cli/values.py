@@ -1,4 +1,4 @@
-"""`rhdlink vars`, `get` and `set`: the variables of a robot, once."""
+"""`rhdlink vars`, `get` and `set`: read or write the variables of a robot once."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["add_parser", "check_names"]
 _LIST = """\
 List the variables of a robot: direction, id, name, words, meaning, and when each was set.
 
-`read` variables go from the robot to programs, `write` variables from programs to the robot. A robot tells
-the name and the length of a variable and nothing else; the meaning after the `=` is that which the name has
-by convention. A time of 0 says that a variable was never set."""
+`read` variables go from the robot to programs, `write` variables from programs to the robot. A robot sends
+only the name and the length of a variable; the meaning after the `=` is that of the name by convention. A
+time of 0 means that a variable was never set."""
 
 _LIST_EXAMPLES = (
     "rhdlink vars localhost",
@@ -34,10 +34,10 @@ _LIST_EXAMPLES = (
 _GET = """\
 Print the values of variables, one line each, in the order in which they are named.
 
-The words come first, as they are on the wire; after the `=` stands what they mean, where the name has a
-meaning by convention. Of a read and a write variable with the same name it is the read variable.
+The words come first, as they are on the wire; after the `=` stands their meaning, if the name has one by
+convention. If a read and a write variable have the same name, the read variable is printed.
 
-With --as the words are taken for values of a type, and only these are printed."""
+With --as the words are decoded as values of a type, and only these are printed."""
 
 _GET_EXAMPLES = (
     "rhdlink get localhost tick",
@@ -48,11 +48,11 @@ _GET_EXAMPLES = (
 
 _SET = """\
 Write a variable, as the master of the robot. A robot has one master at a time: while another program is
-it, this fails.
+master, this fails.
 
-VALUEs are the words of the variable as they are on the wire, whole numbers of 32 bits, as many as it is
-long: 30000, and not 0.3 m/s. Many robots stop when their master leaves, which this does at once unless
---hold says how long to stay; Ctrl-C ends that earlier. THIS MOVES A REAL ROBOT."""
+VALUEs are the words of the variable as they are on the wire: whole numbers of 32 bits, one for each word;
+30000, and not 0.3 m/s. Many robots stop when their master leaves, which this does at once unless --hold
+says how long to stay; Ctrl-C ends that earlier. THIS MOVES A REAL ROBOT."""
 
 _SET_EXAMPLES = (
     "rhdlink set localhost cmdtransvel 30000 --hold 2",
@@ -71,7 +71,7 @@ def add_parser(subparsers: Subparsers) -> None:
     parser = add_command(subparsers, "get", "print the values of variables", _GET, _GET_EXAMPLES)
     add_address(parser)
     parser.add_argument("names", metavar="NAME", nargs="+", help="a variable of the robot")
-    parser.add_argument("--as", dest="type", choices=tuple(TYPES), help="take the words for values of this type")
+    parser.add_argument("--as", dest="type", choices=tuple(TYPES), help="decode the words as values of this type")
     parser.add_argument("--order", choices=("little", "big"), default="little", help="of values of two words (little)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line, for each variable")
     parser.set_defaults(run=_get, trailing="names")
@@ -108,7 +108,7 @@ def _list(args: argparse.Namespace) -> int:
         print(printable(f"{robot.address}: {len(found)} variables, time stamps of {robot.width} words"))
         rows = [as_columns(variable) for variable in found]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        # A long array does not push the columns after it off the screen.
+        # A long array must not push the columns after it off the screen.
         widths[3] = min(widths[3], 40)
         for row in rows:
             print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
@@ -137,7 +137,7 @@ def _get(args: argparse.Namespace) -> int:
 def _set(args: argparse.Namespace) -> int:
     with connect(args.address, access="w", timeout=args.timeout) as robot, Interruption() as interruption:
         robot[args.name] = args.values if len(args.values) > 1 else args.values[0]
-        robot.sync()  # the answer says that it was taken
+        robot.sync()  # the reply confirms the write
         (value,) = (each.value for each in robot.variables if (each.direction, each.name) == ("w", args.name))
         words = words_of(value)
         meaning = in_units("w", args.name, words)

@@ -25,13 +25,13 @@ class View:
 
     Attributes:
         robot: its address.
-        connection: what the connection is doing.
+        connection: state of the connection.
         age: seconds since the newest values came.
-        rate: syncs with new values, a second; None where that is not known yet.
-        rates: name -> how often a second it was set.
+        rate: syncs with new values per second; None in the first half second.
+        rates: name -> how often per second it was set.
         variables: those that are watched.
         reconnects: connections after the first.
-        trouble: what ended the connection last, or None while it stands.
+        trouble: the error that ended the last connection; None while connected.
     """
 
     robot: str
@@ -45,11 +45,11 @@ class View:
 
     @property
     def is_fresh(self) -> bool:
-        """Whether the values show what is, and not what was."""
+        """Whether the values are current."""
         return self.connection is ConnectionState.CONNECTED
 
     def as_line(self, clock: str) -> str:
-        """On one line; old values say that they are old."""
+        """The view on one line; old values are marked as old."""
         parts = [f"{clock} {self.connection.name}", printable(self.robot)]
         if not self.is_fresh:
             parts.append(f"OLD DATA, {self.age:.1f} s")
@@ -67,7 +67,7 @@ class View:
 
 
 class RateCounter:
-    """Counts updates over a window of two seconds; called by subscriptions, asked by the view."""
+    """Counts updates over a window of two seconds; called by subscriptions, read by the view."""
 
     def __init__(self, began: float) -> None:
         self._lock = threading.Lock()
@@ -83,7 +83,7 @@ class RateCounter:
             self._forget(now)
 
     def on_connection(self, event: ConnectionEvent) -> None:
-        """Note what is wrong, until it is right again."""
+        """Keep the error of a lost connection until it is made again."""
         if event.error is not None:
             self.trouble = str(event.error)
         elif event.state is ConnectionState.CONNECTED:
@@ -93,7 +93,7 @@ class RateCounter:
                 self._updates.clear()
 
     def rates(self, now: float) -> tuple[float | None, dict[str, float]]:
-        """Updates a second, and how often a second each variable was set; None and nothing in the first half second."""
+        """Updates per second, and for each variable how often per second it was set; None and {} in the first 0.5 s."""
         with self._lock:
             self._forget(now)
             seconds = min(now - self._began, WINDOW)

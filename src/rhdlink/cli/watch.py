@@ -27,12 +27,12 @@ from .view import RateCounter, View
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Watch variables live: their words, what they mean where their names are conventional ones, and how often a
-second each is set. Watches as a reader, so the robot's master is not disturbed.
+Watch variables live: their words, their meaning if their names are conventional ones, and how often per
+second each is set. It connects as a reader, so the robot's master is not disturbed.
 
-On a terminal the view is painted ten times a second; elsewhere it is one line a second, as with --plain.
+On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain.
 When the connection is lost the view says LOST, and goes on as soon as the robot is back. With --json each
-sync that brought something new is one object: what was set, by name, and when it came."""
+sync that set a variable is one object: what was set, by name, and when it came."""
 
 _EXAMPLES = (
     "rhdlink watch localhost",
@@ -48,18 +48,18 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("names", metavar="NAME", nargs="*", help="watch only these variables")
     parser.add_argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)")
     parser.add_argument("--plain", action="store_true", help="plain lines, one a second, also on a terminal")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each sync that brought news")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line, for each sync that set a variable")
     parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.set_defaults(run=run, trailing="names")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Watch until told to stop.
+    """Watch until interrupted.
 
     Raises:
         NotThere: the robot has no such variable.
-        RemoteError: nobody is there.
+        RemoteError: the robot cannot be connected to.
     """
     with connect(args.address, timeout=args.timeout) as robot:
         check_names(args.names, robot, robot.address)
@@ -110,7 +110,7 @@ def _views(robot: Variables, args: argparse.Namespace, until: float | None, inte
     show, pause = _painter(args.plain)
     shown = 0
     with show as draw:
-        # The first look is at what the first syncs brought, and not at what came with the handshake.
+        # The first view comes after the first syncs; before them there are only the values of the handshake.
         is_over = interruption.wait(_left(min(0.2, pause), until))
         while True:
             _check(sync_thread)
@@ -146,7 +146,7 @@ def _painter(plain: bool) -> tuple[contextlib.AbstractContextManager[_Draw], flo
     try:
         import rich  # noqa: F401
     except ImportError:
-        tell("plain lines, since rich is missing; pip install 'urlink[cli]' paints them")
+        tell("plain lines, since rich is not installed; pip install 'urlink[cli]' adds it")
         return _plain(), 1.0
     return _panels(), 0.1
 

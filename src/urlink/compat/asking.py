@@ -1,4 +1,4 @@
-"""Questions to the controller: a value of a URScript expression, by a program that runs beside the one that moves."""
+"""The value of a URScript expression, from a program that runs beside the one that moves the arm."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from linkcore.errors import LinkTimeout
 
 __all__ = ["ask"]
 
-#: Seconds that an answer may take.
+#: Seconds to wait for an answer.
 _TIMEOUT = 5.0
 
 _numbers = itertools.count(1)
 
 
 def ask(robot: urlink.Robot, expression: str) -> str:
-    """What the controller makes of an expression, as text.
+    """The value of an expression, as text that the controller makes of it.
 
     Raises:
-        SafetyStop, NotRunning: it takes no programs now.
-        CompileError: it does not know a function.
-        LinkTimeout: it does not answer.
+        SafetyStop, NotRunning: the controller accepts no programs now.
+        CompileError: a function does not exist on this controller.
+        LinkTimeout: no answer within 5 s.
     """
     mark = f"urlink answer {next(_numbers)} "
     answers: SimpleQueue[str] = SimpleQueue()
@@ -31,7 +31,7 @@ def ask(robot: urlink.Robot, expression: str) -> str:
         if message.text.startswith(mark):
             answers.put(message.text[len(mark) :])
 
-    # Of the stream and not of the program: lines do not say which program they are from.
+    # Subscribed to the stream and not to the program: a line of text does not say which program sent it.
     with robot.primary.subscribe(hear, urlink.TextMessage, inline=True):
         robot.script.run(f'sec urlink_question():\n  textmsg("{mark}", {expression})\nend')
         try:

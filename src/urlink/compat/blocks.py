@@ -1,8 +1,8 @@
-"""What lasts: servo, speeds, force mode and freedrive, which the other client begins and changes by single calls.
+"""Modes that last: servo, speeds, force mode and freedrive, which the other client begins and changes by single calls.
 
-In this library each of them is a block of `robot.motion`, which ends whatever happens. Here the first call opens it,
-and the next ones find it open. It is opened anew where what it was opened with has changed, or where it has ended
-because nothing came for longer than its watchdog allows.
+In this library each of them is a block of `robot.motion`, which ends whatever happens. Here the first call opens the
+block, and later calls use it. It is opened again if its settings have changed, or if it has ended because no set-point
+came within its watchdog time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ B = TypeVar("B", bound=LinkedBlock)
 
 
 class Blocks:
-    """The block that is open; there is one at most."""
+    """The open block; there is at most one."""
 
     def __init__(self, robot: urlink.Robot) -> None:
         self._robot = robot
@@ -37,15 +37,15 @@ class Blocks:
         return self._open is not None and not self._open.done
 
     def opened(self, kind: type[B], settings: tuple[Any, ...], make: Callable[[LinkName], B]) -> B:
-        """The block of this kind, with these settings.
+        """The open block of this class with these settings; if there is none, it is opened.
 
         Args:
             kind: its class.
-            settings: what `make` is made with, to be compared.
-            make: makes it, over a link.
+            settings: what `make` depends on; another value opens the block again.
+            make: makes the block, over a link.
 
         Raises:
-            LinkError: it cannot be had now.
+            LinkError: the block cannot be opened now.
         """
         present = self._open
         if isinstance(present, kind) and self.is_open and settings == self._settings:
@@ -56,7 +56,7 @@ class Blocks:
         return made
 
     def _entered(self, make: Callable[[LinkName], B]) -> B:
-        """Over registers where there are any that can be had, and over a reverse connection otherwise."""
+        """Open a block over registers if they are free, else over a reverse connection."""
         firmware = self._robot.firmware
         if firmware >= ((5, 3) if firmware.is_e_series else (3, 9)):
             with contextlib.suppress(InputInUse):
@@ -64,7 +64,7 @@ class Blocks:
         return make("reverse").__enter__()
 
     def close(self) -> None:
-        """End what lasts, and wait until the arm stands or two seconds are over."""
+        """End the block, and wait until the arm stands still, two seconds at most."""
         block, self._open = self._open, None
         if block is not None:
             block.__exit__(None, None, None)

@@ -20,19 +20,19 @@ from .interface import succeeds
 
 __all__ = ["ControlBlocks", "Feature"]
 
-#: Seconds without a set-point after which the robot brakes by itself. The other client's arm holds still for ever; a
-#: loop that pauses for longer finds the servo opened again.
+#: Seconds without a set-point after which the robot brakes. With the other client the arm holds still for ever; here a
+#: loop that pauses for longer opens the servo again.
 _WATCHDOG = 0.5
-#: Seconds for which a speed holds that nobody changes or stops. The other client's arm goes on for ever.
+#: Seconds for which a speed holds unless a call changes or stops it. With the other client it holds for ever.
 _SPEED_HOLDS = 60.0
-#: m after which a movement that finds no contact gives up.
+#: m after which `moveUntilContact` ends without contact.
 _NO_CONTACT = 2.0
 _ORIGIN = (0.0,) * 6
 _ALL = (1,) * 6
 
 
 class Feature(IntEnum):
-    """Which frame the speeds of `jogStart` are in."""
+    """The frame of the speeds of `jogStart`."""
 
     FEATURE_BASE = 0
     FEATURE_TOOL = 1
@@ -40,7 +40,7 @@ class Feature(IntEnum):
 
 
 class ControlBlocks(ControlMoves):
-    """What goes on until something else is called. See `ControlMoves` for the arguments."""
+    """Modes that last until another call. See `ControlMoves` for the arguments."""
 
     def __init__(self, hostname: str, frequency: float = -1.0) -> None:
         super().__init__(hostname, frequency)
@@ -57,7 +57,7 @@ class ControlBlocks(ControlMoves):
         on the robot. Look-ahead 0.03 to 0.2 s, gain 100 to 2000.
 
         Raises:
-            BadValue: further away than the joints can go in the time since the last one.
+            BadValue: further away than the joints can move in the time since the last set-point.
         """
 
         def send() -> None:
@@ -82,26 +82,26 @@ class ControlBlocks(ControlMoves):
         """Send a pose of the tool as a set-point; see `servoJ`.
 
         Raises:
-            Unreachable: no joint positions put the tool there.
-            BadValue: as `servoJ`.
+            Unreachable: the pose is out of reach.
+            BadValue: as for `servoJ`.
         """
         near = () if self._last is None else self._last[0]
         return self.servoJ(self.getInverseKinematics(pose, near), speed, acceleration, time, lookahead_time, gain)
 
     def servoStop(self, a: float = 10.0) -> bool:
-        """End the set-points and stop the arm, as fast as its servo does."""
+        """End the servo and stop the arm, as fast as the servo does."""
         return succeeds(self._end_block)
 
     def speedJ(self, qd: Sequence[float], acceleration: float = 0.5, time: float = 0.0) -> bool:
-        """Go over to joint speeds, rad/s, at rad/s², and keep them until something else is called, for a minute at
-        most; does not wait.
+        """Accelerate to joint speeds, rad/s, at rad/s², and keep them until another call, for a minute at most; does
+        not wait.
 
-        The time has no effect: on the robot it is how long the function takes, and not how long the arm moves.
+        `time` has no effect: on the robot it is how long the function takes, and not how long the arm moves.
         """
         return self._speed("joints", qd, acceleration)
 
     def speedL(self, xd: Sequence[float], acceleration: float = 0.25, time: float = 0.0) -> bool:
-        """Go over to a speed of the tool in the base frame, m/s and rad/s, at m/s²; see `speedJ`."""
+        """Accelerate to a speed of the tool in the base frame, m/s and rad/s, at m/s²; see `speedJ`."""
         return self._speed("base", xd, acceleration)
 
     def _speed(self, frame: Literal["joints", "base", "tool"], speeds: Sequence[float], acceleration: float) -> bool:
@@ -119,7 +119,7 @@ class ControlBlocks(ControlMoves):
         return succeeds(go)
 
     def speedStop(self, a: float = 10.0) -> bool:
-        """Stop what `speedJ`, `speedL` or `jogStart` moves, with the acceleration that it was moved with."""
+        """Stop a movement of `speedJ`, `speedL` or `jogStart`, with the acceleration of that call."""
         return succeeds(self._end_block)
 
     def jogStart(
@@ -129,9 +129,9 @@ class ControlBlocks(ControlMoves):
         acc: float = 0.5,
         custom_frame: Sequence[float] = _ORIGIN,
     ) -> bool:
-        """Move the tool at a speed in m/s and rad/s, in the directions of a frame; called again, change it.
+        """Move the tool at a speed in m/s and rad/s, along the axes of a frame; another call changes the speed.
 
-        The other client's documentation says mm/s, and its program takes them for m/s.
+        The other client's documentation says mm/s, but its program uses m/s.
         """
         values = six(speeds, "speeds")
         if feature == Feature.FEATURE_TOOL:
@@ -142,11 +142,11 @@ class ControlBlocks(ControlMoves):
         return self._speed("base", values.tolist(), acc)
 
     def jogStop(self) -> bool:
-        """Stop what `jogStart` moves."""
+        """Stop a movement of `jogStart`."""
         return self.speedStop()
 
     def setWatchdog(self, min_frequency: float = 10.0) -> bool:
-        """Let the robot brake where set-points come less often, Hz; from the next servo on. Without it, after 0.5 s."""
+        """From the next servo on, brake if set-points come less often than this, Hz. Without this call: after 0.5 s."""
         self._watchdog = 1.0 / float(text.number(min_frequency, "min_frequency", 0.1, 100.0))
         return True
 
@@ -155,7 +155,7 @@ class ControlBlocks(ControlMoves):
         last = self._last
         return last is None or not self._blocks.is_open or succeeds(lambda: self._servo(*last[1:]).send(last[0]))
 
-    # -- an arm that yields ------------------------------------------------------------------------------
+    # -- force mode, freedrive, torques, contact ---------------------------------------------------------
 
     def forceMode(
         self,
@@ -165,8 +165,8 @@ class ControlBlocks(ControlMoves):
         type: int,
         limits: Sequence[float],
     ) -> bool:
-        """Yield along the axes of a frame that are selected, until the tool exerts a wrench there, N and Nm; until
-        something else is called. Called again with another wrench, it goes over to that."""
+        """Force mode: yield along the selected axes of a frame until the tool exerts a wrench there, N and Nm. It lasts
+        until another call; another wrench changes the one that is exerted."""
 
         def press() -> None:
             self._last = None
@@ -190,12 +190,12 @@ class ControlBlocks(ControlMoves):
         return succeeds(press)
 
     def forceModeSetDamping(self, damping: float) -> bool:
-        """How force mode is damped, 0 to 1: that which begins next."""
+        """Set the damping of force mode, 0 to 1; it holds from the next force mode on."""
         self._damping = float(text.number(damping, "damping", 0.0, 1.0))
         return True
 
     def forceModeSetGainScaling(self, scaling: float) -> bool:
-        """The gain of force mode, 0 to 2: of that which begins next."""
+        """Set the gain of force mode, 0 to 2; it holds from the next force mode on."""
         self._gain = float(text.number(scaling, "scaling", 0.0, 2.0))
         return True
 
@@ -204,7 +204,7 @@ class ControlBlocks(ControlMoves):
         return succeeds(self._end_block)
 
     def freedriveMode(self, free_axes: Sequence[int] = _ALL, feature: Sequence[float] = _ORIGIN) -> bool:
-        """Let a person move the arm by hand, along the axes of a frame that are free."""
+        """Freedrive: let a person move the arm by hand, along the free axes of a frame."""
 
         def free() -> None:
             self._last = None
@@ -222,11 +222,11 @@ class ControlBlocks(ControlMoves):
         return succeeds(self._end_block)
 
     def teachMode(self) -> bool:
-        """Let a person move the arm by hand."""
+        """Freedrive with all axes free."""
         return self.freedriveMode()
 
     def endTeachMode(self) -> bool:
-        """End what `teachMode` began."""
+        """End the freedrive of `teachMode`."""
         return self.endFreedriveMode()
 
     def directTorque(
@@ -235,9 +235,9 @@ class ControlBlocks(ControlMoves):
         viscous_scale: Sequence[float] = (0.9, 0.9, 0.8, 0.9, 0.9, 0.9),
         coulomb_scale: Sequence[float] = (0.8, 0.8, 0.7, 0.8, 0.8, 0.8),
     ) -> bool:
-        """Turn the joints by torques, Nm, on top of what holds the arm up; from 5.23 and 10.11 on.
+        """Add torques of the joints, Nm, to those that hold the arm up; from 5.23 and 10.11 on.
 
-        Of the scales it only counts whether there are any: then the controller makes up for friction.
+        Of the scales only this has an effect: if any is not zero, the controller compensates friction.
         """
         compensates = any([*viscous_scale, *coulomb_scale])
 
@@ -255,9 +255,9 @@ class ControlBlocks(ControlMoves):
     def moveUntilContact(
         self, xd: Sequence[float], direction: Sequence[float] = _ORIGIN, acceleration: float = 1.2
     ) -> bool:
-        """Move the tool straight, m/s in the base frame, until it touches something, and back to where that began.
+        """Move the tool straight, m/s in the base frame, until it touches something, then back to where that began.
 
-        False where it has not after 2 m. The direction has no effect: what counts is force against the movement.
+        False if there is no contact within 2 m. `direction` has no effect: contact is a force against the movement.
         """
         way = six(xd, "xd")[:3]
         speed = float(np.linalg.norm(way))

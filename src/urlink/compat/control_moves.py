@@ -16,12 +16,12 @@ from .paths import Path
 
 __all__ = ["LONGEST", "AsyncOperationStatus", "ControlMoves"]
 
-#: Seconds that a motion may take; the other client waits so long too.
+#: Seconds to wait for the end of a motion, as the other client does.
 LONGEST = 300.0
 
 
 class AsyncOperationStatus:
-    """How far an asynchronous motion has got.
+    """The progress of an asynchronous motion.
 
     Args:
         value: the other client's word: bits 24 to 30 the number of the operation, 16 to 23 a count of changes, 15
@@ -36,28 +36,28 @@ class AsyncOperationStatus:
         return self._value
 
     def isAsyncOperationRunning(self) -> bool:
-        """It is under way."""
+        """Whether the operation is running."""
         return bool(self._value >> 15 & 1)
 
     def operationId(self) -> int:
-        """Number of the operation, which no two in a row share."""
+        """Number of the operation; two in a row have different numbers."""
         return self._value >> 24 & 0x7F
 
     def changeCount(self) -> int:
-        """A count that changes with the rest."""
+        """A count of the changes of the status."""
         return self._value >> 16 & 0xFF
 
     def progress(self) -> int:
-        """Number of the movement of a path that is under way, from 0."""
+        """Number of the present movement of a path, from 0."""
         return self._value & 0x7FFF
 
     def equals(self, other: AsyncOperationStatus) -> bool:
-        """Nothing has changed from one to the other."""
+        """Whether both have the same value."""
         return self._value == other._value
 
 
 class ControlMoves(ControlTool):
-    """Movements that come to an end by themselves, and stops.
+    """Movements that end by themselves, and stops.
 
     Args:
         hostname: address of the robot.
@@ -75,7 +75,7 @@ class ControlMoves(ControlTool):
             super().disconnect()
             raise
         self._blocks = Blocks(self._robot)
-        #: the set-point that was sent last, with its look-ahead time and gain; None where no servo is open
+        #: the last set-point, with its look-ahead time and gain; None if no servo is open
         self._last: tuple[list[float], float, float] | None = None
         self._operation: Motion | None = None
         self._operations = 0
@@ -97,8 +97,8 @@ class ControlMoves(ControlTool):
         *,
         path: Sequence[Sequence[float]] | None = None,
     ) -> bool:
-        """Move the joints to positions, rad, at rad/s and rad/s²; or along a path of such, each with speed,
-        acceleration and blend behind them."""
+        """Move the joints to positions, rad, at rad/s and rad/s²; or along a path: rows of six positions, speed,
+        acceleration and blend radius."""
         if path is not None or _is_path(q):
             entries = Path()
             entries.appendMovejPath(q if path is None else path)
@@ -108,7 +108,7 @@ class ControlMoves(ControlTool):
     def moveJ_IK(
         self, pose: Sequence[float], speed: float = 1.05, acceleration: float = 1.4, asynchronous: bool = False
     ) -> bool:
-        """Move the joints to where the tool is at a pose, the nearest way to reach it."""
+        """Move the joints to the positions for a pose of the tool that are closest to the present ones."""
         return self.moveJ(self.getInverseKinematics(pose), speed, acceleration, asynchronous)
 
     @overload
@@ -128,8 +128,8 @@ class ControlMoves(ControlTool):
         *,
         path: Sequence[Sequence[float]] | None = None,
     ) -> bool:
-        """Move the tool in a line to a pose, m and rotation vector in rad, at m/s and m/s²; or along a path of such,
-        each with speed, acceleration and blend behind them."""
+        """Move the tool in a line to a pose, m and rotation vector in rad, at m/s and m/s²; or along a path: rows of a
+        pose, speed, acceleration and blend radius."""
         if path is not None or _is_path(pose):
             entries = Path()
             entries.appendMovelPath(pose if path is None else path)
@@ -139,7 +139,7 @@ class ControlMoves(ControlTool):
     def moveL_FK(
         self, q: Sequence[float], speed: float = 0.25, acceleration: float = 1.2, asynchronous: bool = False
     ) -> bool:
-        """Move the tool in a line to where it is at joint positions."""
+        """Move the tool in a line to the pose that it has at joint positions."""
         return self.moveL(self.getForwardKinematics(q), speed, acceleration, asynchronous)
 
     def movePath(self, path: Path, asynchronous: bool = False) -> bool:
@@ -159,17 +159,17 @@ class ControlMoves(ControlTool):
         return succeeds(move)
 
     def _end_block(self) -> None:
-        """No set-points, no speeds and no force mode from here on: the arm stands."""
+        """End the open block, if there is one; the arm stands still afterwards."""
         self._last = None
         self._blocks.close()
 
     def getAsyncOperationProgress(self) -> int:
-        """Number of the movement that an asynchronous motion has got to, from 0; -1 and -2 in turns for none."""
+        """Number of the present movement of an asynchronous motion, from 0; if none runs, -1 or -2 in turns."""
         status = self.getAsyncOperationProgressEx()
         return status.progress() if status.isAsyncOperationRunning() else -1 - self._operations % 2
 
     def getAsyncOperationProgressEx(self) -> AsyncOperationStatus:
-        """How far the last asynchronous motion has got."""
+        """The status of the last asynchronous motion."""
         motion = self._operation
         is_running = motion is not None and not motion.done
         progress = (motion.segment or 0) if isinstance(motion, PathMotion) else 0
@@ -177,11 +177,11 @@ class ControlMoves(ControlTool):
         return AsyncOperationStatus(self._operations << 24 | changes << 16 | is_running << 15 | progress)
 
     def stopJ(self, a: float = 2.0, asynchronous: bool = False) -> None:
-        """Stop what moves, by the joints, at rad/s²."""
+        """Stop the arm by its joints, at rad/s²."""
         self._stop(lambda: self._robot.motion.stop(a), asynchronous)
 
     def stopL(self, a: float = 10.0, asynchronous: bool = False) -> None:
-        """Stop what moves, along the path of the tool, at m/s²."""
+        """Stop the arm along the path of the tool, at m/s²."""
         self._stop(lambda: self._robot.script.run(f"stopl({text.number(a, 'a', 0.0, 100.0)})"), asynchronous)
 
     def _stop(self, begin: Callable[[], Any], asynchronous: bool) -> None:
@@ -195,5 +195,5 @@ class ControlMoves(ControlTool):
 
 
 def _is_path(value: Any) -> bool:
-    """A list of lists."""
+    """Whether a value is a list of lists."""
     return len(value) > 0 and hasattr(value[0], "__len__")

@@ -24,11 +24,11 @@ _RECONNECT_TIMEOUT = 10.0
 
 
 class NotOffered(LocalError, NotImplementedError):
-    """A call of the other client that is not offered here; says what takes its place."""
+    """A call of the other client that is not offered here; the message names what replaces it."""
 
 
 def succeeds(act: Callable[[], object]) -> bool:
-    """Whether the robot did it. Why it did not goes to the log, since the other client says no more than False."""
+    """Whether the call succeeded. Its error goes to the log, since the other client only returns False."""
     try:
         act()
     except (RemoteError, Cancelled) as error:
@@ -38,14 +38,14 @@ def succeeds(act: Callable[[], object]) -> bool:
 
 
 class RtdeInterface:
-    """A robot, by a connection of its own. A context manager that disconnects.
+    """A robot on a connection of its own. A context manager that disconnects.
 
     Args:
         hostname: address of the robot, or any other that `urlink.connect` takes.
         frequency: of the loop that `initPeriod` and `waitPeriod` pace, in Hz; -1 for the controller's rate.
 
     Raises:
-        ConnectFailed, LinkTimeout, WrongPeer: nobody, or somebody else, is there.
+        ConnectFailed, LinkTimeout, WrongPeer: there is no controller at the address.
     """
 
     def __init__(self, hostname: str, frequency: float = -1.0) -> None:
@@ -54,19 +54,19 @@ class RtdeInterface:
         self._frequency = rate if frequency <= 0.0 else frequency
 
     def isConnected(self) -> bool:
-        """Whether the robot is heard."""
+        """Whether data of the robot arrives."""
         return self._robot.primary.connection is urlink.ConnectionState.CONNECTED
 
     def reconnect(self) -> bool:
-        """Wait until the robot is heard again. It is connected anew by itself; this waits for it, 10 s at most."""
+        """Wait until data arrives again, 10 s at most. A lost connection is made again without this call."""
         return succeeds(lambda: self._robot.primary.wait(_RECONNECT_TIMEOUT))
 
     def disconnect(self) -> None:
-        """End what moves, and disconnect, for good."""
+        """End what moves, and disconnect; the object cannot be used again."""
         self._robot.close()
 
     def initPeriod(self) -> timedelta:
-        """The time at which a round of a loop begins; for `waitPeriod`."""
+        """The present time, at which a round of a loop begins; for `waitPeriod`."""
         return timedelta(seconds=time.monotonic())
 
     def waitPeriod(self, t_cycle_start: timedelta) -> None:

@@ -31,13 +31,13 @@ class PathEntry:
 
     Args:
         move_type: `MoveJ`, `MoveL` or `MoveP`; an arc (`MoveC`) is not offered.
-        position_type: `PositionTcpPose` or `PositionJoints`; it has to go with the movement: joints with `MoveJ`, poses
-            with `MoveL` and `MoveP`.
+        position_type: `PositionTcpPose` or `PositionJoints`; it must suit the movement: joints for `MoveJ`, poses for
+            `MoveL` and `MoveP`.
         parameters: six coordinates, speed, acceleration, and blend radius in m.
 
     Raises:
         BadValue: not nine numbers.
-        NotOffered: another movement.
+        NotOffered: an arc, or a position type that does not suit the movement.
     """
 
     eMoveType, ePositionType = _MoveType, _PositionType
@@ -61,7 +61,7 @@ def _waypoint(move: _MoveType, position: _PositionType, parameters: list[float])
 
 
 class Path:
-    """Movements one after the other."""
+    """A sequence of movements."""
 
     def __init__(self) -> None:
         self._entries: list[PathEntry] = []
@@ -79,11 +79,11 @@ class Path:
         self._entries += [PathEntry(_MoveType.MoveL, _PositionType.PositionTcpPose, each) for each in path]
 
     def clear(self) -> None:
-        """Take all out."""
+        """Remove all movements."""
         self._entries.clear()
 
     def size(self) -> int:
-        """How many movements there are."""
+        """The number of movements."""
         return len(self._entries)
 
     def waypoints(self) -> list[PathEntry]:

@@ -1,7 +1,7 @@
 """The control interface of ur_rtde, over `robot.motion`, `robot.script` and `robot.kinematics`.
 
-No script waits on the robot for commands: each call is a motion of its own, and set-points go by a servo. So there is
-nothing to upload, and nothing that an installation or another client has to leave alone.
+No control script runs on the robot: each call is a motion of its own, and set-points go through a servo. So there is no
+script to upload, and nothing on the robot that an installation or another client must leave alone.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .paths import Path, PathEntry
 
 __all__ = ["AsyncOperationStatus", "Path", "PathEntry", "RTDEControlInterface"]
 
-#: Seconds to wait for a robot that is stopped to be clear.
+#: Seconds to wait until a stop is over.
 _CLEAR_TIMEOUT = 5.0
 
 
 def _not_offered(name: str, instead: str) -> Callable[..., NoReturn]:
-    """A method that says what takes its place."""
+    """A method that raises `NotOffered` and names what replaces it."""
 
     def refuse(*arguments: Any, **named: Any) -> NoReturn:
         raise NotOffered(f"{name} is not offered here; instead there is {instead}")
@@ -39,7 +39,7 @@ def _not_offered(name: str, instead: str) -> Callable[..., NoReturn]:
 
 
 class Flags(IntFlag):
-    """What the other client's constructor takes."""
+    """Flags of the other client's constructor."""
 
     FLAG_UPLOAD_SCRIPT = 1
     FLAG_USE_EXT_UR_CAP = 2
@@ -53,7 +53,7 @@ class Flags(IntFlag):
 
 
 class RTDEControlInterface(ControlBlocks):
-    """Moves a robot. Each method that moves it waits for the end, unless it is told not to, and says whether it came.
+    """Commands a robot. A method that moves the arm waits for the end, unless `asynchronous`, and tells if it came.
 
     Args:
         hostname: address of the robot.
@@ -63,7 +63,7 @@ class RTDEControlInterface(ControlBlocks):
 
     Raises:
         RemoteError: the robot cannot be reached.
-        NotOffered: a flag that is not.
+        NotOffered: a flag that is not offered.
     """
 
     Flags, Feature = Flags, Feature
@@ -94,7 +94,7 @@ class RTDEControlInterface(ControlBlocks):
     # -- state of the robot ------------------------------------------------------------------------------
 
     def isSteady(self) -> bool:
-        """The arm stands fully still; the controller is asked."""
+        """Whether the arm stands fully still; computed by the controller."""
         return ask(self._robot, "is_steady()") == "True"
 
     def getStepTime(self) -> float:
@@ -102,11 +102,11 @@ class RTDEControlInterface(ControlBlocks):
         return 1.0 / self._robot.firmware.rate
 
     def getJointTorques(self) -> list[float]:
-        """Torques of the joints, Nm, without what moves the arm itself; the controller is asked."""
+        """Torques of the joints, Nm, without those that move the arm itself; computed by the controller."""
         return [float(each) for each in ask(self._robot, "get_joint_torques()").strip("[]").split(",")]
 
     def isProgramRunning(self) -> bool:
-        """Motions are let through now. There is no control script that could have ended."""
+        """Whether motions are allowed now; there is no control script that could have ended."""
         return self._robot.safety.is_enabled and self._robot.safety.cause is None
 
     def getRobotStatus(self) -> int:
@@ -116,15 +116,15 @@ class RTDEControlInterface(ControlBlocks):
         return int(mode.is_power_on) | int(mode.is_program_running) << 1
 
     def zeroFtSensor(self) -> bool:
-        """Take the force at the tool of now for none."""
+        """Zero the force sensor: the present force at the tool is the new zero."""
         return self._run("zero_ftsensor()")
 
     def setGravity(self, direction: Sequence[float]) -> bool:
-        """Say which way gravity pulls: (3,) m/s² in the base frame, as a vector that points up."""
+        """Set gravity: (3,) m/s² in the base frame, a vector that points up."""
         return self._run(f"set_gravity({text.vector(direction, 3, 'direction')})")
 
     def triggerProtectiveStop(self) -> bool:
-        """Let the controller make a protective stop."""
+        """Make the controller enter a protective stop."""
         return succeeds(lambda: self._robot.script.run("protective_stop()"))
 
     def ftRtdeInputEnable(
@@ -134,7 +134,7 @@ class RTDEControlInterface(ControlBlocks):
         sensor_measuring_offset: Sequence[float] = (0.0, 0.0, 0.0),
         sensor_cog: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> bool:
-        """Let the controller take the force at the tool from `setExternalForceTorque`, from 5.9 on."""
+        """Make the controller use the force at the tool that `setExternalForceTorque` sends; from 5.9 on."""
         return self._run(f"ft_rtde_input_enable({_sensor(enable, sensor_mass, sensor_measuring_offset, sensor_cog)})")
 
     def enableExternalFtSensor(
@@ -150,7 +150,7 @@ class RTDEControlInterface(ControlBlocks):
         )
 
     def setExternalForceTorque(self, external_force_torque: Sequence[float]) -> bool:
-        """Tell the controller the force at the tool, N and Nm, once it listens to it (`ftRtdeInputEnable`)."""
+        """Send the force at the tool, N and Nm; it is used after `ftRtdeInputEnable`."""
 
         def write() -> None:
             with self._robot.rtde.inputs("external_force_torque") as inputs:
@@ -159,13 +159,13 @@ class RTDEControlInterface(ControlBlocks):
         return succeeds(write)
 
     def _run(self, statement: str) -> bool:
-        """Run a statement beside what moves the arm."""
+        """Run a statement as a secondary program, beside the one that moves the arm."""
         return succeeds(lambda: self._robot.script.run(f"sec urlink_compat():\n  {statement}\nend", wait=True))
 
     # -- programs ----------------------------------------------------------------------------------------
 
     def reuploadScript(self) -> bool:
-        """Wait until the robot is clear, and let motions through again. There is no script to upload."""
+        """Wait until a stop is over, and enable motions again. There is no script to upload."""
 
         def clear() -> None:
             self._robot.safety.wait_until_clear(_CLEAR_TIMEOUT)
@@ -174,7 +174,7 @@ class RTDEControlInterface(ControlBlocks):
         return succeeds(clear)
 
     def stopScript(self) -> None:
-        """End what moves the arm."""
+        """End the block or the motion that moves the arm."""
 
         def stop() -> None:
             self._end_block()
@@ -193,7 +193,7 @@ class RTDEControlInterface(ControlBlocks):
         return succeeds(run)
 
     def sendCustomScriptFunction(self, function_name: str, script: str) -> bool:
-        """Run the lines of a function, and wait for its end."""
+        """Run the lines of a function body as a program, and wait for its end."""
         body = "\n".join(f"  {line}" for line in script.splitlines())
         return self.sendCustomScript(f"def {function_name}():\n{body}\nend")
 
@@ -209,11 +209,11 @@ class RTDEControlInterface(ControlBlocks):
             raise BadValue(f"cannot read {file_path}: {error.strerror or error}") from error
 
     def reconnect(self) -> bool:
-        """Wait until the robot is heard again, and let motions through."""
+        """Wait until data arrives again, and enable motions."""
         return super().reconnect() and self.reuploadScript()
 
     def disconnect(self) -> None:
-        """Stop the arm where set-points lead it, and disconnect, for good."""
+        """Stop the arm if set-points move it, and disconnect; the object cannot be used again."""
         succeeds(self._end_block)
         super().disconnect()
 
@@ -236,6 +236,6 @@ class RTDEControlInterface(ControlBlocks):
 
 
 def _sensor(enable: bool, mass: float, offset: Sequence[float], cog: Sequence[float]) -> str:
-    """The arguments of a force sensor."""
+    """The arguments of a force sensor, as URScript."""
     values = [text.vector(each, 3, name) for each, name in ((offset, "sensor_measuring_offset"), (cog, "sensor_cog"))]
     return f"{text.boolean(enable, 'enable')}, {text.number(mass, 'sensor_mass', 0.0, 100.0)}, {', '.join(values)}"

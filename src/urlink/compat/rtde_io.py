@@ -11,16 +11,16 @@ from .interface import RtdeInterface, succeeds
 
 __all__ = ["RTDEIOInterface"]
 
-#: What each of the two analogue outputs drives, by the bit of `standard_analog_output_type`.
+#: Kinds of an analogue output, as in its bit of `standard_analog_output_type`.
 _CURRENT, _VOLTAGE = 0, 1
 
 
 class RTDEIOInterface(RtdeInterface):
-    """Outputs, speed slider and input registers. Each method says whether what was written has left.
+    """Outputs, speed slider and input registers. Each method returns whether the value was sent.
 
-    An input is claimed when it is first written, and held until `disconnect`: of two clients only one has it. Digital
-    outputs and the slider go by script where another client holds theirs; what has no other way raises nothing and
-    says False.
+    An input is claimed when it is first written, and held until `disconnect`; only one client can hold it. If another
+    client holds the inputs of the digital outputs or of the slider, these are set by a script instead. Where there is
+    no such way, the method returns False and raises nothing.
 
     Args:
         hostname: address of the robot.
@@ -62,7 +62,7 @@ class RTDEIOInterface(RtdeInterface):
         )
 
     def setSpeedSlider(self, speed: float) -> bool:
-        """Move the speed slider, 0 to 1."""
+        """Set the speed slider, 0 to 1."""
         return self._send(
             ("speed_slider_fraction",),
             {"speed_slider_fraction": speed},
@@ -70,11 +70,11 @@ class RTDEIOInterface(RtdeInterface):
         )
 
     def setAnalogOutputVoltage(self, output_id: int, voltage_ratio: float) -> bool:
-        """Let analogue output 0 or 1 drive a voltage: a fraction of its range, 0 to 1."""
+        """Make analogue output 0 or 1 a voltage: a fraction of its range, 0 to 1."""
         return self._set_analog(output_id, voltage_ratio, _VOLTAGE)
 
     def setAnalogOutputCurrent(self, output_id: int, current_ratio: float) -> bool:
-        """Let analogue output 0 or 1 drive a current: a fraction of its range, 0 to 1."""
+        """Make analogue output 0 or 1 a current: a fraction of its range, 0 to 1."""
         return self._set_analog(output_id, current_ratio, _CURRENT)
 
     def setInputIntRegister(self, input_id: int, value: int) -> bool:
@@ -91,7 +91,7 @@ class RTDEIOInterface(RtdeInterface):
         return self._send(names, values, None)
 
     def _send(self, names: tuple[str, ...], values: dict[str, Any], by_script: Callable[[], object] | None) -> bool:
-        """Write inputs that are claimed once; or what else does it, where another client holds them."""
+        """Write inputs, which are claimed once; if another client holds them, call `by_script` if given."""
 
         def write() -> None:
             if names not in self._claimed:

@@ -20,7 +20,7 @@ from .interface import RtdeInterface, succeeds
 
 __all__ = ["RTDEReceiveInterface"]
 
-#: What is asked for where the user names nothing; what a controller lacks is left out.
+#: Variables that are requested if none are named; those that a controller does not have are left out.
 _VARIABLES = (
     *("timestamp", "target_q", "target_qd", "target_qdd", "target_current", "target_moment"),
     *("actual_q", "actual_qd", "actual_current", "joint_control_output"),
@@ -33,24 +33,24 @@ _VARIABLES = (
     *("standard_analog_input0", "standard_analog_input1", "standard_analog_output0", "standard_analog_output1"),
     *("robot_status_bits", "safety_status_bits", "ft_raw_wrench", "payload", "payload_cog", "payload_inertia"),
 )
-#: Seconds to wait for a state where there is none: at first, and after the connection was lost.
+#: Seconds to wait for a state if there is none: at first, and after a lost connection.
 _TIMEOUT = 5.0
 
 
 class RTDEReceiveInterface(RtdeInterface):
-    """What a controller sends, one method for each variable. Where the connection is lost, they wait for the next.
+    """Variables of a controller, one method for each. While the connection is lost, they wait for the next package.
 
     Args:
         hostname: address of the robot.
         frequency: packages a second; -1 for the controller's rate.
-        variables: by their names; none for those that the methods need.
+        variables: names; none for all that the methods need.
         verbose: without effect.
         use_upper_range_registers: without effect: registers are given by their own numbers.
         rt_priority: without effect.
 
     Raises:
-        NoSuchVariable: the controller lacks one of those that were named.
-        BadValue: a frequency that the controller does not have, or names that cannot be any.
+        NoSuchVariable: the controller does not have one of the named variables.
+        BadValue: the controller does not have this frequency, or a name is invalid.
         RemoteError: the robot cannot be reached.
     """
 
@@ -78,15 +78,15 @@ class RTDEReceiveInterface(RtdeInterface):
         self._recording: tuple[Subscription, TextIO] | None = None
 
     def isConnected(self) -> bool:
-        """Whether packages come."""
+        """Whether packages arrive."""
         return self._stream.connection is urlink.ConnectionState.CONNECTED
 
     def reconnect(self) -> bool:
-        """Wait until packages come again. It is connected anew by itself; this waits for it."""
+        """Wait until packages arrive again. A lost connection is made again without this call."""
         return succeeds(lambda: self._stream.wait(2 * _TIMEOUT))
 
     def disconnect(self) -> None:
-        """Disconnect, for good; a recording is ended."""
+        """Disconnect, and end a recording; the object cannot be used again."""
         self.stopFileRecording()
         super().disconnect()
 
@@ -96,13 +96,13 @@ class RTDEReceiveInterface(RtdeInterface):
         """The newest value of a variable.
 
         Raises:
-            LocalError: it was not asked for, or the controller lacks it.
-            RemoteError: nothing comes.
+            LocalError: it was not requested, or the controller does not have it.
+            RemoteError: no packages arrive.
         """
         state = self._stream.latest or self._stream.wait(_TIMEOUT)
         value = getattr(state, name, None)
         if value is None:
-            raise LocalError(f"{name} is not received: it was not asked for, or this controller lacks it")
+            raise LocalError(f"{name} is not received: it was not requested, or this controller does not have it")
         return value
 
     def _vector(self, name: str) -> list[float]:
@@ -216,7 +216,7 @@ class RTDEReceiveInterface(RtdeInterface):
         return self._number("target_speed_fraction")
 
     def getSpeedScalingCombined(self) -> float:
-        """What motions are scaled with: the scaling times the fraction, of one and the same package."""
+        """The scaling of motions: speed scaling times target speed fraction, both of the same package."""
         state = self._stream.latest or self._stream.wait(_TIMEOUT)
         return float(state.speed_scaling * state.target_speed_fraction)
 
@@ -277,11 +277,11 @@ class RTDEReceiveInterface(RtdeInterface):
         return self._integer("safety_status_bits")
 
     def isProtectiveStopped(self) -> bool:
-        """A protective stop holds."""
+        """Whether a protective stop holds."""
         return bool(self.getSafetyStatusBits() & SafetyStatusBits.PROTECTIVE_STOPPED)
 
     def isEmergencyStopped(self) -> bool:
-        """An emergency stop holds."""
+        """Whether an emergency stop holds."""
         return bool(self.getSafetyStatusBits() & SafetyStatusBits.EMERGENCY_STOPPED)
 
     def getFtRawWrench(self) -> list[float]:
@@ -318,7 +318,7 @@ class RTDEReceiveInterface(RtdeInterface):
             variables: which of those that are received; none for all.
 
         Raises:
-            LocalError: a recording is under way, or a variable is not received.
+            LocalError: a recording is in progress, or a variable is not received.
             BadValue: the file cannot be written.
         """
         if self._recording is not None:
@@ -341,7 +341,7 @@ class RTDEReceiveInterface(RtdeInterface):
         return True
 
     def stopFileRecording(self) -> bool:
-        """End the recording; False where there is none."""
+        """End the recording; False if there is none."""
         if getattr(self, "_recording", None) is None:
             return False
         assert self._recording is not None

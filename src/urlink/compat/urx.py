@@ -1,4 +1,4 @@
-"""The robot of urx 0.11, over this library: the calls that programs use most.
+"""The robot of urx 0.11, over this library: its most used calls.
 
 Poses are lists of six numbers. Those that need math3d, and the monitors of urx, are not here.
 """
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 __all__ = ["Robot", "RobotException"]
 
 
-#: What urx calls an exception of its own: whatever the library raises.
+#: The exception that urx calls so; here, the base class of all errors of the library.
 RobotException = LinkError
 
-#: Seconds that a motion may take, and that a state may.
+#: Seconds to wait for the end of a motion, and for a state.
 _LONGEST, _STATE_TIMEOUT = 300.0, 2.0
-#: Outputs of `set_digital_out` from which on they are configurable, or of the tool.
+#: First number of the two tool outputs in `set_digital_out`.
 _TOOL = 8
 
 
@@ -52,7 +52,7 @@ class Robot:
         self.close()
 
     def close(self) -> None:
-        """Disconnect. What moves is given up, and brakes or comes to its end as the library says."""
+        """Disconnect; a motion that is running ends as with `urlink.Robot.close`."""
         self._robot.close()
 
     def __repr__(self) -> str:
@@ -61,12 +61,12 @@ class Robot:
     # -- where it is -------------------------------------------------------------------------------------
 
     def getj(self, wait: bool = False) -> list[float]:
-        """Joint positions, rad; with `wait` of the next state."""
+        """Joint positions, rad; with `wait`, of the next state."""
         q: list[float] = _newest(self._robot.realtime, wait).q_actual.tolist()
         return q
 
     def getl(self, wait: bool = False, _log: bool = True) -> list[float]:
-        """Pose of the tool in the base frame: m, and rotation vector in rad; with `wait` of the next state."""
+        """Pose of the tool in the base frame: m, and rotation vector in rad; with `wait`, of the next state."""
         pose: list[float] = _newest(self._robot.realtime, wait).tool_vector_actual.tolist()
         return pose
 
@@ -76,12 +76,12 @@ class Robot:
         return force
 
     def is_running(self) -> bool:
-        """The robot runs: it is switched on, and no stop holds."""
+        """Whether the robot is switched on, and no stop holds."""
         self._robot.primary.wait(_STATE_TIMEOUT)
         return self._robot.safety.cause is None
 
     def is_program_running(self) -> bool:
-        """A program runs."""
+        """Whether a program runs."""
         return bool(_newest(self._robot.primary.of(urlink.RobotModeData), False).is_program_running)
 
     # -- movements ---------------------------------------------------------------------------------------
@@ -95,7 +95,7 @@ class Robot:
         relative: bool = False,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the joints to positions, rad; with `relative` by so much. Where it is then, if it waits.
+        """Move the joints to positions, rad, or by them with `relative`. If it waits, returns the positions at the end.
 
         The threshold has no effect: the controller says when the motion is over.
         """
@@ -111,7 +111,7 @@ class Robot:
         relative: bool = False,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the tool in a line to a pose; with `relative` each coordinate by so much. See `movej`."""
+        """Move the tool in a line to a pose, or by each coordinate with `relative`. See `movej`."""
         goal = [a + b for a, b in zip(tpose, self.getl(), strict=True)] if relative else tpose
         return self._moved(lambda: self._robot.motion.move_linear(goal, vel, acc), wait, self.getl)
 
@@ -136,7 +136,7 @@ class Robot:
         wait: bool = True,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the tool in lines through poses, round corners with a radius in m. See `movej`."""
+        """Move the tool in lines through poses, with blends of a radius in m. See `movej`."""
         return self._path([Linear(pose, blend=radius) for pose in pose_list], acc, vel, wait)
 
     def movejs(
@@ -148,7 +148,7 @@ class Robot:
         wait: bool = True,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the joints through positions, round corners with a radius in m. See `movej`."""
+        """Move the joints through positions, with blends of a radius in m. See `movej`."""
         waypoints = [Joint(q, blend=radius, speed=vel, acceleration=acc) for q in joint_positions_list]
         return self._path(waypoints, acc, vel, wait)
 
@@ -164,15 +164,15 @@ class Robot:
         return self.movel([*vect, 0.0, 0.0, 0.0], acc, vel, wait, relative=True)
 
     def up(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
-        """Move the tool up by so many m."""
+        """Move the tool up by z, m."""
         self.translate((0.0, 0.0, z), acc, vel)
 
     def down(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
-        """Move the tool down by so many m."""
+        """Move the tool down by z, m."""
         self.up(-z, acc, vel)
 
     def speedj(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
-        """Turn the joints at speeds, rad/s, and brake after so many seconds, unless it is called again before."""
+        """Move the joints at speeds, rad/s, and brake after `min_time` seconds, unless it is called again before."""
         self._robot.motion.speed_joints(velocities, acc, duration=min_time)
 
     def speedl(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
@@ -201,15 +201,15 @@ class Robot:
     # -- tool, payload, inputs and outputs ---------------------------------------------------------------
 
     def set_tcp(self, tcp: Sequence[float]) -> None:
-        """Put the tool centre point at a pose in the frame of the flange."""
+        """Set the TCP: a pose in the frame of the flange, m and rad."""
         self._robot.set_tcp(tcp)
 
     def set_payload(self, weight: float, cog: Sequence[float] | None = None) -> None:
-        """Tell what the arm carries: kg, and its centre of gravity in m."""
+        """Set the payload: mass in kg, centre of gravity in m."""
         self._robot.set_payload(weight, cog)
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """Say which way gravity pulls: (3,) m/s² in the base frame, as a vector that points up."""
+        """Set gravity: (3,) m/s² in the base frame, a vector that points up."""
         values = six([*vector, 0.0, 0.0, 0.0], "vector")[:3].tolist()
         self._robot.script.run(f"sec urlink_gravity():\n  set_gravity({values})\nend", wait=True)
 
@@ -255,7 +255,7 @@ class Robot:
     # -- programs ----------------------------------------------------------------------------------------
 
     def send_program(self, prog: str) -> None:
-        """Send a program; it is not waited for."""
+        """Send a program; does not wait for its end."""
         self._robot.script.run(prog)
 
     def send_message(self, msg: str) -> None:
@@ -264,5 +264,5 @@ class Robot:
 
 
 def _newest(feed: Feed[Any], wait: bool) -> Any:
-    """The newest of a feed; the next one with `wait`, or where there is none."""
+    """The newest packet of a feed; the next one with `wait`, or if there is none."""
     return (None if wait else feed.latest) or feed.wait(_STATE_TIMEOUT)
