@@ -1,4 +1,4 @@
-"""Moving the arm: `Motions` is what `robot.motion` is."""
+"""Motions of the arm; `robot.motion` is a `Motions`."""
 
 from .contact import Contact, ContactMotion
 from .following import TrajectoryFeedback

@@ -1,4 +1,4 @@
-"""A movement that ends where the tool touches something."""
+"""A movement that ends when the tool touches something."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Contact:
 
 
 class ContactMotion(Motion):
-    """A movement until a contact; made by `robot.motion.until_contact`. It fails with `NoContact` where there is none.
+    """A movement until a contact; made by `robot.motion.until_contact`. It fails with `NoContact` if there is none.
 
     Args:
-        life: its life cycle.
+        life: life cycle of the motion.
         distance: m after which it ends without a contact, for messages.
         pose_at: the pose of the TCP at joint positions.
     """
@@ -44,11 +44,11 @@ class ContactMotion(Motion):
 
     @property
     def contact(self) -> Contact | None:
-        """Where the contact began; None until it is over, and where it ended otherwise."""
+        """Where the contact began; None while it runs, and if it ended without a contact."""
         return self._contact
 
     def _hear(self, text: str) -> None:
-        """The program has said something."""
+        """Handle a line of text from the program."""
         if text.startswith(yielding.NO_CONTACT):
             self._life.fail(NoContact(f"nothing was touched within {self._distance:g} m"))
             return

@@ -21,17 +21,16 @@ __all__ = ["MotionContext"]
 
 @dataclass(frozen=True)
 class MotionContext:
-    """The robot, as motions use it.
+    """The parts of a robot that motions use.
 
     Attributes:
         programs: uploads programs.
-        channel: sends set-points.
-        realtime: where the joints are, and the controller's clock.
-        who: tells who the controller is.
+        realtime: the stream with the joint positions and the controller's clock.
+        who: returns the identity of the controller.
         reverse: the port to which its programs connect.
-        registers: claims the input registers from which its programs read set-points, if not over a connection.
+        registers: claims the input registers that are used if programs do not connect.
         section: of the robot; left while a thread waits.
-        clock: seconds that only grow.
+        clock: returns monotonic seconds.
     """
 
     programs: Programs
@@ -44,11 +43,11 @@ class MotionContext:
     clock: Callable[[], float] = time.monotonic
 
     def state(self) -> RealtimeState:
-        """The newest state, or the next one.
+        """The newest state; if there is none, the next one.
 
         Raises:
-            LocalError: there is none yet, and this is the thread that would have to read it.
-            LinkTimeout, RemoteError: none comes.
+            LocalError: there is none yet, and this is the thread that receives states.
+            LinkTimeout, RemoteError: no state comes.
         """
         newest = self.realtime.latest
         if newest is not None:

@@ -17,7 +17,7 @@ class FilteredTargets:
         cycle: s of the controller's cycle.
 
     Attributes:
-        newest: (6,) rad; set by the thread that calls `Servo.send`.
+        newest: the last target, (6,) rad; set by the thread that calls `Servo.send`.
     """
 
     def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:

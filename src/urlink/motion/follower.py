@@ -28,12 +28,12 @@ from .trajectory import Trajectory
 
 __all__ = ["Follower"]
 
-#: rad/s at most with which the arm is led from where it is to the trajectory.
+#: rad/s, at most, of the correction from the position of the arm to the trajectory.
 _FADE_SPEED = 0.25
-#: Seconds that this takes at least.
+#: Seconds, at least, that this correction takes.
 _FADE_LEAST = 0.2
-#: Factor by which a trajectory may be followed faster to catch up. Chosen: a second makes up for a tenth, and the jump
-#: in speed is no more than an arm takes from point to point of a coarse trajectory.
+#: Factor by which a trajectory may be followed faster to catch up. Chosen: one second makes up for 0.1 s, and the jump
+#: in speed is no larger than those between the points of a coarse trajectory.
 _CATCHING_UP = 1.1
 #: Seconds, at least, in which the difference to the trajectory is closed, in place and in time. Chosen: those for which
 #: the program coasts (`urlink.urscript.streaming.COASTING`), so that it does not overshoot.
@@ -41,7 +41,7 @@ _SETTLING = 0.1
 
 
 class _Offset(ABC):
-    """A difference between two places of the arm, which becomes smaller as the trajectory goes on.
+    """A difference between two positions of the arm, which shrinks as the trajectory goes on.
 
     Args:
         offset: (6,) rad, at first.
@@ -55,17 +55,17 @@ class _Offset(ABC):
         self._seconds = seconds
 
     def at(self, t: float) -> tuple[list[float], list[float]]:
-        """What is left of it at a time, rad, and its speed, rad/s."""
+        """The rest of it at a time, rad, and how fast that changes, rad/s."""
         share, speed = self._left(1.0 - min(max((t - self._begin) / self._seconds, 0.0), 1.0))
         return [share * each for each in self._offset], [speed / self._seconds * each for each in self._offset]
 
     @abstractmethod
     def _left(self, rest: float) -> tuple[float, float]:
-        """The share that is left when this share of the time is left, and how fast it changes in the whole time."""
+        """The share that is left at a share `rest` of the time, and how fast it changes in the whole time."""
 
 
 class _Fade(_Offset):
-    """One that is faded out, beginning and ending at rest."""
+    """A difference that is faded out, with speed zero at the beginning and the end."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
         super().__init__(offset, begin, max(1.5 * max(map(abs, offset)) / _FADE_SPEED, _FADE_LEAST))
@@ -75,7 +75,7 @@ class _Fade(_Offset):
 
 
 class _Gap(_Offset):
-    """One that is closed at constant speed, so that it is closed also where it is measured anew in each cycle."""
+    """A difference that is closed at constant speed, which works even if it is measured again in each cycle."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
         super().__init__(offset, begin, max(max(map(abs, offset)) / _FADE_SPEED, _SETTLING))
@@ -87,13 +87,13 @@ class _Gap(_Offset):
 class Follower(Following):
     """The set-points of a trajectory.
 
-    Where the arm does not stand exactly at the first point, the difference is faded out while it moves.
+    If the arm does not stand exactly at the first point, the difference is faded out while it moves.
 
     Args:
         servoing: how its set-points are followed.
         model: the arm; None if it is not known.
-        delay: s from a state to the one in which the arm is where the set-point that answered it was; None for the
-            cycles that a set-point takes to arrive.
+        delay: s from a state to the one in which the arm is at the set-point that answered it; None for the cycles that
+            a set-point takes to arrive.
     """
 
     def __init__(
@@ -113,10 +113,11 @@ class Follower(Following):
         #: s that have passed on the trajectory, by the controller's clock; None before it began
         self._t: float | None = None
         # What there is once it has begun:
-        #: between the arm and the first point; and between the arm and the trajectory, after set-points stayed away
+        #: between the arm and the first point; and between the arm and the trajectory, after set-points were missed
         self._start: _Fade
         self._gap: _Gap
-        #: the time of the last set-point on the trajectory, s; and by how many s on it the program goes on in a second
+        #: the time of the last set-point on the trajectory, s; and the s on it per second with which the program goes
+        #: on
         self._s: float
         self._pace: float
 
@@ -125,18 +126,19 @@ class Follower(Following):
         return self._servoing.body(link)
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Positions and velocities that the arm is to have at a time."""
+        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
         q, qd = super().desired(t)
         offset, speed = self._start.at(t)
         return _sum(q, offset), _sum(qd, speed)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """What to say when a state has come; nothing is said twice for the same cycle.
+        """The word that answers a state; a second state of the same cycle is not answered.
 
         Raises:
-            BadValue: the arm does not stand where the trajectory begins.
-            LinkTimeout: it does not come to rest.
-            ToleranceExceeded: it is too far from where it should be, or would have to leap.
+            BadValue: the arm is not at the beginning of the trajectory.
+            LinkTimeout: the arm does not come to rest.
+            ToleranceExceeded: the arm is too far from the trajectory, or no set-point leads back to it within the
+                limits.
         """
         passed = self._clock.passed(state.time, now)
         if self._t is None:
@@ -157,9 +159,9 @@ class Follower(Following):
         return word
 
     def _next(self, wanted: float, now: float) -> bytes:
-        """The next set-point: for the time `wanted` on the trajectory, or as near to that as may be."""
+        """The next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow."""
         excess = None
-        # Where that many cycles cannot have passed, by this computer's clock, none was missed.
+        # If this computer's clock shows that so many cycles cannot have passed, none was missed.
         for missed in (self._stream.missed, 0):
             here, _ = self._stream.coasted_to(missed)
             s = self._s + self._pace * self._stream.coasted_time(missed)
@@ -176,8 +178,8 @@ class Follower(Following):
         raise ToleranceExceeded(f"the arm would have to leap to go on with its trajectory: {excess}")
 
     def _lead(self, q: list[float], s: float, wanted: float, now: float) -> bytes:
-        """Send a set-point, and the speed with which the program goes on from there: along the trajectory, and a little
-        faster or slower than it, to where it is wanted."""
+        """Send a set-point, and the speed at which the program goes on from it: along the trajectory, a little faster
+        or slower, towards `wanted`."""
         most = _CATCHING_UP - 1.0
         self._s, self._pace = s, 1.0 + min(max((wanted - s) / _SETTLING, -most), most)
         closing = self._gap.at(s)[1]

@@ -1,4 +1,4 @@
-"""The common part of both ways to follow a trajectory: the controller's clock, the beginning, the tolerances, the end.
+"""The common part of both ways to follow a trajectory: the controller's clock, the start, the tolerances, the end.
 
 Sans-IO and without a clock: `urlink.motion.linked` passes states and times in.
 """
@@ -19,20 +19,20 @@ from .trajectory import Trajectory
 
 __all__ = ["AHEAD", "ControllerClock", "Following", "Rest", "Tolerances", "TrajectoryFeedback"]
 
-#: Cycles from a state to that in which the set-point that it brings about takes effect: it is sent back within the next
-#: one, and the program takes it up at the beginning of the one after.
+#: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
+#: applies it at the beginning of the one after.
 AHEAD = 2
-#: rad/s below which an arm stands.
+#: rad/s below which an arm counts as standing still.
 _STANDING = 0.02
 #: Seconds that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Seconds by which a state may come earlier than the quickest before it. More than that means that a clock was set.
+#: Seconds by which a state may be quicker than the quickest before it. If it is more, a clock was set.
 _EARLIER = 0.1
 
 
 @dataclass(frozen=True)
 class TrajectoryFeedback:
-    """Where the arm is on its trajectory. Arrays are (6,), joints from base to wrist 3.
+    """Where the arm is, and where its trajectory is. Arrays are (6,), joints from base to wrist 3.
 
     Attributes:
         time: seconds on the controller's clock since the trajectory began.
@@ -53,13 +53,13 @@ class TrajectoryFeedback:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far the arm may be from where it should be.
+    """How far the arm may be from its trajectory.
 
     Attributes:
         path: rad, in any joint, on the way; None for no limit.
         goal: rad, in any joint, at the end.
         goal_time: seconds after the end within which it has to arrive.
-        start: rad, in any joint, from the first point.
+        start: rad, in any joint, between the arm and the first point.
     """
 
     path: float | None
@@ -69,15 +69,16 @@ class Tolerances:
 
 
 class ControllerClock:
-    """How much time passes on the controller, by the plausible times of its states.
+    """Measures how much time passes on the controller, by the times in its states, as far as these are plausible.
 
-    A state cannot come before its time. How long states are on their way is not known, but the quickest of them gives
-    a bound: one that would be quicker than that by more than `_EARLIER` has a wrong time. So states that were held up
-    on their way, or read late, may come together, and the time of each counts; also where a simulated controller that
-    was held up makes up for it faster than time passes.
+    A state cannot come before its time. How long states take to arrive is not known, but the quickest of them gives a
+    bound: a state that would be quicker by more than `_EARLIER` has a wrong time. So states that were delayed, or are
+        read
+    late, may come together, and the time of each counts. This also holds for a simulated controller that was delayed
+    and catches up faster than time passes.
 
-    For a state without a time, from the past, or from such a future, this computer's clock counts, and one cycle at
-    least; the states after it are held against it.
+    For a state with no time, or one in the past or too far in the future, this computer's clock counts, with one cycle
+    at least. The states after it are compared with it.
 
     Args:
         cycle: seconds of the controller's cycle.
@@ -94,7 +95,7 @@ class ControllerClock:
 
         Args:
             time: of the state, on the controller's clock.
-            now: when it came, on a clock of this computer that only grows.
+            now: its arrival, monotonic s.
         """
         last, self._last = self._last, (time, now)
         way = now - time
@@ -110,7 +111,7 @@ class ControllerClock:
 
 
 class Rest:
-    """Waits for the arm to stand, so that something can begin.
+    """Waits until the arm stands still, so that a motion can begin.
 
     Args:
         what: the motion that is to begin, for messages.
@@ -121,7 +122,7 @@ class Rest:
         self._moving_since: float | None = None
 
     def is_reached(self, state: RealtimeState, now: float) -> bool:
-        """Whether the arm stands.
+        """Whether the arm stands still.
 
         Raises:
             LinkTimeout: it does not come to rest.
@@ -135,7 +136,7 @@ class Rest:
 
 
 class Following(ABC):
-    """A trajectory that is being followed: what both `Dialogue`s of `urlink.motion.linked` share.
+    """A trajectory that is being followed: the base of the two `Dialogue`s that do it.
 
     Args:
         trajectory: what to follow.
@@ -144,11 +145,11 @@ class Following(ABC):
 
     Attributes:
         farewell: the word that ends the program.
-        survives_its_program: the motion goes on where the program ends before the arm has arrived.
-        progress: the part of it that is over.
-        is_over: the arm has arrived, and stands.
-        began: on the clock of the states: when the arm was at the beginning, or would have been, to be at this moment
-            where it is led; None before that.
+        survives_its_program: whether the motion goes on if the program ends before the arm has arrived.
+        progress: the fraction that is over.
+        is_over: whether the arm has arrived and stands still.
+        began: by the time of states, s: when the trajectory began, or would have had to begin for the arm to be led now
+            to where it is led; None before it began.
     """
 
     def __init__(self, trajectory: Trajectory, tolerances: Tolerances, cycle: float) -> None:
@@ -168,31 +169,31 @@ class Following(ABC):
 
     @abstractmethod
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """What to say when a state has come."""
+        """The word that answers a state."""
 
     def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
-        """The program has come to its own end."""
+        """Handle that the program has ended by itself."""
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Positions and velocities that the arm is to have at a time."""
+        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
         q, qd, _ = self._trajectory.sample(t)
         return q, qd
 
     def _check_start(self, state: RealtimeState) -> list[float]:
-        """Where the arm's targets are, which is near the first point.
+        """The target joint positions of the arm, which must be close to the first point.
 
         Raises:
-            BadValue: it is not.
+            BadValue: they are not.
         """
         q = state.q_target.tolist()
         self._trajectory.check(near=q, within=self._tolerances.start)
         return list(q)
 
     def _compare(self, state: RealtimeState, t: float) -> None:
-        """Hold the arm against where it should be at the time `t` of the trajectory.
+        """Compare the arm with the trajectory at the time `t`.
 
         Raises:
-            ToleranceExceeded: it is too far away.
+            ToleranceExceeded: the arm is too far away.
         """
         trajectory, tolerances = self._trajectory, self._tolerances
         self.began = state.time - t
@@ -214,7 +215,7 @@ class Following(ABC):
 def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float, when: str) -> None:
     errors = [abs(d - a) for d, a in zip(desired, actual, strict=True)]
     worst = max(range(6), key=lambda joint: errors[joint] if errors[joint] == errors[joint] else float("inf"))
-    if not errors[worst] <= tolerance:  # so that NaN is too far as well
+    if not errors[worst] <= tolerance:  # true for NaN too
         raise ToleranceExceeded(
             f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from where it should be, {when}; "
             f"the tolerance is {tolerance:g} rad"
@@ -222,5 +223,5 @@ def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float,
 
 
 def stands(speeds: FloatArray) -> bool:
-    """Whether an arm with these speeds of its joints stands, (6,) rad/s."""
+    """Whether an arm with these joint speeds, (6,) rad/s, stands still."""
     return all(abs(speed) < _STANDING for speed in speeds.tolist())

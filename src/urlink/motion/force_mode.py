@@ -1,4 +1,4 @@
-"""Force mode as a block: the tool yields and presses along some axes, and keeps its place along the others."""
+"""Force mode as a block: the tool yields and presses along some axes, and keeps its position along the others."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ __all__ = ["ForceMode", "Pressing", "axes_of", "frame_of"]
 
 #: N and Nm; no arm exerts more.
 _LARGEST = 1000.0
-#: m/s, rad/s, m and rad beyond which a limit has the wrong unit.
+#: m/s, rad/s, m and rad; a larger limit has the wrong unit.
 _WIDEST = 10.0
-#: The first releases that have each.
+#: The first releases with force mode, with damping (CB3), and with gain.
 _FORCE_MODE = Firmware(3, 0)
 _DAMPING_CB, _GAIN = Firmware(3, 5), Firmware(5, 0)
 _NAMES = ("x", "y", "z", "rx", "ry", "rz")
@@ -39,8 +39,8 @@ class Pressing:
         frame: (6,) pose in the base frame.
         selection: (6,) the compliant axes.
         limits: (6,) of speed along them, m/s and rad/s; of deviation along the others, m and rad.
-        kind: 1, 2 or 3: how the frame is turned; see `Motions.force_mode`.
-        damping, gain: None leaves them to the controller.
+        kind: 1, 2 or 3: how the controller turns the frame; see `Motions.force_mode`.
+        damping, gain: None for those of the controller.
     """
 
     frame: tuple[float, ...]
@@ -51,11 +51,11 @@ class Pressing:
     gain: float | None
 
     def check(self, firmware: Firmware) -> None:
-        """Refuse what the numbers or the firmware do not allow.
+        """Check the numbers, and whether the firmware has what they need.
 
         Raises:
             BadValue: a number out of range.
-            LocalError: what this firmware has not.
+            LocalError: this firmware has no force mode, damping or gain.
         """
         if firmware < _FORCE_MODE:
             raise LocalError(f"force mode is used from firmware {_FORCE_MODE} on, not on {firmware}")
@@ -74,10 +74,10 @@ class Pressing:
 
 
 def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
-    """Six of 0 and 1, or of False and True.
+    """Six of 0 and 1, or of False and True, as booleans.
 
     Raises:
-        BadValue: they are not.
+        BadValue: not six such values.
     """
     axes = list(values)
     if len(axes) != 6 or any(each not in (0, 1) for each in axes):
@@ -90,7 +90,7 @@ def frame_of(context: MotionContext, frame: ArrayLike | str) -> tuple[float, ...
 
     Raises:
         BadValue: none of these.
-        LinkTimeout, RemoteError: no state tells where the tool is.
+        LinkTimeout, RemoteError: no state comes, so the pose of the tool is not known.
     """
     if isinstance(frame, str):
         if frame == "base":
@@ -102,7 +102,7 @@ def frame_of(context: MotionContext, frame: ArrayLike | str) -> tuple[float, ...
 
 
 class ForceMode(LinkedBlock):
-    """The arm in force mode, for as long as a ``with`` block; made by `robot.motion.force_mode`."""
+    """Force mode while a ``with`` block is open; made by `robot.motion.force_mode`."""
 
     def __init__(
         self,
@@ -133,15 +133,15 @@ class ForceMode(LinkedBlock):
     @property
     def wrench(self) -> FloatArray:
         """(6,) what the tool is to exert, N and Nm along and about the axes of the frame."""
-        assert self._told.values is not None  # it is told a wrench from the first word on
+        assert self._told.values is not None  # there is a wrench from the first word on
         return six(self._told.values, "wrench")
 
     def set_wrench(self, wrench: ArrayLike) -> None:
-        """Exert another wrench from the next state on; along axes that are not compliant it does not count.
+        """Exert another wrench from the next state on. Along axes that are not compliant it has no effect.
 
         Raises:
             BadValue: not six finite numbers, or more than an arm can exert.
-            LinkError: force mode is over, and why.
+            LinkError: force mode is over; the error says why.
             LocalError: not within the block.
         """
         self._check_open()

@@ -18,23 +18,23 @@ from .linked_block import LinkedBlock
 __all__ = ["Freedrive"]
 
 _NOTHING = (0.0,) * 6
-#: The first releases that have freedrive in a program, and that take axes.
+#: The first releases that have freedrive in a program, and freedrive along selected axes.
 _FREEDRIVE, _AXES = Firmware(3, 0), Firmware(5, 10)
 
 
 class Freedrive(LinkedBlock):
-    """The arm in freedrive, for as long as a ``with`` block; made by `robot.freedrive`.
+    """Freedrive while a ``with`` block is open; made by `robot.freedrive`.
 
     Args:
         context: the robot.
         axes: (6,) of the frame that are free; None for all.
         frame: (6,) pose in the base frame.
-        watchdog: s without a word from this computer after which the arm stands.
+        watchdog: s without a word from this computer after which the robot ends freedrive.
         open_link: opens the link to the program.
 
     Raises:
         BadValue: a number out of range, or no axis is free.
-        LocalError: this firmware has no freedrive, or none along chosen axes.
+        LocalError: this firmware has no freedrive, or none along selected axes.
     """
 
     def __init__(

@@ -1,17 +1,17 @@
 """From any state of a joint to rest at a target, as fast as limits of speed, acceleration and jerk allow.
 
-Of one joint, with position x, speed v and acceleration a. Braking as hard as the limits allow, it comes to rest at some
-place. If the target lies beyond that place, the joint is pushed towards it for a while, with all the jerk there is
+For one joint, with position x, speed v and acceleration a: if it brakes as hard as the limits allow, it comes to rest
+at some position. If the target lies beyond that, the joint is pushed towards it for a while, with the largest jerk
 until the largest acceleration is reached, and then brakes. The longer the push, the further away it comes to rest, so
-the length of the push is the root of a function that only grows. Where the push would go on until the largest speed is
-reached, the joint goes on at that speed for as long as is needed. That makes seven segments of constant jerk at most:
-up, hold, down, cruise, down, hold, up. If the target lies the other way, all of it is mirrored.
+the length of the push is the root of a growing function. If the push would reach the largest speed, the joint keeps
+that speed for as long as needed. That makes at most seven segments of constant jerk: up, hold, down, cruise, down,
+hold, up. If the target lies the other way, all of it is mirrored.
 
 Braking is the same with the speed in place of the position: the acceleration grows, is held, and dies away.
 
 Each joint gets to its target in its own time; they are not slowed down to arrive together.
 
-Everything is plain floats: for six joints numpy takes longer for one operation than this for a joint.
+Everything is plain floats: one operation of numpy takes longer than all of this for one joint.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ __all__ = ["JointLimit", "Profile", "TargetFilter", "joint_limits"]
 #: rad by which a push may miss its target: a millionth of the resolution of a set-point.
 _PRECISION = 1e-12
 
-#: s, and rad/s³: a segment of constant jerk.
+#: Duration, s, and jerk, rad/s³, of a segment.
 _Segment = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class JointLimit:
-    """What one joint may do at most: rad/s, rad/s² and rad/s³."""
+    """The limits of one joint: rad/s, rad/s² and rad/s³."""
 
     speed: float
     acceleration: float
@@ -52,12 +52,12 @@ def joint_limits(
     """The limits of six joints, each given as one number for all of them or as (6,).
 
     Args:
-        model: the arm, which can do no more; None where it is not known. The vendor gives no limits of acceleration:
-            see `urlink.models`.
+        model: the arm, whose own limits must not be exceeded; None if it is not known. The vendor publishes no limits
+            of acceleration: see `urlink.models`.
         speed, acceleration, jerk: rad/s, rad/s², rad/s³.
 
     Raises:
-        BadValue: a limit that is not positive, or that is beyond those of the arm.
+        BadValue: a limit is not positive, or beyond that of the arm.
     """
     rows = [six_limits(speed, "speed"), six_limits(acceleration, "acceleration"), six_limits(jerk, "jerk")]
     if model is not None:
@@ -73,11 +73,11 @@ def joint_limits(
 
 
 class Profile:
-    """How one joint gets from a state to rest at a target.
+    """The movement of one joint from a state to rest at a target.
 
     Args:
-        x, v, a: rad, rad/s, rad/s²; within the limits, and such that the speed stays within them where the acceleration
-            dies away at once.
+        x, v, a: rad, rad/s, rad/s²; within the limits, and so is the speed that is reached when the acceleration dies
+            away as fast as the jerk allows.
         target: rad.
         limit: of the joint.
 
@@ -99,7 +99,7 @@ class Profile:
         self.duration = t
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """Position, speed and acceleration `t` s after it began; at its end and after it, the target."""
+        """Position, speed and acceleration `t` s after the beginning; from the end on, the target."""
         for end, begin, x, v, a, jerk in self._pieces:
             if t < end:
                 return _after(x, v, a, jerk, t - begin)
@@ -107,18 +107,17 @@ class Profile:
 
 
 class TargetFilter:
-    """Six joints on their way to targets that may change at any time.
+    """Six joints that move to targets which may change at any time.
 
-    Each new target is a new plan from where the joints are, at the speed and the acceleration that they have. So
-    whatever the targets are and whenever they come, no limit is exceeded; and what the joints do is between where they
-    were and where they were told to go.
+    Each new target makes a new plan from the present positions, speeds and accelerations of the joints. So no limit is
+    exceeded, whatever the targets are and whenever they come.
 
     Args:
-        q: (6,) rad, where they rest.
+        q: (6,) rad, positions at rest.
         limits: of each joint.
 
     Attributes:
-        q, qd, qdd: (6,) rad, rad/s, rad/s²: where they are led, and how that moves.
+        q, qd, qdd: (6,) rad, rad/s, rad/s²: present positions, speeds and accelerations.
         target: (6,) rad.
     """
 
@@ -131,16 +130,16 @@ class TargetFilter:
         self._times = [0.0] * 6
 
     def aim(self, target: Sequence[float]) -> None:
-        """Go to another target (6, rad) from now on."""
+        """Go to another target, (6,) rad, from now on."""
         for joint, (old, new) in enumerate(zip(self.target, target, strict=True)):
             if old != new:
                 self._plan(joint, new)
         self.target = list(target)
 
     def restart(self, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Go on to the target from elsewhere (6, rad), at other speeds (6, rad/s).
+        """Go on to the target from other positions, (6,) rad, at other speeds, (6,) rad/s.
 
-        The accelerations stay what they are, but for what is more than the speeds allow.
+        The accelerations stay as they are, unless they would lead beyond the largest speeds.
         """
         self.q = list(q)
         for joint, (speed, limit) in enumerate(zip(qd, self._limits, strict=True)):
@@ -156,19 +155,19 @@ class TargetFilter:
         self._times[joint] = 0.0
 
     def after(self, seconds: float) -> tuple[list[float], list[float]]:
-        """Where the joints will be so many seconds later, and how fast: (6,) rad, and (6,) rad/s."""
+        """Positions, (6,) rad, and speeds, (6,) rad/s, `seconds` later."""
         states = [profile.at(t + seconds) for profile, t in zip(self._profiles, self._times, strict=True)]
         return [x for x, _, _ in states], [v for _, v, _ in states]
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         for joint, profile in enumerate(self._profiles):
             self._times[joint] = t = self._times[joint] + seconds
             self.q[joint], self.qd[joint], self.qdd[joint] = profile.at(t)
 
     @property
     def is_at_target(self) -> bool:
-        """All of them rest where they were told to go."""
+        """Whether all joints rest at their targets."""
         return all(t >= profile.duration for profile, t in zip(self._profiles, self._times, strict=True))
 
 
@@ -178,9 +177,9 @@ def _after(x: float, v: float, a: float, jerk: float, t: float) -> tuple[float, 
 
 
 def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _Segment]:
-    """The fastest way to rest, wherever that is."""
+    """The fastest way to rest, at any position."""
     most, jerk = limit.acceleration, limit.jerk
-    # What the speed comes to where the acceleration dies away at once says which way to accelerate.
+    # The direction follows from the speed that remains when the acceleration dies away at once.
     if v + 0.5 * a * abs(a) / jerk > 0.0:
         jerk, a, gain = -jerk, -a, v
     else:
@@ -195,7 +194,7 @@ def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _
 
 
 def _way(v: float, a: float, segments: Sequence[_Segment]) -> float:
-    """How far the segments lead."""
+    """The distance that the segments lead, rad."""
     x = 0.0
     for t, jerk in segments:
         x += t * (v + t * (0.5 * a + t * jerk / 6.0))
@@ -215,7 +214,7 @@ def _segments(x: float, v: float, a: float, target: float, limit: JointLimit) ->
 
 
 def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: JointLimit) -> list[_Segment]:
-    """A push, and the way to rest from there; `way` is no shorter than that of braking at once."""
+    """A push, and the braking after it; `way` is at least the distance of braking at once."""
     most, jerk = limit.acceleration, limit.jerk
     until_held = max(most - a, 0.0) / jerk
     held_x, held_v, _ = _after(0.0, v, a, jerk, until_held)
@@ -228,7 +227,7 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
         return held_x + held * (held_v + 0.5 * held * most), held_v + held * most, most
 
     def missing(seconds: float) -> float:
-        # As `_way` of `_brake`, multiplied out, since nearly all of the time goes here.
+        # `_way` of `_brake`, written out: most of the time is spent here.
         x, speed, acceleration = pushed(seconds)
         square = max(jerk * speed + 0.5 * acceleration * acceleration, 0.0)
         if square <= most * most:
@@ -241,10 +240,10 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
             x += held * (0.5 * most * most / jerk + 0.5 * most * held) + fading
         return x + t * (speed + t * (0.5 * acceleration - t * jerk / 6.0)) - way
 
-    # Braking may itself begin with a push; so much of it is sure.
+    # Braking may itself begin with a push; the whole push is at least as long as that.
     (first, its_jerk), (held, _), _ = braking
     least = first + held if its_jerk > 0.0 else 0.0
-    # The longest push is that after which the acceleration dies away just as the largest speed is reached.
+    # At the end of the longest push the acceleration dies away just as the largest speed is reached.
     slack = max(limit.speed - v + 0.5 * a * a / jerk, 0.0)
     if jerk * slack <= most * most:
         peak = math.sqrt(jerk * slack)

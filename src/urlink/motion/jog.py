@@ -1,4 +1,4 @@
-"""Jogging: speeds of the joints or of the tool, each of which lapses unless it is sent again."""
+"""Jogging: speeds of the joints or of the tool, each of which expires unless it is sent again."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ __all__ = ["FrameName", "Jog"]
 FrameName = Literal["joints", "base", "tool"]
 
 _REST = np.zeros(6)
-#: m/s and rad/s of a tool, beyond which a number is a mistake: no arm is faster.
+#: m/s and rad/s of a tool; a larger number is a mistake: no arm is faster.
 _FASTEST_TOOL, _FASTEST_TURN = 5.0, 10.0
 
 
 class _Jogging:
-    """Answers each state with the newest speeds, or with `WAIT_WORD` where they have lapsed.
+    """Answers each state with the newest speeds, or with `WAIT_WORD` if they have expired.
 
     Args:
         frame: of the speeds.
-        timeout: s after which they lapse.
-        write: the lines of the program.
+        timeout: s after which they expire.
+        write: makes the lines of the program.
     """
 
     farewell = STOP_WORD
@@ -47,7 +47,7 @@ class _Jogging:
         self._frame = frame
         self._timeout = timeout
         self._write = write
-        #: the speeds, and when they were told; set in one step, by whichever thread
+        #: the speeds, and when they were set, monotonic s; one assignment, by any thread
         self.told: tuple[FloatArray, float] | None = None
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
@@ -63,7 +63,7 @@ class _Jogging:
         elif self._frame == "tool":
             from ..poses import rotvec_to_matrix
 
-            # From the axes of the tool, as it is turned now, to those of the base.
+            # From the axes of the tool, in its present orientation, to those of the base.
             turned = rotvec_to_matrix(state.tool_vector_actual[3:])
             speeds = np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
         return setpoint(speeds.tolist(), _REST.tolist())
@@ -76,7 +76,7 @@ class Jog(LinkedBlock):
 
     Attributes:
         frame: of the speeds: "joints", "base" or "tool".
-        timeout: seconds after which a speed lapses.
+        timeout: seconds after which a speed expires.
     """
 
     def __init__(
@@ -109,14 +109,14 @@ class Jog(LinkedBlock):
         ]
 
     def move(self, speeds: ArrayLike) -> None:
-        """Move at these speeds from now on, until others come or `timeout` seconds are over. Waits for nothing.
+        """Move at these speeds until others come, or `timeout` seconds are over. Does not wait.
 
         Args:
             speeds: (6,) rad/s of the joints; or of the tool, m/s along and rad/s about the axes of the frame.
 
         Raises:
-            BadValue: not six finite numbers, or faster than the arm can be; what was said before goes on.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            BadValue: not six finite numbers, or faster than the arm can be; the speeds before stay.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the jog is over.
             LocalError: not within the block.
         """
         self._check_open()
@@ -126,7 +126,7 @@ class Jog(LinkedBlock):
         self._dialogue.told = values, self._context.clock()
 
     def stop(self) -> None:
-        """Brake; the next `move` goes on.
+        """Brake; the next `move` moves again.
 
         Raises:
             LinkError: as for `move`.

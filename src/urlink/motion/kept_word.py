@@ -1,4 +1,4 @@
-"""The dialogue with a program that goes on while words come: the same word for each state, until it changes."""
+"""The dialogue with a program that runs while words come: the same word answers each state, until it changes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class KeptWord:
 
     Args:
         body: makes the lines of the program, for its link.
-        values: (6,) of the word; None for a word that only shows that this computer is there.
+        values: (6,) of the word; None for a word that only shows that this computer is alive.
 
     Attributes:
         values: as given; may be set by any thread.
-        is_mute: states are not answered any more, since the user's own loop sends the words.
+        is_mute: whether states are no longer answered, because the user's loop sends the words.
     """
 
     farewell = STOP_WORD

@@ -1,8 +1,8 @@
 """A program on the robot that is linked to this computer, and the words that are sent to it.
 
 Each real-time state that arrives, one per cycle of the controller, is answered with a word, so the controller's clock
-is the pace. The words are decided by a `Dialogue`, sans-IO. Where no state arrives, the interlock closes after a
-second, which ends every motion; the program on the robot brakes sooner.
+sets the pace. A `Dialogue`, sans-IO, decides the words. If no state arrives, the interlock closes after a second, which
+ends every motion; the program on the robot brakes sooner.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from .context import MotionContext
 
 __all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
 
-#: Seconds that the program has to connect.
+#: Seconds within which the program must connect.
 CONNECT_TIMEOUT = 5.0
-#: Seconds after the connection was lost in which the reason may arrive over the other interfaces.
+#: Seconds after a lost connection in which its reason may arrive over the other interfaces.
 _GRACE = 1.0
-#: Seconds that the program has to end after its last word.
+#: Seconds within which the program must end after its last word.
 _END_TIMEOUT = 1.0
 
 
@@ -41,20 +41,20 @@ class Dialogue(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """No word is left to send."""
+        """Whether no word is left to send."""
 
     @property
     def survives_its_program(self) -> bool:
-        """The program may come to its own end before the dialogue is over."""
+        """Whether the program may end by itself before the dialogue is over."""
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
         """The lines of the program, which receives its words over `link`."""
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The word that answers a state; raises `LinkError` where the motion cannot go on."""
+        """The word that answers a state; raises `LinkError` if the motion cannot go on."""
 
     def conclude(self) -> None:
-        """The program has come to its own end."""
+        """Handle that the program has ended by itself."""
 
 
 class Link(Protocol):
@@ -62,23 +62,23 @@ class Link(Protocol):
 
     @property
     def endpoint(self) -> ReverseSocket | InputRegisters:
-        """Its address or registers, and its token, for the program's text."""
+        """Its address or registers, and its token, for the text of the program."""
 
     @property
     def is_up(self) -> bool:
-        """The program can receive words."""
+        """Whether the program can receive words."""
 
     def poll(self, has_begun: bool) -> bool:
-        """Look whether it is up now; `has_begun`: the controller has begun the program."""
+        """Check whether it is up now; `has_begun`: whether the controller has begun the program."""
 
     def send(self, data: bytes) -> None:
-        """Send a word; raises `LinkError` where the connection is lost."""
+        """Send a word; raises `LinkError` if the connection is lost."""
 
     def received(self) -> bytes:
-        """The bytes that the program has sent since; raises `ConnectionLost` where the connection is lost."""
+        """The bytes from the program since the last call; raises `ConnectionLost` if the connection is lost."""
 
     def absence(self, why: str) -> LinkError:
-        """What to raise when the link does not come up."""
+        """The error for a link that does not come up."""
 
     def close(self, *, farewell: bool) -> None:
         """Close the link; with `farewell` the last word is still delivered. Idempotent."""
@@ -88,11 +88,12 @@ class LinkedProgram:
     """The program of one motion.
 
     Args:
-        life: its life cycle.
+        life: life cycle of the motion.
         context: the robot.
         dialogue: decides its words.
         open_link: opens the link to it; may raise `LinkError`.
-        on_linked: called, more than once, when the first word has been sent, and when no word will be sent any more.
+        on_linked: called, possibly more than once, when the first word has been sent, and when no more words will be
+            sent.
     """
 
     def __init__(
@@ -118,11 +119,11 @@ class LinkedProgram:
         self._has_said_farewell = False
 
     def begin(self) -> None:
-        """Listen, and send the program.
+        """Open the link, and send the program.
 
         Raises:
             SafetyStop, NotRunning: the arm may not be moved now: no port was opened and nothing was sent.
-            LinkError: what else kept it from beginning. Its life is over then.
+            LinkError: another reason why it cannot begin. Its life cycle is over then.
         """
         life, context = self._life, self._context
         life.brake = self._brake
@@ -133,7 +134,8 @@ class LinkedProgram:
             self._subscription = context.realtime.subscribe(on_state, policy=latest)
             life.on_end(self._release)
             context.programs.start(
-                # It asks for no permission: once its life is over, its connection is refused, its token not written.
+                # It needs no start permission: once the motion is over, its connection is refused or its token not
+                # written.
                 context.programs.own(self._dialogue.body(link.endpoint), asks=False),
                 life,
                 is_linked=True,
@@ -147,12 +149,12 @@ class LinkedProgram:
             raise
 
     def say(self, data: bytes) -> None:
-        """Send to the program, through the interlock and only while it is alive.
+        """Send to the program, through the interlock and only while the motion runs.
 
         Raises:
             SafetyStop, NotRunning: the arm may not be moved now.
-            ConnectionLost: the program is gone.
-            LinkError: what has ended it.
+            ConnectionLost: the connection is lost.
+            LinkError: the motion is over; the error says why.
         """
         self._context.channel.setpoint(lambda: self._transmit(data))
 
@@ -163,29 +165,29 @@ class LinkedProgram:
         self._link.send(data)
 
     def finish(self) -> None:
-        """Tell the program to end; its life is over once it has.
+        """End the program; the motion is over once it has ended.
 
         Raises:
-            LinkError: it could not be told.
+            LinkError: the word could not be sent.
         """
         if self._concluded is None:
-            self._concluded = self._clock()  # before it is sent: the program may end before this thread goes on
+            self._concluded = self._clock()  # before sending: the program may end before this thread goes on
             if self._dialogue.farewell:
                 self._has_said_farewell = True
                 self.say(self._dialogue.farewell)
 
     @property
     def is_finishing(self) -> bool:
-        """The word that ends it was sent."""
+        """Whether the word that ends the program was sent."""
         return self._concluded is not None
 
     def lose(self, error: LinkError) -> None:
-        """The connection is lost. The primary interface reports what stopped the program, if it can."""
+        """Handle a lost connection. The primary interface may still report what stopped the program."""
         if self._lost is None:
             lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes by itself: {error}")
             self._lost = (lost, self._clock())
 
-    # -- what happens --------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------
 
     def _on_state(self, link: Link, sent: float, state: RealtimeState) -> None:
         if self._life.is_over:
@@ -195,7 +197,7 @@ class LinkedProgram:
         except LinkError as error:
             self._life.fail(error, brake=True)
         except Exception as error:
-            # An unexpected exception must neither leave the arm without set-points nor a thread that waits for ever.
+            # An unexpected exception must not leave the arm without set-points, nor a thread that waits for ever.
             self._life.fail(error, brake=True)
             raise
 
@@ -265,7 +267,7 @@ class LinkedProgram:
     def _release(self) -> None:
         self._on_linked()
         if self._subscription is not None:
-            # Without waiting: this may be the thread that its callback runs in.
+            # Without waiting: this may be the thread of its callback.
             self._subscription.close(0)
         if self._link is not None:
             self._link.close(farewell=self._has_said_farewell)

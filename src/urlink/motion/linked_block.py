@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 __all__ = ["LinkedBlock"]
 
-#: Seconds that the program has to connect, where no states come by which that is said before, after `CONNECT_TIMEOUT`.
+#: Seconds to wait for the program to connect if no states come; if they do, `CONNECT_TIMEOUT` ends it before.
 _LONGEST = 6.0
-#: Seconds that the reason of a lost connection has to arrive.
+#: Seconds to wait for the reason of a lost connection.
 _REASON = 1.5
-#: Seconds that the program has to end when the block is left.
+#: Seconds to wait for the end of the program when the block is left.
 _END_TIMEOUT = 2.0
 
 
 class LinkedBlock(Motion):
-    """The common part of a servo and a jog, for one block.
+    """The base of the motions that last for one ``with`` block, such as a servo and a jog.
 
     Args:
         context: the robot.
@@ -44,7 +44,7 @@ class LinkedBlock(Motion):
         self._context = context
         self._is_entered = False
         self._block = contextlib.ExitStack()
-        #: set once the program has connected, or can connect no more
+        #: resolved once the program has connected, or cannot connect any more
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
 
@@ -52,10 +52,10 @@ class LinkedBlock(Motion):
         """Upload the program and wait until it has connected.
 
         Raises:
-            ConnectFailed: it did not.
+            ConnectFailed: it did not connect.
             SafetyStop, NotRunning: the arm may not be moved now.
-            LocalError: it was used before; or in a callback that was subscribed with ``inline=True``.
-            LinkError: what else kept it from beginning.
+            LocalError: it was used before; or this is a callback that was subscribed with ``inline=True``.
+            LinkError: another reason why it cannot begin.
         """
         if self._is_entered:
             raise LocalError(f"the {self.name} has been used before; each is good for one block")
@@ -72,11 +72,11 @@ class LinkedBlock(Motion):
             raise
         if self.error is not None:
             raise self.error
-        self._block.enter_context(urgent())  # whose loop has a set-point to send in each cycle
+        self._block.enter_context(urgent())  # the user's loop has a word to send in each cycle
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Stop the arm, and wait until it stands or two seconds are over. Does not raise what ended it before."""
+        """Stop the arm, and wait until it stands still, two seconds at most. Raises no earlier error."""
         with self._block:
             try:
                 self._program.finish()
@@ -85,11 +85,11 @@ class LinkedBlock(Motion):
                 self.cancel()
 
     def _check_open(self) -> None:
-        """Refuse to be told anything outside the block, or after the end.
+        """Raise unless the block is open.
 
         Raises:
             LocalError: not within the block.
-            LinkError: what has ended it.
+            LinkError: the motion is over; the error says why.
         """
         if not self._linked.done():
             raise LocalError(
@@ -102,7 +102,7 @@ class LinkedBlock(Motion):
         """Send to the program.
 
         Raises:
-            LinkError: why nothing can be sent: what the robot says of it, where it says something in time.
+            LinkError: why nothing can be sent; the reason that the robot reports, if that comes in time.
         """
         try:
             self._program.say(data)
@@ -115,6 +115,6 @@ class LinkedBlock(Motion):
 
     def _link_up(self) -> None:
         if not self._linked.done():
-            # Two threads may come here at once.
+            # Two threads may get here at once.
             with contextlib.suppress(InvalidStateError):
                 self._linked.set_result(None)

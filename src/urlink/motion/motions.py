@@ -38,35 +38,35 @@ from .waypoints import WaypointServer
 
 __all__ = ["Motions"]
 
-#: Least value of what has to be positive, and a duration of an hour, beyond which a number is a mistake.
+#: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
-#: rad/s² and m/s² beyond which a number is a mistake.
+#: rad/s² and m/s²; a larger number is a mistake.
 _HARDEST = 100.0
 #: The first releases that have the registers from 24 on (RTDE guide of the vendor).
 _REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
-#: The first release in which speedl takes a time, and the first that finds contacts by itself; N that are one before.
+#: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: The state of a motion after its connection was lost, for messages.
 _MAY_GO_ON = "the arm may still move, to the end of the motion"
 
-#: What is made of the targets of a servo.
+#: The filters between the targets and the set-points of a servo.
 TargetFilterName = Literal["jerk_limited"]
-#: How set-points get to the robot.
+#: The link by which set-points get to the robot.
 LinkName = Literal["reverse", "rtde"]
 
 M = TypeVar("M", bound=Motion)
 
 
 class Motions:
-    """Moves the arm. Each method returns the handle of a motion under way; it waits for the arm only if it is asked to.
+    """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
 
-    With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, with
-    a number for so many seconds; after that a `LinkTimeout` says that the motion goes on. An exception that interrupts
-    the waiting itself (Ctrl-C) cancels the motion, since no caller has its handle.
+    With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, or
+    for the number of seconds that is given; after that it raises `LinkTimeout`, and the motion goes on. An exception
+    that interrupts the waiting itself (Ctrl-C) cancels the motion, since no caller has its handle.
 
-    A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All of them raise
-    `BadValue` for arguments that make no sense or are beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or
-    `NotRunning` where the arm may not be moved now; nothing was sent then.
+    A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All methods raise
+    `BadValue` for arguments that are invalid or beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or
+    `NotRunning` if the arm may not be moved now; nothing was sent then.
     """
 
     def __init__(self, context: MotionContext) -> None:
@@ -74,7 +74,7 @@ class Motions:
 
     @property
     def current(self) -> Motion | None:
-        """The motion that was begun last, as long as it is not over; None without one."""
+        """The motion that was begun last, while it runs; None if none runs."""
         life = self._context.programs.current
         handle = None if life is None else life.handle
         return handle if isinstance(handle, Motion) else None
@@ -94,9 +94,9 @@ class Motions:
 
         Args:
             q: (6,) rad.
-            speed: rad/s of the joint that is furthest.
+            speed: rad/s of the joint that moves furthest.
             acceleration: rad/s².
-            time: seconds that it is to take; then speed and acceleration do not matter.
+            time: duration in seconds; speed and acceleration have no effect then.
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
@@ -125,7 +125,7 @@ class Motions:
             pose: (6,) position in m, and rotation vector in rad.
             speed: m/s.
             acceleration: m/s².
-            time: seconds that it is to take; then speed and acceleration do not matter.
+            time: duration in seconds; speed and acceleration have no effect then.
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
@@ -133,7 +133,7 @@ class Motions:
         body = programs.move_linear(
             goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
         )
-        # Of the pose only the position: one rotation has more than one vector.
+        # Only the position of the pose: one rotation has more than one rotation vector.
         motion = self._upload("move_linear", body, _arriving(goal[:3], lambda state: state.tool_vector_actual[:3]))
         return _waited(motion, seconds)
 
@@ -149,7 +149,7 @@ class Motions:
         """Move the tool along the circle through one pose to another, both in the base frame.
 
         Args:
-            via: (6,) position in m, and rotation vector in rad, on the way; its orientation does not count.
+            via: (6,) position in m, and rotation vector in rad, on the way; its orientation has no effect.
             to: (6,) where it ends.
             speed: m/s.
             acceleration: m/s².
@@ -160,7 +160,7 @@ class Motions:
         seconds = check_wait(wait)
         between, goal = six(via, "via").tolist(), six(to, "to").tolist()
         body = programs.move_circular(between, goal, *_rates(speed, acceleration))
-        # From where the arm is now; where it moves yet, its stop is not far.
+        # From where the arm is now; if it still moves, it stops not far from here.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between, goal)
         motion = self._upload("move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()))
         return _waited(motion, seconds)
@@ -175,22 +175,22 @@ class Motions:
         joint_acceleration: float = 1.4,
         wait: bool | float = False,
     ) -> PathMotion:
-        """Go through several waypoints in one motion; where one has a blend, round the corner without stopping there.
+        """Move through several waypoints in one motion; a waypoint with a blend is rounded, without a stop.
 
-        It is checked before it is sent, from where the arm is: that every point of a line or an arc can be reached by
-        the way on which the arm comes, within the limits of the joints; that no joint gets too fast; that blends do not
-        overlap. Corners are looked at as if they were not blended. It needs to be known which arm this is (1.8 and
-        later); where it is not, only the numbers are checked. That the arm hits nothing is not.
+        The path is checked before it is sent, from the present position of the arm: every point of a line or an arc
+        must be reachable on the branch in which the arm is, within the limits of the joints; no joint may get too fast;
+        blends must not overlap. Corners are checked as if they were not blended. This needs the model of the arm
+        (firmware 1.8 and later); if it is not known, only the numbers are checked. Collisions are not checked.
 
         Args:
-            waypoints: `Joint`, `Linear` and `Circular`, each with a blend, and a speed of its own if it is to have one.
+            waypoints: `Joint`, `Linear` and `Circular`, each with a blend, and optionally a speed and acceleration.
             speed, acceleration: m/s and m/s² of the tool on lines and arcs.
-            joint_speed, joint_acceleration: rad/s and rad/s² of the joint that goes furthest, on the way to a `Joint`.
+            joint_speed, joint_acceleration: rad/s and rad/s² of the joint that moves furthest, on the way to a `Joint`.
             wait: see `Motions`.
 
         Raises:
-            BadValue: which waypoint, and why it will not do.
-            LinkTimeout: no state tells where the arm is.
+            BadValue: a waypoint cannot be used; the message names it and says why.
+            LinkTimeout: no state comes, so the position of the arm is not known.
         """
         seconds = check_wait(wait)
         joint_rates = Rates(
@@ -209,14 +209,14 @@ class Motions:
         return _waited(motion, seconds)
 
     def speed_joints(self, qd: ArrayLike, acceleration: float = 1.4, *, duration: float = 0.5) -> Motion:
-        """Turn the joints at a speed, and brake when time is up.
+        """Move the joints at a speed, and brake after `duration`.
 
-        To go on, call it again before: the arm goes over from one speed to the next without stopping. Should no more
-        calls come, because this program has ended or the link is gone, the robot brakes by itself.
+        To go on, call it again before: the arm changes from one speed to the next without stopping. If no more calls
+        come, because this program has ended or the connection is lost, the robot brakes by itself.
 
         Args:
             qd: (6,) rad/s.
-            acceleration: rad/s², for the change of speed and for the brake.
+            acceleration: rad/s², for changes of speed and for braking.
             duration: seconds until it brakes.
         """
         speeds = six(qd, "qd")
@@ -231,7 +231,7 @@ class Motions:
         return self._speed("speed_joints", body, duration)
 
     def speed_linear(self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5) -> Motion:
-        """Move the tool at a speed in the base frame, and brake when time is up; see `speed_joints`.
+        """Move the tool at a speed in the base frame, and brake after `duration`; see `speed_joints`.
 
         Args:
             xd: (6,) m/s, and rad/s about the three axes.
@@ -246,16 +246,16 @@ class Motions:
         return self._speed("speed_linear", body, duration)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
-        """Brake all joints with so many rad/s². Done when the arm stands.
+        """Brake all joints, at `acceleration` in rad/s². Done when the arm stands still.
 
         An ordinary stop by the controller's program, no substitute for the emergency stop. It is sent whether or not
-        `safety.enable()` was called; where a stop holds it is refused, and the arm stands.
+        `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
         """
         seconds = check_wait(wait)
         body = programs.stop(_acceleration(acceleration))
         return _waited(self._upload("stop", body, is_stop=True), seconds)
 
-    # -- programs that talk back -------------------------------------------------------------------------
+    # -- motions that last, linked to a program on the robot ---------------------------------------------
 
     def follow(
         self,
@@ -278,27 +278,28 @@ class Motions:
 
         Args:
             trajectory: what to follow; its first point is near the arm, and it is at rest at both ends.
-            low_bandwidth: hand it over point by point, for the robot to interpolate, rather than stream it at the
-                controller's rate; needs 3.0 or later.
-            path_tolerance: rad that any joint may be off on the way; None for any distance. What the arm lags behind
-                at speed by its own nature is part of it.
-            goal_tolerance: rad that any joint may be off at the end.
-            goal_time: seconds after the end within which the arm has to be there.
-            start_tolerance: rad that any joint may be away from the first point.
-            feedback: called with where the arm is and should be, from a thread of its own; may be slow, may raise.
-            delay: s that the arm takes to be where it is led, as `Servo.measure_delay` has measured: set-points are
-                sent so much earlier than the arm is to be there, and tolerances and feedback are without this lag. None
-                for the two cycles in which a set-point arrives.
+            low_bandwidth: send it point by point, and let the robot interpolate, instead of streaming it at the
+                controller's rate; from 3.0 on.
+            path_tolerance: rad by which any joint may be off on the way; None for no limit. The lag of the arm at speed
+                is part of it.
+            goal_tolerance: rad by which any joint may be off at the end.
+            goal_time: seconds after the end within which the arm must be there.
+            start_tolerance: rad between any joint and the first point.
+            feedback: called with where the arm is and should be, in a thread of its own; may be slow, may raise.
+            delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: set-points are
+                sent so much earlier, and tolerances and feedback are without this lag. None for the two cycles in which
+                a set-point arrives.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time: s, 0.03 to 0.2; how far ``servoj`` looks ahead: more is smoother and lags more. Not on CB2.
             gain: 100 to 2000; how stiffly ``servoj`` follows. Not on CB2.
-            link: how set-points get to the robot: "reverse", by a connection that the robot makes to this computer, or
-                "rtde", by input registers of the robot, so that nothing has to reach this computer; needs 3.9, or 5.3.
+            link: how set-points get to the robot: "reverse", over a connection that the robot makes to this computer,
+                or "rtde", over input registers of the robot, so that no connection to this computer is needed; from 3.9
+                and 5.3.
             wait: see `Motions`.
 
         Raises:
-            LocalError: `low_bandwidth` on a CB2 or over "rtde"; "rtde" on a firmware that has not these registers.
-            BadAddress: nobody can listen for the robot's connection at this port.
+            LocalError: `low_bandwidth` on a CB2 or over "rtde"; "rtde" on a firmware without these registers.
+            BadAddress: the port for the robot's connection cannot be listened on.
             InputInUse: another RTDE client, or a fieldbus, holds a register.
         """
         seconds = check_wait(wait)
@@ -306,12 +307,12 @@ class Motions:
             raise BadValue(f"{trajectory!r} is no Trajectory")
         context, firmware = self._context, self._context.who.identity.firmware
         if low_bandwidth and firmware.is_cb2:
-            raise LocalError(f"firmware {firmware} cannot interpolate by itself: without low_bandwidth only")
+            raise LocalError(f"firmware {firmware} cannot interpolate by itself; leave out low_bandwidth")
         open_link = self._opener(link)
         if low_bandwidth and link == "rtde":
-            raise LocalError("a program that asks for its points needs link='reverse', or leave out low_bandwidth")
+            raise LocalError("low_bandwidth needs link='reverse': the program requests its points over the connection")
         if low_bandwidth and delay is not None:
-            raise LocalError("a program that asks for its points is led by its own clock: without delay")
+            raise LocalError("low_bandwidth takes no delay: the robot is led by its own clock")
         tolerances = Tolerances(
             None if path_tolerance is None else checked(path_tolerance, "path_tolerance", 1e-6, 100.0),
             checked(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
@@ -323,8 +324,8 @@ class Motions:
         trajectory.check(model)
         state = context.state()
         if self.current is None and stands(state.qd_target):
-            # Otherwise it is looked at once the arm stands, after the motion before. That may have ended already, and
-            # the state be from a little before its end.
+            # Otherwise it is checked when the arm stands still, after the motion before. That motion may have ended
+            # already, and the state may be from a little before its end.
             trajectory.check(near=state.q_target, within=tolerances.start)
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
@@ -346,29 +347,30 @@ class Motions:
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> Servo:
-        """A line to the joints for a loop of your own::
+        """Set-points for the joints from a loop of your own::
 
             with robot.motion.servo() as servo:
                 for state in robot.realtime:
                     servo.send(law(state))
 
-        With ``target_filter="jerk_limited"`` what is sent are targets: any, at any time, however far away. The arm goes
-        to the newest one, and never exceeds the limits of speed, acceleration and jerk (`urlink.motion.jerk_limited`).
+        With ``target_filter="jerk_limited"`` the loop sends targets instead: any, at any time, however far away. The
+        arm moves to the newest one, and never exceeds the limits of speed, acceleration and jerk
+        (`urlink.motion.jerk_limited`).
 
         Args:
-            rate: set-points or targets a second that the loop means to send, for the statistics; None for the
+            rate: set-points or targets per second that the loop intends to send, for the statistics; None for the
                 controller's rate.
             target_filter: "jerk_limited", or None for a loop that sends set-points.
-            speed, acceleration, jerk: rad/s, rad/s² and rad/s³ of a target filter at most, of all joints or (6,) of
+            speed, acceleration, jerk: limits of the target filter, rad/s, rad/s² and rad/s³, of all joints or (6,) of
                 each.
-            delay: s that the arm takes to be where it is led, as `Servo.measure_delay` has measured: what is scheduled
-                is sent so much earlier. None for the two cycles in which a set-point arrives.
+            delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: waypoints of
+                `schedule` are sent so much earlier. None for the two cycles in which a set-point arrives.
             watchdog: seconds without a set-point after which the robot brakes by itself.
             lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
         pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
-        # With a filter set-points are made in each cycle, however often targets come.
+        # With a filter, a set-point is made in each cycle, however often targets come.
         servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
         if target_filter is not None:
@@ -385,22 +387,22 @@ class Motions:
         watchdog: float = 0.2,
         link: LinkName = "reverse",
     ) -> Jog:
-        """Speeds by hand, from a joystick or keys::
+        """Speeds from a person, by a joystick or keys::
 
             with robot.motion.jog("base") as jog:
                 while held():
                     jog.move([0, 0, 0.05, 0, 0, 0])
 
-        A speed lapses after `timeout` seconds, and the arm brakes, unless `move` has been called again. Should this
-        program or the link fail, the robot brakes by itself after `watchdog` seconds.
+        A speed expires after `timeout` seconds, and the arm brakes, unless `move` has been called again. If this
+        program or the connection fails, the robot brakes by itself after `watchdog` seconds.
 
         Args:
             frame: "joints" for speeds of the joints; "base" or "tool" for those of the tool, along and about the axes
                 of that frame.
-            acceleration: rad/s² of the joint that changes most, or m/s² and rad/s² of the tool, for every change of
-                speed and for the brake.
+            acceleration: rad/s² of the joint whose speed changes most, or m/s² and rad/s² of the tool, for every change
+                of speed and for braking.
             timeout: seconds for which a speed holds.
-            watchdog: seconds without a word from here after which the robot brakes.
+            watchdog: seconds without a word from this computer after which the robot brakes.
             link: see `follow`.
         """
         check_choice(frame, "frame", get_args(FrameName))
@@ -413,7 +415,7 @@ class Motions:
             self._opener(link),
         )
 
-    # -- an arm that yields ------------------------------------------------------------------------------
+    # -- contact, force mode, torques, freedrive -----------------------------------------------------------
 
     def until_contact(
         self,
@@ -428,21 +430,21 @@ class Motions:
     ) -> ContactMotion:
         """Move the tool straight until it touches something; `ContactMotion.contact` then says where that began.
 
-        From 5.4 on the controller itself finds the contact, and where it began; before, and with `force`, it is where
-        the force against the direction has grown by so much.
+        From 5.4 on the controller detects the contact, and where it began. Before that, and with `force`, a contact is
+        where the force against the direction has grown by so much.
 
         Args:
             direction: (3,) in the base frame, of any length.
             speed: m/s.
             acceleration: m/s².
-            distance: m after which it gives up, with `NoContact`.
-            force: N that are a contact; None for the controller's own way, and for 20 N where it has none. What rings
-                in an arm that speeds up has to be below it.
-            retract: go back to where the contact began, which takes the force away.
+            distance: m after which it ends with `NoContact`.
+            force: N that are a contact; None for the controller's own detection, and for 20 N if it has none. It must
+                be above the oscillations of the force while the arm accelerates.
+            retract: go back to where the contact began, which releases the force.
             wait: see `Motions`.
 
         Raises:
-            LocalError: firmware before 3.3, in which the tool cannot be moved cycle by cycle.
+            LocalError: firmware before 3.3, on which the tool cannot be moved cycle by cycle.
         """
         seconds = check_wait(wait)
         context, identity = self._context, self._context.who.identity
@@ -483,29 +485,30 @@ class Motions:
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> ForceMode:
-        """Yield along some axes until the tool exerts a wrench there, for as long as a block::
+        """Force mode: yield along some axes until the tool exerts a wrench there, for as long as a block::
 
             with robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, -10, 0, 0, 0], [0.1] * 6) as pressing:
                 ...
                 pressing.set_wrench([0, 0, -20, 0, 0, 0])
 
-        Whatever ends the block ends the mode: an exception, `close`, a stop; and where this computer is not heard any
-        more, the program on the robot ends it by itself.
+        Whatever ends the block ends the mode: an exception, `close`, a stop. If no more words of this computer arrive,
+        the program on the robot ends it by itself.
 
         Args:
-            frame: "base", "tool" (where the tool is now), or a (6,) pose in the base frame; its axes count.
-            selection: six of 0 and 1, x, y, z, rx, ry, rz: where the arm yields.
+            frame: "base", "tool" (as the tool is now), or a (6,) pose in the base frame; only its axes have an effect.
+            selection: six of 0 and 1 for x, y, z, rx, ry, rz; 1 where the arm yields.
             wrench: (6,) N and Nm that the tool exerts on what it touches.
-            limits: (6,) m/s and rad/s along axes that yield, m and rad along the others; the controller keeps them.
+            limits: (6,) largest speed along axes that yield, m/s and rad/s; largest deviation along the others, m and
+                rad. The controller applies them.
             kind: 1 turns the y axis of the frame from the tool to its origin, 2 leaves it, 3 turns its x axis into the
                 direction of movement in the x-y plane.
-            damping: 0 to 1; 0.005 is what a controller has by itself. From 3.5 on.
-            gain: 0 to 2; less is steadier on hard things. From 5.0 on.
-            watchdog: seconds without a word of this computer after which the robot ends the mode.
+            damping: 0 to 1; the controller's default is 0.005. From 3.5 on.
+            gain: 0 to 2; a smaller one is steadier on hard objects. From 5.0 on.
+            watchdog: seconds without a word from this computer after which the robot ends the mode.
             link: see `follow`.
 
         Raises:
-            LocalError: what this firmware has not.
+            LocalError: this firmware has no force mode, damping or gain.
         """
         pressing = Pressing(
             frame_of(self._context, frame),
@@ -525,19 +528,19 @@ class Motions:
         watchdog: float = 0.05,
         link: LinkName = "reverse",
     ) -> Torque:
-        """A line to the torques of the joints for a loop of your own, from 5.23 and 10.11 on::
+        """Torques for the joints from a loop of your own, from 5.23 and 10.11 on::
 
             with robot.motion.torque() as torque:
                 for state in robot.realtime:
                     torque.send(law(state))
 
-        The controller holds the arm up against gravity; a torque comes on top of that. Nothing keeps the arm from
-        getting fast but the loop and the controller's own limits.
+        The controller holds the arm up against gravity; a torque is added to that. Only the loop, and the controller's
+        own limits, keep the arm from getting fast.
 
         Args:
             limits: (6,) Nm beyond which `send` refuses; None for what the joints can exert.
-            friction_compensation: the controller makes up for the friction of the joints.
-            watchdog: seconds over which the last torque fades where none follows; then the arm brakes.
+            friction_compensation: whether the controller compensates the friction of the joints.
+            watchdog: seconds over which the last torque fades if none follows; then the arm brakes.
             link: see `follow`.
 
         Raises:
@@ -553,7 +556,7 @@ class Motions:
         return Freedrive(self._context, free, frame_of(self._context, frame), watchdog, self._opener(link))
 
     def _tool_pose(self, q: FloatArray) -> FloatArray | None:
-        """Of the TCP at joint positions, by where it is in the newest state."""
+        """The pose of the TCP at joint positions, with the TCP of the newest state."""
         identity, state = self._context.who.identity, self._context.realtime.latest
         if identity.arm is None or state is None:
             return None
@@ -573,7 +576,7 @@ class Motions:
         asks: bool = True,
         left_alone: str = _MAY_GO_ON,
     ) -> Motion:
-        """A motion that is one short program: sent, and then the controller's affair."""
+        """A motion that is one short program: it is sent once, and the controller executes it."""
         context = self._context
         life = context.programs.life(name)
         life.brake = lambda: context.programs.stop(life)
@@ -588,9 +591,9 @@ class Motions:
         return motion
 
     def _speed(self, name: str, body: Sequence[str], duration: float) -> Motion:
-        # Once a speed has begun, the next one goes on with it: to ask first would make the arm stutter, and where calls
-        # come faster than answers, none would ever move it. What the controller reads too late all the same moves the
-        # arm for no longer than `duration`.
+        # A speed that follows another one asks for no start permission: that would make the arm stutter, and if calls
+        # come faster than permissions, none would ever move it. A call that the controller reads too late moves the arm
+        # for no longer than `duration`.
         goes_on = any(life.name.startswith("speed_") for life in self._context.programs.permitted)
         clock = self._context.clock
         began = clock()
@@ -608,18 +611,18 @@ class Motions:
         feedback: Callable[[TrajectoryFeedback], object] | None,
         open_link: Callable[[], Link],
     ) -> Motion:
-        """A motion whose program is told where to go while it runs."""
+        """A motion whose program receives set-points or points while it runs."""
         life = self._context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         LinkedProgram(life, self._context, following, open_link).begin()
         if feedback is not None:
-            # On a queue and a thread of its own: it may be slow, and it may raise.
+            # In a queue and a thread of its own: it may be slow, and may raise.
             subscription = self._context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
         return motion
 
     def _opener(self, link: LinkName) -> Callable[[], Link]:
-        """What makes the way to a program."""
+        """The function that opens the link to a program."""
         check_choice(link, "link", get_args(LinkName))
         if link == "reverse":
             return self._context.reverse.open
@@ -645,7 +648,7 @@ class Motions:
 
 
 def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) -> Callable[[RealtimeState], float]:
-    """By the way left to a goal: of all coordinates, the one that is furthest; from the first state that is seen."""
+    """Progress by the distance to a goal: that of the furthest coordinate, relative to the first state."""
     whole: list[float] = []
 
     def gauge(state: RealtimeState) -> float:
@@ -660,7 +663,7 @@ def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) ->
 def _reporter(
     following: Following, feedback: Callable[[TrajectoryFeedback], object]
 ) -> Callable[[RealtimeState], None]:
-    """Tells with each state where the arm is on its trajectory."""
+    """A callback that reports, for each state, where the arm is and should be."""
 
     def report(state: RealtimeState) -> None:
         began = following.began
@@ -685,7 +688,7 @@ def _acceleration(value: float) -> float:
 
 
 def _waited(motion: M, seconds: float) -> M:
-    """The motion, after so many seconds or its end; 0 does not wait."""
+    """The motion, after its end; raises if that takes longer than `seconds`; 0 does not wait."""
     if seconds:
         try:
             motion.wait(seconds)

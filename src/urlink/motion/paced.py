@@ -1,9 +1,9 @@
 """Set-points of a target filter or of a schedule, one for each cycle of the controller.
 
-Each real-time state that arrives is answered with the next set-point, so the controller's clock is the pace, whenever
-the targets come. While set-points stay away, the program on the robot coasts (`urlink.motion.setpoint_stream`). The
-difference between the place that it has coasted to and the next set-point of the source is small, as a rule, and is
-faded out; where it is not, the source begins anew from that place, with the speed that is left.
+Each real-time state that arrives is answered with the next set-point, so the controller's clock sets the pace, whenever
+targets come. While set-points are missed, the program on the robot coasts (`urlink.motion.setpoint_stream`). Usually
+the position that it has coasted to is close to the next set-point of the source, and the difference is faded out; if it
+is not, the source begins again from that position, with the speed that is left.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from .setpoints import WAIT_WORD, Servoing
 
 __all__ = ["PacedSetpoints", "SetpointSource"]
 
-#: rad and rad/s, in any joint, above which a gap is not faded out. Chosen: at 1 rad/s that is what 20 ms of a hold-up
-#: make with the usual watchdog.
+#: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
+#: set-points, with the default watchdog.
 _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
-#: s over which a gap is closed: after this time a third of it is left. Chosen: longer than set-points stay away on a
-#: busy computer, so that a program that goes on by itself does not run past.
+#: Time constant, s, of closing a gap: after this time a third of it is left. Chosen: longer than set-points are missed
+#: on a busy computer, so that a program that coasts does not overshoot.
 _SETTLING = 0.1
 
 
@@ -32,26 +32,26 @@ class SetpointSource(Protocol):
 
     @property
     def has_targets(self) -> bool:
-        """There is a target."""
+        """Whether there is a target."""
 
     def begin(self, time: float, q: Sequence[float]) -> None:
         """The arm rests at `q` (6, rad)."""
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """Set-points were missed, while the program on the robot coasted for so many seconds.
+        """Set-points were missed, and the program on the robot coasted for `seconds`.
 
         Returns:
-            where they are by now (6, rad), and how fast (6, rad/s).
+            the present positions, (6,) rad, and speeds, (6,) rad/s.
         """
 
     def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Go on from `q` (6, rad), at speeds `qd` (6, rad/s), where the arm is led by now."""
+        """Go on from `q`, (6,) rad, at speeds `qd`, (6,) rad/s, which the program has now after coasting."""
 
     def at(self, time: float) -> tuple[list[float], list[float]]:
         """The set-point that answers the state of this time: (6,) rad, and (6,) rad/s."""
 
     def accept(self, time: float) -> None:
-        """It is sent."""
+        """The set-point of this time was sent."""
 
 
 class PacedSetpoints:
@@ -60,7 +60,7 @@ class PacedSetpoints:
     Args:
         servoing: how set-points are followed.
         model: the arm; None if it is not known.
-        source: makes them.
+        source: makes the set-points.
     """
 
     def __init__(self, servoing: Servoing, model: Model | None, source: SetpointSource) -> None:
@@ -97,17 +97,17 @@ class PacedSetpoints:
         q, qd = self._source.at(state.time)
         q = [a + b for a, b in zip(q, gap, strict=True)]
         if self._stream.excess(q, now) is not None:
-            # More than the joints can do in the time that has passed here: the robot goes on by itself.
+            # Further than the joints can move in the time that has passed here: nothing is sent, and the robot coasts.
             return b""
         self._source.accept(state.time)
         self._gap = gap
         return self._stream.send(q, [a - b / _SETTLING for a, b in zip(qd, gap, strict=True)], now)
 
     def _catch_up(self, missed: int, time: float, now: float) -> None:
-        """The program on the robot coasted for so many cycles."""
+        """Handle that the program on the robot coasted for `missed` cycles."""
         here, speeds = self._stream.coasted_to(missed)
         if self._stream.excess(here, now) is not None:
-            # So many cycles cannot have passed, by this computer's clock.
+            # By this computer's clock, so many cycles cannot have passed.
             return
         there, theirs = self._source.skip(time, self._stream.coasted_time(missed))
         self._gap = [a - b for a, b in zip(here, there, strict=True)]

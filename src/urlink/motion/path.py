@@ -1,12 +1,12 @@
 """Paths of several movements that blend into each other, and the checks before one is sent.
 
-The controller makes the movement; what is here is its plan, to tell beforehand what it would refuse half-way. It is
-computed with the arm's own kinematics and the tool centre point that it shows, from where the joints are.
+The controller makes the movement. What is here is its plan, to find beforehand what the controller would refuse
+half-way: computed with the arm's own kinematics and TCP, from the present joint positions.
 
 Known and unknown about controllers: blends that overlap are refused (vendor's manual; "overlapping blends"
-in users' logs), here by the sum of the two radii at the ends of a movement. That a line is refused where a joint would
-get too fast is what its users see, as a protective stop. How a controller limits the speed of a tool that turns in
-place, and how it goes round a corner, is not published: corners are checked as if they were not blended.
+in users' logs), which is checked here by the sum of the radii at both ends of a movement. A line on which a joint would
+get too fast ends in a protective stop, as users report. How a controller limits the speed of a tool that turns in
+place, and how it rounds a corner, is not published: corners are checked as if they were not blended.
 """
 
 from __future__ import annotations
@@ -33,41 +33,41 @@ if TYPE_CHECKING:
 
 __all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Section", "Waypoint", "plan", "shown_tcp"]
 
-#: m; no arm is longer, so a blend that is has the wrong unit.
+#: m; a larger blend has the wrong unit, since no arm is longer.
 _WIDEST = 2.0
-#: m/s, rad/s and m/s², rad/s², between which the number of a person lies.
+#: m/s, rad/s and m/s², rad/s²; a number outside this range is a mistake.
 _SLOWEST, _HARDEST = 1e-3, 100.0
-#: Waypoints of a path. What a controller takes is not known; with this many the text has 200 kB.
+#: Most waypoints of a path. The limit of a controller is not known; the text of so many has 200 kB.
 _MOST = 1000
-#: m and rad between two places at which a line or an arc is looked at, and how many there are at most.
+#: m and rad between two places at which a line or an arc is checked, and how many there are at most.
 _STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
-#: rad that a joint may turn between two of them where the tool turns in place: the way leads through a singularity.
+#: rad that a joint may turn between two of them if the tool turns in place; more means a singularity.
 _LEAP = 0.5
-#: m that a turn of one rad counts as, for the time that it takes. A guess.
+#: m that take as long as a turn of 1 rad. A guess.
 _RADIAN = 0.25
-#: m; a tool whose centre moves no further turns in place. A pose that was read from a robot is not more exact.
+#: m; a tool whose centre moves no further turns in place. A pose read from a robot is not more exact.
 _IN_PLACE = 1e-3
 
 
 @dataclass(frozen=True)
 class Rates:
-    """How fast: rad/s and rad/s² of the leading joint, or m/s and m/s² of the tool."""
+    """Speed and acceleration: rad/s and rad/s² of the leading joint, or m/s and m/s² of the tool."""
 
     speed: float
     acceleration: float
 
     def seconds(self, way: float) -> float:
-        """From rest to rest."""
+        """Duration of a movement of length `way`, from rest to rest, s."""
         if way * self.acceleration > self.speed * self.speed:
             return way / self.speed + self.speed / self.acceleration
         return 2.0 * math.sqrt(way / self.acceleration)
 
 
 class Waypoint:
-    """Where a path goes next, and how; made as one of its subclasses.
+    """Where a path leads next, and how; made as one of its subclasses.
 
     Attributes:
-        blend: m from the waypoint at which the arm begins to go round the corner; 0 to stop there.
+        blend: radius in m at which the arm begins to round the corner; 0 to stop at the waypoint.
         rates: its own speed and acceleration; None for those of the path.
     """
 
@@ -78,21 +78,21 @@ class Waypoint:
 
     @property
     def has_motion_of_its_own(self) -> bool:
-        """It says how it is to be reached, not only where it is."""
+        """Whether it has a blend, a speed or an acceleration of its own."""
         return bool(self.blend or self._speed or self._acceleration)
 
     def rates(self, usual: Rates) -> Rates:
-        """Its own speed and acceleration, where it has some."""
+        """Its own speed and acceleration, else the usual ones."""
         return Rates(self._speed or usual.speed, self._acceleration or usual.acceleration)
 
 
 class Joint(Waypoint):
-    """Straight in joint space to joint positions.
+    """A movement straight in joint space to joint positions.
 
     Args:
         q: (6,) rad.
         blend: m from there at which the next movement may begin.
-        speed: rad/s of the joint that goes furthest; None for that of the path.
+        speed: rad/s of the joint that moves furthest; None for that of the path.
         acceleration: rad/s²; None for that of the path.
     """
 
@@ -107,7 +107,7 @@ class Joint(Waypoint):
 
 
 class Linear(Waypoint):
-    """The tool straight to a pose in the base frame.
+    """A movement of the tool in a line to a pose in the base frame.
 
     Args:
         pose: (6,) m, and rotation vector in rad.
@@ -127,10 +127,10 @@ class Linear(Waypoint):
 
 
 class Circular(Waypoint):
-    """The tool along the circle through one pose to another, in the base frame.
+    """A movement of the tool along the circle through one pose to another, in the base frame.
 
     Args:
-        via: (6,) m and rad, on the way; its orientation does not count.
+        via: (6,) m and rad, on the way; its orientation has no effect.
         to: (6,) m and rad, where it ends.
         blend: m from there at which the next movement may begin.
         speed: m/s; None for that of the path.
@@ -158,8 +158,8 @@ class Section:
     """One movement of a path, as it was planned.
 
     Attributes:
-        seconds: that it takes from rest to rest: its share of the path.
-        part: tells which part of it is behind the arm.
+        seconds: duration from rest to rest: its share of the path.
+        part: the fraction of it that is over, for a state.
     """
 
     seconds: float
@@ -168,7 +168,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Plan:
-    """A path that was checked.
+    """A path that has been checked.
 
     Attributes:
         body: the lines of its program.
@@ -180,7 +180,7 @@ class Plan:
 
 
 class PathMotion(Motion):
-    """A path under way."""
+    """The motion along a path."""
 
     def __init__(
         self, life: Lifecycle, sections: Sequence[Section], newest: Callable[[], RealtimeState | None]
@@ -192,16 +192,16 @@ class PathMotion(Motion):
 
     @property
     def segment(self) -> int:
-        """Number of the waypoint, counted from 0, that the arm is on its way to; with a blend, once that has begun."""
+        """Number, from 0, of the waypoint that the arm moves to; after a blend, once the blend has begun."""
         return self._segment
 
     @property
     def segments(self) -> int:
-        """How many waypoints there are."""
+        """Number of waypoints."""
         return len(self._sections)
 
     def _hear(self, text: str) -> None:
-        """A line that the program has said."""
+        """Handle a line of text from the program."""
         segment = programs.segment_of(text)
         if segment is not None and segment < self.segments:
             self._segment = segment
@@ -216,16 +216,16 @@ class PathMotion(Motion):
 def plan(
     waypoints: Sequence[Waypoint], joint_rates: Rates, tool_rates: Rates, arm: Arm | None, state: RealtimeState
 ) -> Plan:
-    """Check a path from where the arm is.
+    """Check a path from the present position of the arm.
 
     Args:
-        waypoints: where it goes.
-        joint_rates, tool_rates: of waypoints that have none.
-        arm: its kinematics; None where nobody knows it, and reach, joint limits and blends remain unchecked.
+        waypoints: of the path.
+        joint_rates, tool_rates: for waypoints that have none.
+        arm: its kinematics; None if the model is not known: reach, joint limits and blends are not checked then.
         state: of the robot, which shows the joints and the tool centre point.
 
     Raises:
-        BadValue: which waypoint, and why it will not do.
+        BadValue: a waypoint cannot be used; the message names it and says why.
     """
     if not 0 < len(waypoints) <= _MOST:
         raise BadValue(f"a path of {len(waypoints)} waypoints; expected 1 to {_MOST}")
@@ -255,7 +255,7 @@ def plan(
 def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
     """(6,) the tool centre point in the frame of the flange, m and rad.
 
-    What set_tcp was told shows in every firmware as the difference between flange and tool.
+    In every firmware the TCP of set_tcp is the difference between flange and tool pose.
     """
     from ..poses import compose, invert
 
@@ -273,7 +273,7 @@ def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
 
 
 class _Planner:
-    """Goes along a path from waypoint to waypoint, corner by corner as if there were no blends."""
+    """Plans a path waypoint by waypoint, as if there were no blends."""
 
     def __init__(self, arm: Arm, state: RealtimeState) -> None:
         self._arm = arm
@@ -319,7 +319,7 @@ class _Planner:
         )
 
     def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
-        """The joints at its end, if the arm can go along it.
+        """The joint positions at its end, if the arm can follow it.
 
         Raises:
             BadValue: out of reach, beyond a position limit, or too fast for a joint.
@@ -358,7 +358,7 @@ class _Planner:
         return end
 
     def _check_speeds(self, speeds: FloatArray, parts: FloatArray) -> None:
-        """`speeds`: (steps, 6) rad/s."""
+        """Raise if a joint would be too fast; `speeds`: (steps, 6) rad/s."""
         model = self._arm.model
         excess = speeds / model.max_speed
         if excess.max() > 1.0:
@@ -370,12 +370,12 @@ class _Planner:
 
 
 def _counted(curve: Curve) -> float:
-    """m of a way that takes as long as the curve."""
+    """Length, m, of a straight way that takes as long as the curve."""
     return max(curve.length, _RADIAN * curve.turn)
 
 
 def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
-    """(steps, 1) m/s of the tool in the middle of each step; from rest and to rest, but where a blend is."""
+    """(steps, 1) m/s of the tool in the middle of each step; from rest and to rest, except at a blend."""
     way = (np.arange(steps) + 0.5) * (length / steps)
     speed = np.full(steps, rate.speed)
     if not is_fast_at_start:
@@ -386,7 +386,7 @@ def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool,
 
 
 def _check_blends(before: float, after: float, length: float) -> None:
-    """Two blends at the ends of a movement must not overlap."""
+    """Raise if the blends at the ends of a movement overlap."""
     if before + after > length and (before or after):
         raise BadValue(
             f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a way of {length:.4g} m"

@@ -1,4 +1,4 @@
-"""Input registers of the robot as the link to a program on it: nothing has to connect to this computer.
+"""Input registers of the robot as the link to a program: no connection to this computer is needed.
 
 The words are those of a reverse link, one register for each number. They reach the program by RTDE,
 which applies a package as a whole in one cycle.
@@ -17,8 +17,8 @@ from .setpoints import WORD_SIZE, read_word
 
 __all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort"]
 
-#: The first floating point and integer register that are used: the last twelve and the last three of all, so that those
-#: from 24 on are left to users, and those below that to fieldbuses. 3.9 and 5.3 are the first releases that have them.
+#: Number of the first float register and of the first integer register: the last twelve and the last three of all are
+#: used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
 FIRST_FLOAT, FIRST_INTEGER = 36, 45
 #: The RTDE inputs that a link writes: positions and speeds of a set-point, the number of the word, what to do, and the
 #: token.
@@ -26,7 +26,7 @@ NAMES = tuple(
     [f"input_double_register_{FIRST_FLOAT + i}" for i in range(12)]
     + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(3)]
 )
-#: Largest number of a word, as large as an integer register holds; after it the count begins anew, from 1.
+#: Largest number of a word, as large as an integer register holds; after it comes 1 again.
 _MOST = 0x7FFF_FFFF
 
 
@@ -34,11 +34,11 @@ class Inputs(Protocol):
     """RTDE inputs that have been claimed."""
 
     def _write(self, values: Mapping[str, float]) -> None:
-        """Write them at once and without waiting; raises `LinkError` where that fails."""
+        """Write them together, without waiting; raises `LinkError` if that fails."""
 
 
 class RegisterPort:
-    """Opens register links. The registers are claimed for the first of them, and released when the robot is closed.
+    """Opens register links. The registers are claimed for the first link, and released when the robot is closed.
 
     Args:
         claim: claims RTDE inputs by their names; may raise `LinkError`.
@@ -53,7 +53,7 @@ class RegisterPort:
 
         Raises:
             InputInUse: another client, or a fieldbus, holds one of the registers.
-            LinkError: RTDE cannot be had.
+            LinkError: RTDE cannot be used.
         """
         if self._inputs is None:
             self._inputs = self._claim(NAMES)
@@ -63,19 +63,19 @@ class RegisterPort:
 class RegisterLink:
     """The registers of one program.
 
-    A program takes no word before its token is in its register, and the token is written once the program has begun and
-    only while its life goes on. So one that the controller begins later finds another token, and ends.
+    A program reads no word before its token is in its register. The token is written once the program has begun, and
+    only while its motion runs. So a program that the controller begins too late finds another token, and ends.
 
     Args:
-        inputs: that have been claimed.
+        inputs: the claimed inputs.
 
     Attributes:
         endpoint: the registers and the token, for the program's text.
-        is_up: the program has begun, and is written to.
+        is_up: whether the program has begun, so that words are written.
     """
 
     def __init__(self, inputs: Inputs) -> None:
-        # Registers that nobody has written hold 0.
+        # Registers that were never written hold 0.
         self.endpoint = InputRegisters(FIRST_FLOAT, FIRST_INTEGER, random.SystemRandom().randrange(1, TOKENS))
         self.is_up = False
         self._inputs = inputs
@@ -88,7 +88,7 @@ class RegisterLink:
         return self.is_up
 
     def send(self, data: bytes) -> None:
-        """Write the last of the words; those before it would be overwritten before they could be read.
+        """Write the last of the words; earlier ones would be overwritten before they could be read.
 
         Raises:
             LinkError: it could not be written.
@@ -100,17 +100,17 @@ class RegisterLink:
         self._inputs._write(dict(zip(NAMES, (*q, *qd, self._count, mode, self.endpoint.token), strict=True)))
 
     def received(self) -> bytes:
-        """Nothing: a program answers by `textmsg` only."""
+        """No bytes: a program with registers answers by `textmsg` only."""
         return b""
 
     def absence(self, why: str) -> ConnectFailed:
-        """What to raise when the program does not see what is written."""
+        """The error for a program that does not read what is written."""
         return ConnectFailed(
             f"the program on the robot does not see what is written into its input registers: {why}. Does another RTDE "
             f"client or a fieldbus write one of {', '.join(NAMES)}?"
         )
 
     def close(self, *, farewell: bool) -> None:
-        """Write nothing more; a program that goes on finds no new word, and brakes. Idempotent."""
+        """Write nothing more; a program that still runs finds no new word, and brakes. Idempotent."""
         self._is_closed = True
         self.is_up = False

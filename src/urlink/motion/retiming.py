@@ -1,6 +1,6 @@
 """The shortest time in which joints can follow a path within limits of speed and acceleration.
 
-The path is cut into short steps of its length, measured in joint space. Of each place, x is the square of the speed
+The path is cut into short steps of its length, measured in joint space. At each place, x is the square of the speed
 along the path. Over a step from x to y the acceleration along it is constant, (y - x) / (2 ds). Joint speeds are the
 tangent of the path times the root of x, and joint accelerations the tangent times that acceleration, plus the curvature
 times x or y. So all limits are lines in the plane of x and y. From the end backwards, the largest x is found from which
@@ -9,9 +9,9 @@ reachability analysis of Pham and Pham ("A New Approach to Time-Optimal Path Par
 Analysis", IEEE Transactions on Robotics, 2018), which toppra implements. It is written out here, since it is a hundred
 lines and needs no compiled package.
 
-What is asked for in the end is a curve of cubic polynomials through the places. Where the path bends much within a
-step, these accelerate harder than the plan. There the limit is lowered, and it is planned anew; what is left after some
-rounds slows the whole movement down. So the limits hold for the curve itself, everywhere.
+The result is a curve of cubic polynomials through the places. Where the path bends much within a step, these accelerate
+harder than planned. There the limit is lowered, and the path is planned again; what is left after some rounds slows the
+whole movement down. So the curve itself keeps the limits, everywhere.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from ..vectors import FloatArray
 
 __all__ = ["retime"]
 
-#: rad; of steps that are shorter nothing can be said.
+#: rad; a place that is closer than this to the one before is left out.
 _SHORTEST = 1e-9
-#: Part of the fastest joint speed of the trajectory below which a place counts as one where all joints rest.
+#: Fraction of the fastest joint speed of the trajectory below which all joints rest at a place.
 _RESTING = 1e-6
-#: Rounds of planning, and the part of a limit that is good enough to end them.
+#: Rounds of planning, and the factor of a limit that is good enough to end them.
 _ROUNDS, _GOOD = 5, 1.005
 #: Steps of Newton's method for one largest x; it is piecewise linear, and two to four are usual.
 _MOST_STEPS = 50
-#: Part of x by which y may miss its range.
+#: Relative rounding error of x within which y counts as in its range.
 _ROUNDING = 1e-12
 
 
 def retime(
     q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray, closest: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """When to be where on a path, and how fast, from rest to rest.
+    """The fastest timing of a path within limits, from rest to rest.
 
     Args:
         q: (n, 6) places along the path, rad, close to each other.
-        qd: (n, 6) rad/s in some other timing of the same path: their direction is that of the path, and where all are
-            zero it stops in the new one as well.
+        qd: (n, 6) rad/s in another timing of the same path: they give its direction, and where all are zero, the new
+            timing stops as well.
         speed, acceleration: (6,) limits, rad/s and rad/s².
         closest: s; places closer in time than this are left out.
 
@@ -67,7 +67,7 @@ def retime(
         if len(q) > 2:
             time, speeds = _fastest(q, qd, speed, lowered)
         else:
-            # From rest to rest in one step there is nothing to plan: it is slowed down as far as the limits ask for.
+            # One step from rest to rest needs no plan: it is only slowed down to the limits.
             time, speeds = np.array([0.0, closest]), np.zeros_like(q)
         if (np.diff(time) < closest).any():
             kept = _spread(time, closest)
@@ -82,7 +82,7 @@ def retime(
 
 
 def _spread(time: FloatArray, closest: float) -> list[int]:
-    """Which places to keep so that they are far enough apart in time; the first and the last always."""
+    """Numbers of the places to keep, which are far enough apart in time; the first and the last always."""
     kept = [0]
     for i, t in enumerate(time.tolist()):
         if t - time[kept[-1]] >= closest:

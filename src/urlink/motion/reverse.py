@@ -16,7 +16,7 @@ __all__ = ["ReverseLink", "ReversePort"]
 
 _log = logging.getLogger(__name__)
 
-#: Connections that may be waiting to send their token: the port can be reached by other peers, so they are bounded.
+#: Connections that may not have sent their token yet: other peers can reach the port, so their number is bounded.
 _MOST_CANDIDATES = 8
 #: Bytes of a token.
 _TOKEN_SIZE = 4
@@ -29,10 +29,10 @@ class ReversePort:
     """The address and port to which programs on the robot connect.
 
     Args:
-        robot: where the controller is.
-        host: address at which the robot finds this computer; None for the one on the route to it.
-        port: that its programs connect to; 0 for a free one.
-        peer: address that they connect from; None for the robot's own.
+        robot: address of the controller.
+        host: address of this computer for the robot; None for the one on the route to the robot.
+        port: TCP port to listen on; 0 for a free one.
+        peer: address from which programs connect; None for the robot's own.
     """
 
     def __init__(self, robot: str, host: str | None = None, port: int = 0, peer: str | None = None) -> None:
@@ -43,9 +43,9 @@ class ReversePort:
         self._link: ReverseLink | None = None
 
     def open(self) -> ReverseLink:
-        """Wait for the next program.
+        """Listen for the next program.
 
-        A fixed port is free for it only when nobody listens for the one before, whose program will be replaced.
+        With a fixed port, the link before stops listening first: its program will be replaced.
 
         Raises:
             BadAddress: the port cannot be listened on.
@@ -58,15 +58,14 @@ class ReversePort:
 
 
 class ReverseLink:
-    """A port that waits for one program on the robot, and then its connection.
+    """A port that waits for the connection of one program on the robot; then that connection.
 
-    A program proves that it is the right one by the token that its text holds. A peer that connects from an address
-    other than the robot's, or sends something else, is refused, and the port goes on listening. It is closed as soon as
-    the program has connected, and at the latest with the link: a program that the controller begins later cannot
-    connect.
+    A program identifies itself by the token in its text. A peer whose address is not the robot's, or that sends other
+    bytes, is refused, and the port goes on listening. The port is closed once the program has connected, and at the
+    latest with the link: a program that the controller begins later cannot connect.
 
     Args:
-        where: the robot, and where it finds this computer.
+        where: the addresses of the robot and of this computer.
 
     Attributes:
         endpoint: the address and the token, for the program's text.
@@ -79,21 +78,21 @@ class ReverseLink:
     def __init__(self, where: ReversePort) -> None:
         here = local_address(where.robot) if where.host is None else where.host
         self._peers = addresses(where.robot if where.peer is None else where.peer)
-        # An address that was given may be one that something in between translates, so it is not one to listen on.
+        # A given address may be translated on the way (NAT), so it may be none that can be listened on.
         self._listener = TcpListener(here if where.host is None else "", where.port)
         self.endpoint = ReverseSocket(here, self._listener.address[1], random.SystemRandom().randrange(TOKENS))
         self._candidates: list[_Candidate] = []
         self._connection: TcpTransport | None = None
-        self._waiting = b""  # bytes that came right behind the token
+        self._waiting = b""  # bytes that came directly after the token
         self._is_closed = False
 
     @property
     def is_up(self) -> bool:
-        """The program has connected."""
+        """Whether the program has connected."""
         return self._connection is not None
 
     def poll(self, has_begun: bool) -> bool:
-        """Take the connection, if it has been made; True once it has. Never waits."""
+        """Accept the connection, if it has been made; True once it was accepted. Never waits."""
         while self._connection is None and (connection := self._accepted()) is not None:
             candidate = (connection, bytearray())
             if connection.host not in self._peers:
@@ -112,12 +111,12 @@ class ReverseLink:
             try:
                 return self._listener.accept(0)
             except ConnectionLost:
-                pass  # it is gone again; perhaps there is another
+                pass  # closed again by the peer; perhaps there is another
             except (LinkTimeout, ConnectFailed):
                 return None
 
     def _look(self, candidate: _Candidate) -> None:
-        """Hear who a candidate is."""
+        """Read the token of a candidate."""
         connection, said = candidate
         try:
             received = connection.receive_waiting()
@@ -147,46 +146,46 @@ class ReverseLink:
         self._forget(candidate)
 
     def _forget(self, candidate: _Candidate) -> None:
-        with contextlib.suppress(ValueError):  # it was none yet, or another thread is closing
+        with contextlib.suppress(ValueError):  # not in the list yet, or another thread is closing
             self._candidates.remove(candidate)
 
     def stop_listening(self) -> None:
-        """Take no connection any more."""
+        """Accept no more connections."""
         self._listener.close()
         while self._candidates:
             self._candidates.pop()[0].abort()
 
     def send(self, data: bytes) -> None:
-        """Send to the program, now and as a whole.
+        """Send to the program, at once and completely.
 
         Raises:
-            ConnectionLost: it is gone, or does not read.
+            ConnectionLost: the connection is closed, or the program does not read.
         """
         connection = self._connection
         if connection is None:
             raise ConnectionLost("the program on the robot is not connected")
         if connection.send_some(data) < len(data):
-            # Some hundred set-points wait in the kernel by now, and a part of one would shift all that follow.
+            # The kernel has buffered some hundred set-points by now, and a part of one would shift all that follow.
             connection.abort()
             raise ConnectionLost(f"{connection.name}: the program on the robot does not read")
 
     def received(self) -> bytes:
-        """What the program has sent since; never waits.
+        """The bytes that the program has sent since the last call; never waits.
 
         Raises:
-            ConnectionLost: it is gone.
+            ConnectionLost: the connection is closed.
         """
         data, self._waiting = self._waiting, b""
         try:
             while self._connection is not None and (more := self._connection.receive_waiting()) is not None:
                 data += more[0]
         except ConnectionLost:
-            if not data:  # its last words come first
+            if not data:  # its last bytes are returned first
                 raise
         return data
 
     def absence(self, why: str) -> ConnectFailed:
-        """What to raise when the program does not connect."""
+        """The error for a program that does not connect."""
         host, port, _ = self.endpoint
         return ConnectFailed(
             f"the program on the robot could not connect to this computer at {host}:{port}: {why}. Is that an address "
@@ -199,7 +198,7 @@ class ReverseLink:
         """Close the port and the connection, and discard what has not arrived. Idempotent.
 
         Args:
-            farewell: what was sent last is meant to arrive; wait for that, for a fraction of a second at most.
+            farewell: whether the bytes that were sent last must arrive; waits for that, a fraction of a second at most.
         """
         self._is_closed = True
         self.stop_listening()

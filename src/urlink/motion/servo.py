@@ -1,4 +1,4 @@
-"""Closed loops: set-points, or targets, from the user's own loop."""
+"""Closed loops: set-points or targets from the user's own loop."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from .waypoint_schedule import Schedule
 
 __all__ = ["Servo", "ServoStatistics"]
 
-#: Intervals that the statistics look back on: a minute and a half at 500 Hz.
+#: Intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
-#: rad; from one pose to the next no joint turns further, unless they lead through a singularity.
+#: rad that a joint may turn from one pose to the next; more means a singularity.
 _LEAP = 1.5
-#: rad that the first set-point may be away from where the arm is led.
+#: rad between the first set-point and the target position of the arm, at most.
 _NEAR = 0.05
 
 
 @dataclass(frozen=True)
 class ServoStatistics:
-    """How evenly set-points, or targets, were sent.
+    """How regularly set-points, or targets, were sent.
 
     Attributes:
         count: how many were sent.
         mean: s between two of them.
-        p50, p99, max: s, of the deviations of that from the period: half of them, 99 % of them and all are no larger.
-        late: intervals longer than one and a half periods.
+        p50, p99, max: s: the median, the 99th percentile and the largest of the deviations of that from the period.
+        late: number of intervals longer than one and a half periods.
     """
 
     count: int
@@ -61,11 +61,11 @@ class ServoStatistics:
 class _Leading:
     """Answers each state with the next set-point of a target filter or schedule.
 
-    Before the first one, and for a loop that sends its own set-points, with `WAIT_WORD`.
+    Before the first one, and if the loop sends its own set-points, it answers with `WAIT_WORD`.
 
     Args:
         servoing: how set-points are followed.
-        paced: makes them; None for a loop that sends its own.
+        paced: makes the set-points; None if the loop sends its own.
     """
 
     farewell = STOP_WORD
@@ -74,9 +74,9 @@ class _Leading:
 
     def __init__(self, servoing: Servoing, paced: PacedSetpoints | None) -> None:
         self._servoing = servoing
-        #: set once, by whichever thread
+        #: set once, by any thread
         self.paced = paced
-        #: rad; where the arm was led before it began
+        #: rad; target positions of the arm before the first word
         self.here: list[float] | None = None
         self.has_begun = False
 
@@ -95,13 +95,13 @@ class _Leading:
 
 
 class Servo(LinkedBlock):
-    """Takes the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
+    """Sends the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
 
     Send a set-point in each of the controller's cycles, or in each of your own; with a target filter, a target whenever
     there is one. Leaving the block stops the arm.
 
     Attributes:
-        rate: set-points or targets a second that are meant to be sent.
+        rate: intended number of set-points or targets per second.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Servo(LinkedBlock):
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
-        self._began: float  # when the first was sent, and the last
+        self._began: float  # when the first was sent
         self._sent_at: float
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
@@ -137,13 +137,14 @@ class Servo(LinkedBlock):
         """Send one set-point; with a target filter, a target.
 
         Args:
-            q: (6,) joint positions, rad. With a target filter, anywhere within the limits of the arm. Without one, the
-                first is no further than 0.05 rad from where the arm is; after that no joint is led faster than it can
-                move; what is refused, and how uneven a loop may be, says `urlink.motion.speed_limit`.
+            q: (6,) joint positions, rad. With a target filter, anywhere within the joint limits. Without one, the first
+                must be within 0.05 rad of the target position of the arm, and after that no joint may be led faster
+                than it can move: `urlink.motion.speed_limit` describes what is refused, and how irregular a loop may
+                be.
 
         Raises:
             BadValue: not six finite numbers, too fast, or beyond a limit of the arm; nothing was sent.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the servo is over.
             LocalError: not within the block; or waypoints were scheduled in it.
         """
         self._check_open()
@@ -160,24 +161,25 @@ class Servo(LinkedBlock):
         self._count_one(values, now)
 
     def schedule(self, target: ArrayLike | Joint | Linear, at: float) -> float | None:
-        """Be somewhere at a time on the robot's clock, which is that of `RealtimeState.time`.
+        """Be at a waypoint at a time on the robot's clock, which is that of `RealtimeState.time`.
 
-        Between waypoints the joints go on smoothly, in a curve from where the arm is led through all that are ahead, to
-        rest at the last. A waypoint replaces those of the same time or later. Poses become joint positions closest to
-        those of the waypoint before; the tool goes the straighter between them the closer they are.
+        Between waypoints the joints move in a smooth curve, from the present set-point through all waypoints that are
+        ahead, to rest at the last one. A waypoint replaces those of the same time or later. A pose becomes the joint
+        positions closest to those of the waypoint before; the closer the poses are, the straighter the tool moves
+        between them.
 
         Args:
             target: (6,) joint positions, rad, or a `Joint`; or a `Linear` with a pose in the base frame.
             at: s.
 
         Returns:
-            when the arm will be there: `at`, or later where that is too soon for it, by its limits of speed and
-            acceleration; None where it is over, and nothing was changed.
+            when the arm will be there: `at`, or later if the limits of speed and acceleration of the arm need more
+            time; None if that time is past, and nothing was changed.
 
         Raises:
-            BadValue: no finite numbers, out of the range of a joint, or a leap of a joint.
-            Unreachable: a pose out of reach.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            BadValue: not finite numbers, out of the range of a joint, or a jump of a joint.
+            Unreachable: a pose is out of reach.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the servo is over.
             LocalError: not within the block; with a target filter; or after `send`.
         """
         self._check_open()
@@ -218,21 +220,21 @@ class Servo(LinkedBlock):
         return q
 
     def measure_delay(self, joint: int = 5, amplitude: float = 0.05, duration: float = 1.0) -> float:
-        """Measure how long the arm takes to be where it is led. THE ARM MOVES: one joint, there and back.
+        """Measure by how much the arm lags behind its set-points. THE ARM MOVES: one joint, there and back.
 
         Use it in a block of its own; what it returns is for ``follow(delay=)`` and ``servo(delay=)``. It depends on
         `lookahead_time` and `gain`.
 
         Args:
             joint: number of the joint, 0 to 5.
-            amplitude: rad that it goes away, in the direction of its sign.
-            duration: s for the way there and back; it takes half a second more.
+            amplitude: rad of the movement, with its sign.
+            duration: s for the way there and back; measuring takes half a second more.
 
         Returns:
-            s from a state to the one in which the arm is where the set-point that answered it was.
+            s from a state to the one in which the arm is at the set-point that answered it.
 
         Raises:
-            BadValue: the joint has no such range, or cannot be so fast.
+            BadValue: the movement is beyond the range or the speed of the joint.
             LinkError: the arm does not follow, or what ended the servo.
             LocalError: not within the block, with a target filter, or while waypoints are scheduled.
         """
@@ -261,7 +263,7 @@ class Servo(LinkedBlock):
 
     @property
     def stats(self) -> ServoStatistics:
-        """How evenly set-points, or targets, were sent; deviations are of the last 50000 intervals."""
+        """How regularly set-points, or targets, were sent; deviations are of the last 50000 intervals."""
         intervals = np.array(self._intervals)
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
@@ -271,10 +273,10 @@ class Servo(LinkedBlock):
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
 
     def _speeds(self, values: list[float], now: float) -> list[float]:
-        """(6,) rad/s since the last set-point: with these the program goes on where the next one is late."""
+        """(6,) rad/s since the last set-point: the program goes on at these if the next one is late."""
         if self._last is None:
             return [0.0] * 6
-        # Two that are sent at once are for two cycles all the same.
+        # Two set-points that are sent at once still are for two cycles.
         seconds = max(now - self._sent_at, self._cycle)
         return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
 
@@ -292,7 +294,7 @@ class Servo(LinkedBlock):
                 raise BadValue(excess)
             return
         here = self._dialogue.here
-        assert here is not None  # the block is open once the program has been told the first word
+        assert here is not None  # the block opens after the first word was sent
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(

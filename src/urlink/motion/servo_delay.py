@@ -1,4 +1,4 @@
-"""How long an arm takes to be where it is led: measured by a wave of one joint."""
+"""The lag of an arm behind its set-points: measured by a wave of one joint."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["measure"]
 
 #: Steps of Newton's method for the delay; four are usual.
 _STEPS = 8
-#: s beyond which there is no delay to speak of: the arm does not follow.
+#: s; a longer delay means that the arm does not follow.
 _LONGEST = 0.5
-#: Part of the wave that may be left unexplained by a delay.
+#: Fraction of the wave that may be left unexplained by a delay.
 _UNEXPLAINED = 0.2
 
 
@@ -29,17 +29,17 @@ def measure(
     amplitude: float,
     duration: float,
 ) -> float:
-    """Lead a joint there and back, and see when it follows.
+    """Move a joint there and back, and find out by how much it lags.
 
     Args:
         states: of the robot, each as it arrives.
         send: sends a set-point (6, rad).
         joint: number of the joint.
-        amplitude: rad that it goes away, with its sign.
+        amplitude: rad of the movement, with its sign.
         duration: s for the way there and back.
 
     Returns:
-        s from a state to the one in which the arm is where the set-point that answered it was.
+        s from a state to the one in which the arm is at the set-point that answered it.
 
     Raises:
         LinkError: the arm does not follow.
@@ -59,7 +59,7 @@ def measure(
         if t > duration + _LONGEST:
             break
     times, actual = np.array(seen).T
-    # From where it was at first: sensors have an offset.
+    # Relative to the first positions: sensors have an offset.
     times, actual = times - times[0], actual - actual[0]
     delay = 0.0
     for _ in range(_STEPS):

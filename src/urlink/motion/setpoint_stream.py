@@ -1,4 +1,4 @@
-"""The set-points that are sent, one for each cycle of the controller, and what the robot does while they stay away."""
+"""The set-points that are sent, one for each cycle of the controller, and what the robot does when some are missed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["SetpointStream"]
 
 
 class SetpointStream:
-    """The last set-point that was sent, and where the program on the robot has gone on to from there.
+    """The last set-point that was sent, and how far the program on the robot has gone on from it.
 
-    While set-points stay away, that program goes on at the speed that came with the last one, ever slower
-    (`urlink.urscript.streaming`): it coasts. Times are those of the controller's clock, unless they are called `now`.
+    While set-points are missed, that program goes on at the speed that came with the last one, ever slower
+    (`urlink.urscript.streaming`): it coasts. Times are those of the controller's clock; `now` is monotonic s here.
 
     Args:
         servoing: how set-points are followed.
@@ -41,12 +41,12 @@ class SetpointStream:
         self.q, self.qd = list(q), [0.0] * 6
 
     def advance(self, seconds: float) -> None:
-        """So much time has passed."""
+        """Advance the time."""
         self._since += seconds
 
     @property
     def is_due(self) -> bool:
-        """The cycle of the last set-point is over, so that the next one may be sent."""
+        """Whether the cycle of the last set-point is over, so that the next one may be sent."""
         return self._since >= 0.5 * self.cycle
 
     @property
@@ -55,20 +55,20 @@ class SetpointStream:
         return max(round(self._since / self.cycle) - 1, 0)
 
     def coasted_time(self, missed: int) -> float:
-        """s at the speed of the last set-point, in which as much is travelled as by coasting for so many cycles."""
+        """s at the speed of the last set-point in which the arm goes as far as by coasting for `missed` cycles."""
         return self._servoing.coasting(missed) * self.cycle
 
     def coasted_to(self, missed: int) -> tuple[list[float], list[float]]:
-        """Where the program is after coasting for so many cycles, rad, and how fast it still goes, rad/s."""
+        """Positions, rad, and speeds, rad/s, after coasting for `missed` cycles."""
         seconds, share = self.coasted_time(missed), self._servoing.share(missed)
         return [a + seconds * b for a, b in zip(self.q, self.qd, strict=True)], [share * each for each in self.qd]
 
     def excess(self, q: Sequence[float], now: float) -> str | None:
-        """Why a set-point at `q` may not be sent: it is further away than the joints can move; None if it may."""
+        """Why a set-point at `q` must not be sent: it is further away than a joint can move; None if it may."""
         return self._limit.excess(self.q, q, now)
 
     def send(self, q: list[float], qd: list[float], now: float) -> bytes:
-        """The bytes of a set-point, which is the last one from now on."""
+        """The bytes of a set-point, which becomes the last one."""
         self._limit.take(self.q, q, now)
         self.q, self.qd, self._since = q, qd, 0.0
         return setpoint(q, qd)

@@ -18,7 +18,7 @@ WORD_SIZE = _WORD.size
 
 #: Brake, and end the program.
 STOP_WORD = _WORD.pack(*[0] * 12, STOP)
-#: No set-point yet; it only shows that this computer is there.
+#: No set-point yet; it only shows that this computer is alive.
 WAIT_WORD = _WORD.pack(*[0] * 12, WAIT)
 
 
@@ -33,7 +33,7 @@ def setpoint(q: Sequence[float], qd: Sequence[float]) -> bytes:
 
 
 def read_word(word: bytes) -> tuple[list[float], list[float], int]:
-    """What a word says: positions of the joints, rad, their speeds, rad/s, and what to do."""
+    """The content of a word: joint positions, rad, joint speeds, rad/s, and the command."""
     *numbers, mode = _WORD.unpack(word)
     values = [each / SCALE for each in numbers]
     return values[:6], values[6:], mode
@@ -41,14 +41,14 @@ def read_word(word: bytes) -> tuple[list[float], list[float], int]:
 
 @dataclass(frozen=True)
 class Servoing:
-    """How set-points are followed.
+    """The parameters by which set-points are followed.
 
     Attributes:
         firmware: of the controller.
-        speeds: (6,) rad/s at most of each joint.
-        watchdog: seconds without one after which the robot brakes.
-        lookahead_time, gain: of ``servoj``, where the firmware has them.
-        period: seconds between two set-points, where they do not come in each cycle.
+        speeds: (6,) rad/s, the largest of each joint.
+        watchdog: seconds without a set-point after which the robot brakes.
+        lookahead_time, gain: of ``servoj``, if the firmware has them.
+        period: seconds between two set-points, if they do not come in each cycle; else 0.
     """
 
     firmware: Firmware
@@ -60,30 +60,30 @@ class Servoing:
 
     @property
     def _coasting(self) -> float:
-        """Seconds. With three periods, a loop that is slower than the controller still leads the arm evenly."""
+        """Seconds of coasting: three periods, so that a loop slower than the controller moves the arm evenly."""
         return max(COASTING, 3.0 * self.period)
 
     @property
     def coastable(self) -> int:
-        """Cycles without a set-point in which the program on the robot goes on by itself."""
+        """Cycles for which the program on the robot coasts at most."""
         return missable(min(self.watchdog, self._coasting), self.firmware.rate)
 
     @property
     def late(self) -> float:
-        """Seconds of lateness that may be made up for at once, since the robot has gone on by itself meanwhile."""
+        """Seconds of lateness that may be made up for at once, since the robot has coasted meanwhile."""
         return self.coastable / self.firmware.rate
 
     def coasting(self, missed: int) -> float:
-        """For how many cycles at full speed the program on the robot goes on in so many without a set-point."""
+        """Number of cycles at full speed that lead as far as coasting for `missed` cycles."""
         n = min(missed, self.coastable)
         return n - n * (n + 1) / (2.0 * self.coastable)
 
     def share(self, missed: int) -> float:
-        """The part of its speed that it has in the last of them."""
+        """The fraction of the full speed after coasting for `missed` cycles."""
         return 1.0 - min(missed, self.coastable) / self.coastable
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program that gets its set-points by `link`."""
+        """The lines of the program, which receives its set-points over `link`."""
         return streaming(
             self.firmware,
             link,

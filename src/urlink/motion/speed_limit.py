@@ -1,13 +1,13 @@
-"""How fast set-points may lead an arm: each joint has a budget of time, and the way that it is led uses it up.
+"""How fast set-points may lead an arm: each joint has a budget of time, which its movements use up.
 
-A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is bounded
-here, wherever it was computed. A joint that is led by x rad uses x / (its largest speed) seconds of its budget, and
-each second that passes adds one, up to a ceiling:
+A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is checked
+here, wherever it was computed. To lead a joint by x rad uses x / (its largest speed) seconds of its budget, and each
+second that passes adds one, up to a ceiling:
 
-- one period of the set-points and `EARLY`, as long as they leave evenly;
-- after a late one, its lateness in addition (`LATE` at most, where nothing else is said), for the set-points that
+- one period of the set-points and `EARLY`, as long as they are sent regularly;
+- after a late one, additionally its lateness (at most `LATE`, unless another bound is given), for the set-points that
   follow it at once. Meanwhile the program on the robot goes on at its last speed
-  (`urlink.urscript.streaming`), so to catch up is no leap. The first set-point that is on time again gives up
+  (`urlink.urscript.streaming`), so catching up is no jump. The first set-point that is on time again drops
   the rest.
 """
 
@@ -26,29 +26,29 @@ __all__ = ["EARLY", "LATE", "LONGEST_PERIOD", "SpeedLimit", "largest_speeds"]
 EARLY = 0.001
 #: Seconds of lateness that may be made up for at once. Chosen: a tenth of the default watchdog.
 LATE = 0.01
-#: Seconds: of a loop with a longer period a step is no larger than with this one, since the arm takes it in one cycle.
+#: Longest period that counts, s: in a slower loop a step may be no larger than with it, since the arm takes it at once.
 LONGEST_PERIOD = 0.02
 
-#: rad/s of the fastest joint of any arm that is known, for arms of which nothing is known.
+#: rad/s of the fastest joint of all known arms, for unknown ones.
 _FASTEST = 2.0 * math.pi
 #: rad; set-points are rounded to millionths, which must not count as speed.
 _SLACK = 2e-6
 
 
 def largest_speeds(model: Model | None) -> tuple[float, ...]:
-    """(6,) rad/s; of an arm that is not known, those of the fastest there is."""
+    """(6,) rad/s; for an arm that is not known, those of the fastest arm."""
     return (_FASTEST,) * 6 if model is None else tuple(model.max_speed.tolist())
 
 
 class SpeedLimit:
-    """The seconds that each joint may still be led at full speed.
+    """The seconds for which each joint may still be led at full speed.
 
     Args:
-        model: whose speeds count; None for an arm that is not known, which gets that of the fastest.
+        model: the arm; None if it is not known: then the speed of the fastest arm holds.
         period: seconds between two set-points.
         late: seconds of lateness that may be made up for at once.
 
-    The argument `now` of its methods is in seconds of a clock that only grows.
+    The argument `now` of its methods is in monotonic seconds.
     """
 
     def __init__(self, model: Model | None, period: float, late: float = LATE) -> None:
@@ -60,11 +60,11 @@ class SpeedLimit:
         self._at = math.inf
 
     def excess(self, before: Sequence[float], after: Sequence[float], now: float) -> str | None:
-        """What is too fast about going on from `before` to `after` (6, rad) now; None if nothing is."""
+        """Why going from `before` to `after`, (6,) rad, is too fast now; None if it is not."""
         budgets = self._budgets(now)
         for joint, (here, there, speed, seconds) in enumerate(zip(before, after, self._speeds, budgets, strict=True)):
             most = speed * seconds + _SLACK
-            if not abs(there - here) <= most:  # so that NaN is too far as well
+            if not abs(there - here) <= most:  # true for NaN too
                 return (
                     f"q[{joint}] ({JOINTS[joint]}) is {there:.4f} rad, {abs(there - here):.4f} rad from the last "
                     f"set-point; at most {most:.4f} rad by now, at {speed:.2f} rad/s"
@@ -72,7 +72,7 @@ class SpeedLimit:
         return None
 
     def take(self, before: Sequence[float], after: Sequence[float], now: float) -> None:
-        """What `excess` let through has been sent."""
+        """Count a set-point that was sent after `excess` allowed it."""
         self._budget = [
             max(seconds - abs(there - here) / speed, 0.0)
             for here, there, speed, seconds in zip(before, after, self._speeds, self._budgets(now), strict=True)
@@ -80,7 +80,7 @@ class SpeedLimit:
         self._at = now
 
     def _budgets(self, now: float) -> list[float]:
-        """What each joint has at this time."""
+        """The seconds that each joint has at this time."""
         passed = max(now - self._at, 0.0)
         if passed > 1.5 * self._period:
             ceiling = self._even + min(passed - self._period, self._late)

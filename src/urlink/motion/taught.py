@@ -1,4 +1,4 @@
-"""Waypoints that were taught by hand: kept, saved, loaded and played back."""
+"""Waypoints that were taught by hand: saved, loaded and played."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ class _Player(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TaughtPoint:
-    """A waypoint: the arm's position when it was kept.
+    """A waypoint: the position of the arm when it was recorded.
 
     Attributes:
         q: (6,) joint positions, rad.
-        pose: (6,) of the TCP in the base frame, m and rad; for people and other programs, since the joints are played.
+        pose: (6,) of the TCP in the base frame, m and rad; for display and other programs: the joint positions are
+            played.
     """
 
     q: FloatArray
@@ -49,7 +50,7 @@ class Taught:
     """Waypoints in the order in which they were taught.
 
     Args:
-        points: of them.
+        points: the first ones.
         model: name of the arm; None if it is not known.
     """
 
@@ -59,7 +60,7 @@ class Taught:
 
     @property
     def points(self) -> tuple[TaughtPoint, ...]:
-        """All of them."""
+        """The waypoints so far."""
         return tuple(self._points)
 
     def __len__(self) -> int:
@@ -72,11 +73,11 @@ class Taught:
         return f"<Taught {len(self)} waypoints of {self.model or 'an unknown arm'}>"
 
     def add(self, point: TaughtPoint) -> None:
-        """Another one, at the end."""
+        """Add a waypoint at the end."""
         self._points.append(point)
 
     def remove_last(self) -> TaughtPoint:
-        """Forget the last one; returns it.
+        """Remove the last waypoint, and return it.
 
         Raises:
             BadValue: there is none.
@@ -88,10 +89,10 @@ class Taught:
     # -- playing -------------------------------------------------------------------------------------
 
     def waypoints(self, blend: float = 0.0) -> list[Joint]:
-        """What `Motions.path` takes: straight in joint space from one to the next.
+        """The waypoints for `Motions.path`: straight in joint space from one to the next.
 
         Args:
-            blend: m from each but the last at which the arm begins to go round the corner; 0 to stop there.
+            blend: radius in m, at all but the last, at which the arm begins to round the corner; 0 to stop there.
         """
         last = len(self) - 1
         return [Joint(point.q, blend=blend if i < last else 0.0) for i, point in enumerate(self.points)]
@@ -105,19 +106,19 @@ class Taught:
         blend: float = 0.0,
         wait: bool | float = False,
     ) -> PathMotion:
-        """Go through all of them, one motion, checked as any path before it is sent.
+        """Move through all of them in one motion, which is checked before it is sent, as any path.
 
-        The way to the first of them is a straight one in joint space from wherever the arm is.
+        The arm first moves straight in joint space to the first waypoint, from wherever it is.
 
         Args:
-            robot: whose arm is of the same model.
-            speed: rad/s of the joint that goes furthest.
-            acceleration: rad/s² of it.
+            robot: the robot, with an arm of the same model.
+            speed: rad/s of the joint that moves furthest.
+            acceleration: rad/s² of that joint.
             blend: see `waypoints`.
             wait: see `Motions`.
 
         Raises:
-            BadValue: there is no waypoint, the arm is of another model, or the path will not do.
+            BadValue: there is no waypoint, the arm is of another model, or the path fails its checks.
         """
         if not self._points:
             raise BadValue("no waypoint was taught, so there is nothing to play")
@@ -128,7 +129,7 @@ class Taught:
     # -- files ---------------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write them as JSON; an older file of that name is replaced, at once or not at all.
+        """Write them as JSON; an older file of that name is replaced completely or not at all.
 
         Raises:
             BadValue: it cannot be written.

@@ -1,4 +1,4 @@
-"""Teaching: a person moves the arm, and waypoints are kept by a call, a digital input, or the arm's own button."""
+"""Teaching: a person moves the arm, and waypoints are recorded by a call, a digital input, or the arm's own button."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Teaching", "Triggers"]
 
-#: Seconds after a waypoint within which an input that bounces does not make another one.
+#: Seconds after a waypoint in which an input that bounces does not record another one.
 _BOUNCE = 0.2
 
 
 @dataclass(frozen=True)
 class Triggers:
-    """The events that keep a waypoint, beside a call.
+    """The events that record a waypoint, besides a call.
 
     Attributes:
-        input_bit: of the digital inputs, when it is switched on; None for none.
-        buttons: the stream that says in `robot_status_bits` whether the arm's own button is held, which keeps one when
-            it is let go; None not to look.
-        on_point: called with each waypoint, in the thread that has kept it.
+        input_bit: of the digital inputs; switching it on records one. None for none.
+        buttons: the stream with `robot_status_bits`; releasing the arm's own button, as these show it, records one.
+            None for no button.
+        on_point: called with each waypoint, in the thread that has recorded it.
     """
 
     input_bit: int | None
@@ -43,10 +43,10 @@ class Triggers:
 
 
 class Teaching:
-    """Waypoints are being taught, for as long as a ``with`` block; made by `robot.teach`.
+    """Teaching of waypoints while a ``with`` block is open; made by `robot.teach`.
 
     Attributes:
-        taught: the waypoints so far; they are there after the block too.
+        taught: the waypoints so far; they remain after the block.
     """
 
     def __init__(
@@ -58,13 +58,13 @@ class Teaching:
         self._triggers = triggers
         #: closed when the block is left; None outside of it
         self._open: contextlib.ExitStack | None = None
-        # An input that is on, or a button that is not held, in the first state keeps nothing.
+        # An input that is on, or a button that is not held, in the first state is no event.
         self._was_on, self._was_held = True, False
         self._kept_at = -math.inf
 
     @property
     def freedrive(self) -> Freedrive | None:
-        """The mode that the arm is in; None where it is moved with its own button held."""
+        """The freedrive of this block; None if the arm is moved with its own button."""
         return self._freedrive
 
     def __enter__(self) -> Self:
@@ -72,7 +72,7 @@ class Teaching:
 
         Raises:
             SafetyStop, NotRunning: the arm may not be moved now.
-            LinkError: what else keeps it from beginning.
+            LinkError: another reason why it cannot begin.
             LocalError: it was used before.
         """
         with contextlib.ExitStack() as opened:
@@ -95,11 +95,11 @@ class Teaching:
         opened.close()
 
     def record(self) -> TaughtPoint:
-        """Keep where the arm is as the next waypoint.
+        """Record the present position of the arm as the next waypoint.
 
         Raises:
             LocalError: not within the block.
-            LinkError: freedrive is over, and why; or no state tells where the arm is.
+            LinkError: freedrive is over, and the error says why; or no state comes.
         """
         if self._open is None:
             raise LocalError("waypoints are recorded within the block: with robot.teach() as teaching: ...")

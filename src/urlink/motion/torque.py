@@ -21,17 +21,17 @@ from .linked_block import LinkedBlock
 __all__ = ["Torque"]
 
 _DIRECT_TORQUE = Since("5.23/10.11")
-#: Nm, where it is not known which arm this is.
+#: Nm, for an arm that is not known.
 _LARGEST = 1000.0
 
 
 class Torque(LinkedBlock):
-    """Takes the torques of a loop; made by `robot.motion.torque`, and open within a ``with`` block.
+    """Sends the torques of a loop; made by `robot.motion.torque`, and open within a ``with`` block.
 
     Args:
         context: the robot.
         limits: (6,) Nm; None for what the joints of this arm can exert.
-        friction_compensation: the controller makes up for the friction of the joints.
+        friction_compensation: whether the controller compensates the friction of the joints.
         watchdog: s without a torque after which the arm brakes.
         open_link: opens the link to the program.
 
@@ -64,14 +64,14 @@ class Torque(LinkedBlock):
         super().__init__(context, "torque", self._told, open_link)
 
     def send(self, torque: ArrayLike) -> None:
-        """Turn the joints by these torques from the next cycle on; they fade over the watchdog's time if none follows.
+        """Apply these torques from the next cycle on; if no others follow, they fade over the watchdog time.
 
         Args:
-            torque: (6,) Nm, on top of what holds the arm up against gravity.
+            torque: (6,) Nm, added to those that hold the arm up against gravity.
 
         Raises:
             BadValue: not six finite numbers, or beyond a limit; nothing was sent.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: it is over.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the mode is over.
             LocalError: not within the block.
         """
         self._check_open()

@@ -1,10 +1,10 @@
 """Timed joint trajectories: points, and the curve through them.
 
-Between two points the curve is a cubic polynomial per joint where the points have velocities, and a quintic where they
-have accelerations too: it passes through every point with exactly what the point says. Points without velocities are
-given some: zero at both ends, and between them those of a monotone cubic (Fritsch and Carlson, with the weighted
-harmonic mean that is known as PCHIP), which never leaves the range between two neighbouring points. What that costs is
-jumps in acceleration at the points, as in every cubic.
+Between two points the curve is a cubic polynomial per joint if the points have velocities, and a quintic one if they
+have accelerations too: it passes through every point with exactly the values of the point. Points without velocities
+get zero at both ends, and between them the velocities of a monotone cubic (Fritsch and Carlson, with the weighted
+harmonic mean that is known as PCHIP), which never leaves the range between two neighbouring points. In return the
+acceleration jumps at the points, as in every cubic.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Trajectory", "TrajectoryPoint"]
 
-#: s; points closer than this are a mistake, since no controller has a cycle below 2 ms.
+#: s; points closer than this are a mistake: no controller has a cycle below 2 ms.
 _CLOSEST = 1e-4
-#: rad, rad/s, rad/s², s: beyond this a number is a mistake.
+#: rad, rad/s, rad/s², s; a larger number is a mistake.
 _LARGEST = 1e6
-#: Places in each segment at which `Trajectory.check` looks. Between two of them a curve as wild as one of these
-#: segments can be goes beyond what is seen by less than 1 % of its swing.
+#: Places in each segment at which `Trajectory.check` evaluates the curve. Between two of them the curve exceeds the
+#: values found by less than 1 % of its range, even if it oscillates as much as such a segment can.
 _PLACES = 17
-#: Part of a limit that rounding may exceed it by.
+#: Fraction by which rounding may exceed a limit.
 _SLACK = 1e-6
-#: rad/s below which an arm counts as standing, where a trajectory begins and ends.
+#: rad/s below which an arm counts as standing still, where a trajectory begins and ends.
 _STANDING = 0.05
-#: rad; between two poses no joint turns further, unless they lead through a singularity.
+#: rad that a joint may turn between two poses; more means a singularity.
 _LEAP = 1.5
 
 _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
@@ -53,13 +53,13 @@ _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
 
 @dataclass(frozen=True, eq=False, init=False)
 class TrajectoryPoint:
-    """Where the joints are to be at one time. Arrays are read-only, joints from base to wrist 3.
+    """The positions of the joints at one time. Arrays are read-only, joints from base to wrist 3.
 
     Attributes:
         q: (6,) positions, rad.
         time: seconds since the trajectory began.
-        qd: (6,) velocities, rad/s; None to let the trajectory choose.
-        qdd: (6,) accelerations, rad/s²; None for a curve that does not prescribe them.
+        qd: (6,) velocities, rad/s; None if the trajectory chooses them.
+        qdd: (6,) accelerations, rad/s²; None if they are not prescribed.
 
     Raises:
         BadValue: not six finite numbers.
@@ -87,12 +87,12 @@ class Trajectory:
     Attributes:
         time: (n,) seconds.
         q: (n, 6) rad.
-        qd: (n, 6) rad/s; where the points had none, those that were chosen.
+        qd: (n, 6) rad/s; the chosen ones if the points had none.
         qdd: (n, 6) rad/s², or None. All arrays are read-only.
         has_velocities: whether `qd` was given rather than chosen.
 
     Raises:
-        BadValue: says which point, and what is wrong with it.
+        BadValue: a point is invalid; the message names it, and what is wrong.
     """
 
     time: FloatArray
@@ -117,7 +117,7 @@ class Trajectory:
     def from_arrays(
         cls, time: ArrayLike, q: ArrayLike, qd: ArrayLike | None = None, qdd: ArrayLike | None = None
     ) -> Trajectory:
-        """From times (n,) in s, positions (n, 6) in rad, and, or not, velocities and accelerations (n, 6).
+        """From times (n,) in s, positions (n, 6) in rad, and optionally velocities and accelerations (n, 6).
 
         Raises:
             BadValue: see `Trajectory`.
@@ -135,21 +135,21 @@ class Trajectory:
     def from_poses(
         cls, time: ArrayLike, poses: ArrayLike, arm: Arm, near: ArrayLike, tcp: ArrayLike | None = None
     ) -> Trajectory:
-        """From poses of the tool: the joint positions along them, each closest to the ones before.
+        """From poses of the tool: joint positions along them, each closest to the one before.
 
-        Between the poses the joints go on smoothly; the tool is where it was wanted in each pose, and nearly so between
-        them, the closer the more of them there are.
+        Between the poses the joints move smoothly. The tool is exact at each pose; between them it is the more exact,
+        the closer they are.
 
         Args:
             time: (n,) s.
             poses: (n, 6) in the base frame, m, and rotation vectors in rad.
-            arm: whose tool it is: ``robot.kinematics``, or an `urlink.kinematics.Arm`.
+            arm: kinematics of the arm: ``robot.kinematics``, or an `urlink.kinematics.Arm`.
             near: (6,) joint positions at the beginning, rad.
             tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
 
         Raises:
-            BadValue: see `Trajectory`; or a joint would have to leap between two poses, as in a singularity.
-            Unreachable: a pose is out of reach; the message says which.
+            BadValue: see `Trajectory`; or a joint would jump between two poses, as in a singularity.
+            Unreachable: a pose is out of reach; the message names its row.
         """
         q = arm.inverse_path(poses, near, tcp)
         leaps = np.abs(np.diff(q, axis=0)) > _LEAP
@@ -164,12 +164,12 @@ class Trajectory:
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """From a file with the header ``time,q0,...,q5``, and, or not, ``qd0,...,qd5`` and ``qdd0,...,qdd5``.
+        """From a file with the header ``time,q0,...,q5``, optionally with ``qd0,...,qd5``, and with ``qdd0,...,qdd5``.
 
-        Columns may stand in any order. Units as in `TrajectoryPoint`.
+        Columns may have any order. Units as in `TrajectoryPoint`.
 
         Raises:
-            BadValue: the file cannot be read, or is no such file; says in which line.
+            BadValue: the file cannot be read, or is not such a file; the message names the line.
         """
         arrays, line = read_points(Path(path))
         try:
@@ -178,7 +178,7 @@ class Trajectory:
             raise BadValue(f"{path} (point 0 is line {line}): {error}") from None
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write what `from_csv` reads; velocities only where they were given. No digit is lost.
+        """Write what `from_csv` reads, with all digits; velocities only if they were given.
 
         Raises:
             BadValue: the file cannot be written.
@@ -253,10 +253,10 @@ class Trajectory:
     def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions, velocities and accelerations at the times `t`: (6,) each for one time, (..., 6) for an array.
 
-        Before the first and after the last point the curve stands still where that point is.
+        Before the first and after the last point the curve stands still at that point.
 
         Raises:
-            BadValue: a time that is no number.
+            BadValue: a time is not a number.
         """
         times = numbers(t, "t")
         if np.isnan(times).any():
@@ -267,7 +267,7 @@ class Trajectory:
         return self._curve(times)
 
     def sample(self, t: float) -> tuple[list[float], list[float], list[float]]:
-        """As `at`, for one time and in plain floats: what a control loop calls. A time that is no number is the end."""
+        """As `at`, for one time and in plain floats, for control loops. NaN gives the end."""
         times = self._times
         if not 0.0 <= t <= times[-1]:
             rest = [0.0] * 6
@@ -303,24 +303,24 @@ class Trajectory:
     def retimed(self, speed: ArrayLike, acceleration: ArrayLike) -> Trajectory:
         """The same path in the shortest time within limits, from rest to rest.
 
-        Where all joints rest in this trajectory, they rest in the other one too. The times of the points do not matter,
-        and neither do the limits of an arm, for which `check` looks. Accelerations change at once: jerk is not limited.
-        It takes about a millisecond of processor time a point.
+        Where all joints rest in this trajectory, they rest in the new one too. The times of the points have no effect.
+        The limits of an arm are not checked: see `check`. Accelerations jump: jerk is not limited. It takes about a
+        millisecond of processor time per point.
 
         Args:
-            speed: rad/s at most, of all joints or (6,) of each.
-            acceleration: rad/s² at most, of all joints or (6,) of each.
+            speed: largest speed, rad/s, of all joints or (6,) of each.
+            acceleration: largest acceleration, rad/s², of all joints or (6,) of each.
 
         Returns:
-            a trajectory with velocities, of 3 to 200 points for each step of this one and a few hundred at least.
+            a trajectory with velocities, with 3 to 200 points for each step of this one, and a few hundred at least.
 
         Raises:
-            BadValue: a limit that is not positive, or a trajectory that stays where it is.
+            BadValue: a limit is not positive, or the trajectory does not move.
         """
         limits = six_limits(speed, "speed"), six_limits(acceleration, "acceleration")
         segments = len(self) - 1
         places = min(max(math.ceil(200 / segments), 20), max(math.ceil(2000 / segments), 3))
-        # Closer to each other beside the points, where the curve bends most.
+        # Denser next to the points, where the curve bends most.
         parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, math.pi, places + 1)[:-1])
         times = np.append((self.time[:-1, None] + np.diff(self.time)[:, None] * parts).ravel(), self.duration)
         q, qd, _ = self._curve(times)
@@ -329,26 +329,26 @@ class Trajectory:
     # -- limits ------------------------------------------------------------------------------------
 
     def check(self, model: Model | None = None, near: ArrayLike | None = None, *, within: float = 0.05) -> None:
-        """Refuse what an arm could not do, or should not begin.
+        """Raise if an arm could not follow it, or should not begin it.
 
-        The curve is looked at in every point and at 15 places between two neighbouring ones.
+        The curve is evaluated at every point, and at 15 places between two neighbouring ones.
 
         Args:
-            model: whose limits of position, velocity and acceleration hold; None leaves them unchecked. The
+            model: its limits of position, velocity and acceleration must hold; None leaves them unchecked. The
                 accelerations are approximate, see `urlink.models`.
-            near: (6,) where the joints are, rad; the first point must not be further than `within` rad from there in
-                any joint, and both ends have to be at rest.
+            near: (6,) present joint positions, rad; no joint of the first point may be further than `within` from them,
+                and both ends must be at rest. None leaves this unchecked.
             within: rad.
 
         Raises:
-            BadValue: which point, which joint, the value and the limit.
+            BadValue: a limit is exceeded; the message has the point, the joint, the value and the limit.
         """
         if near is not None:
             self._check_ends(six(near, "near"), within)
         if model is None:
             return
         u = np.linspace(0.0, 1.0, _PLACES)
-        # A block of segments at a time: a long trajectory must not take gigabytes.
+        # In blocks of segments: a long trajectory must not take gigabytes.
         for first in range(0, len(self) - 1, 4096):
             segments = np.arange(first, min(first + 4096, len(self) - 1))
             times = self.time[segments][:, None] + u * np.diff(self.time)[segments][:, None]
@@ -367,7 +367,7 @@ class Trajectory:
         """Positions, speeds and accelerations over time, as a matplotlib figure: ``plot().savefig("it.png")``.
 
         Args:
-            model: whose limits of speed and acceleration are drawn as well; None for none.
+            model: its limits of speed and acceleration are drawn as well; None for none.
 
         Raises:
             LocalError: matplotlib is not installed (``pip install 'urlink[plot]'``).
@@ -420,7 +420,7 @@ def _no_time(time: object) -> float:
 
 
 def _column(values: Sequence[FloatArray | None], name: str) -> FloatArray | None:
-    """All of them as one array, or None where there are none."""
+    """All values as one array; None if all of them are None."""
     given = [value for value in values if value is not None]
     if not given:
         return None
@@ -453,7 +453,7 @@ def _chosen_velocities(time: FloatArray, q: FloatArray) -> FloatArray:
     before, after = slope[:-1], slope[1:]
     ha, hb = h[:-1], h[1:]
     first, second = 2.0 * hb + ha, hb + 2.0 * ha
-    # Zero where the direction turns: there the point is the furthest. (Signs, since a product can underflow.)
+    # Zero where the direction reverses: that point is an extremum. (By signs, since a product can underflow.)
     goes_on = np.sign(before) * np.sign(after) > 0.0
     before, after = np.where(goes_on, before, 1.0), np.where(goes_on, after, 1.0)
     # The weighted harmonic mean of the two slopes, with the lesser taken out so that nothing overflows.

@@ -1,4 +1,4 @@
-"""The points of a trajectory as a table in a file: ``time,q0,...,q5``, and, or not, velocities and accelerations."""
+"""The points of a trajectory as a table in a file: ``time,q0,...,q5``, optionally with velocities and accelerations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _names(quantities: int) -> list[str]:
 
 
 def read_points(path: Path) -> tuple[list[FloatArray], int]:
-    """Times (n,), positions (n, 6), and velocities and accelerations as far as there are any; and the line of point 0.
+    """Times (n,), positions (n, 6), and velocities and accelerations if there are any; and the line of point 0.
 
     Raises:
         BadValue: the file cannot be read, or is no such table.
@@ -59,7 +59,7 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
 
 
 def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
-    """Write what `read_points` reads. No digit is lost.
+    """Write what `read_points` reads, with all digits.
 
     Raises:
         BadValue: the file cannot be written.
@@ -74,7 +74,7 @@ def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
 
 
 def _quantities(columns: list[str]) -> int:
-    """How many of positions, velocities and accelerations there are: of each six columns, beside the time."""
+    """How many of positions, velocities and accelerations the columns have: six columns each, besides the time."""
     return len(columns) // 6
 
 

@@ -1,13 +1,13 @@
 """Waypoints with times on the robot's clock, and the set-points between them.
 
-Through the waypoints that are still ahead goes a cubic curve in joint space, from where the arm is led now, with the
-speed that it has, to rest at the last of them; speeds at those between are chosen as for a `Trajectory`. Each new
-waypoint is a new curve from there, so the speed never jumps.
+A cubic curve in joint space goes through the waypoints that are still ahead, from the present set-point and its speed,
+to rest at the last waypoint; the speeds at those between are chosen as for a `Trajectory`. Each new waypoint makes a
+new curve from there, so the speed never jumps.
 
 As in the interpolation controller of UMI, a program for learning from demonstrations, a waypoint replaces those of the
-same time or later, one whose time is over changes nothing, and one that cannot be reached in time is reached later. So
-are all that are ahead where the arm is elsewhere than it was led to, because set-points stayed away.
-That controller goes straight from pose to pose, with a jump in speed at each.
+same time or later, one whose time is past changes nothing, and one that cannot be reached in time is reached later. So
+are all that are ahead if the arm is not at its set-point, because set-points were missed. That controller moves
+straight from pose to pose, with a jump in speed at each.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from .trajectory import Trajectory
 
 __all__ = ["Schedule"]
 
-#: s; waypoints that are closer to each other are one.
+#: s; waypoints that are closer in time count as one.
 _CLOSEST = 1e-3
-#: s for what is left where set-points stayed away until all waypoints were over.
+#: s for the rest of the way, if set-points were missed until all waypoints were past.
 _LATE = 0.1
-#: How often waypoints are put off, and by which part of the time before the first of them: up to 400 times that.
+#: How often waypoints are postponed, and by which fraction of the time before the first of them: up to 400 times that.
 _PUT_OFF, _LATER = 16, 0.45
 
 _Waypoint = tuple[float, list[float]]
@@ -38,10 +38,10 @@ class Schedule:
     """Makes the set-points of a servo from waypoints.
 
     Args:
-        model: whose limits hold; None for an arm that is not known.
+        model: its limits hold; None for an arm that is not known.
         cycle: s of the controller's cycle.
-        delay: s from a state to the one in which the arm is where the set-point that answers it was.
-        section: of the robot: waypoints come from another thread than states.
+        delay: s from a state to the one in which the arm is at the set-point that answers it.
+        section: of the robot: waypoints and states come in different threads.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Schedule:
         #: begins at `_origin` on the robot's clock
         self._curve: Trajectory | None = None
         self._origin: float
-        #: the time for which the last set-point was; None before the first
+        #: the time of the last set-point; None before the first
         self._now: float | None = None
 
     def add(self, q: list[float], at: float, time: float, here: Sequence[float]) -> float | None:
@@ -63,13 +63,13 @@ class Schedule:
 
         Args:
             time: of the newest state.
-            here: (6,) rad; where the arm is led, in case it has not begun.
+            here: (6,) rad; target positions of the arm, for the case that it has not begun.
 
         Returns:
-            when it will be there: `at`, or later where that is too soon for the arm; None where it is over.
+            when it will be there: `at`, or later if the arm needs more time; None if that time is past.
 
         Raises:
-            BadValue: the way there leads out of the range of a joint, or none was found that the arm can follow.
+            BadValue: the curve leaves the range of a joint, or none was found that the arm can follow.
         """
         with self._section:
             anchor = self._now if self._now is not None else time + self._delay
@@ -77,20 +77,20 @@ class Schedule:
                 return None
             waypoints = [each for each in self._waypoints if anchor + _CLOSEST < each[0] < at - _CLOSEST]
             q0, qd0 = self._sample(anchor) if self._now is not None else (list(here), [0.0] * 6)
-            # Where the one before is just over, its place is that of the anchor.
+            # A waypoint that is almost due is left out: the curve begins there anyway.
             self._plan(anchor, q0, qd0, [*waypoints, (at, q)], len(waypoints))
             return self._waypoints[-1][0]
 
     @property
     def last(self) -> list[float] | None:
-        """Where it ends (6, rad); None without waypoints."""
+        """The last waypoint, (6,) rad; None if there is none."""
         return self._waypoints[-1][1] if self._waypoints else None
 
-    # -- what makes set-points -----------------------------------------------------------------------
+    # -- the source of set-points --------------------------------------------------------------------
 
     @property
     def has_targets(self) -> bool:
-        """There is a waypoint."""
+        """Whether there is a waypoint."""
         return bool(self._waypoints)
 
     def begin(self, time: float, q: Sequence[float]) -> None:
@@ -108,7 +108,7 @@ class Schedule:
             self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])], 0)
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """Where it is by now: time passes, whether set-points are sent or not."""
+        """The present positions and speeds: time passes, whether set-points are sent or not."""
         with self._section:
             return self._sample(time + self._delay - self._cycle)
 
@@ -118,7 +118,7 @@ class Schedule:
             return self._sample(time + self._delay)
 
     def accept(self, time: float) -> None:
-        """It is sent."""
+        """The set-point of this time was sent."""
         self._now = time + self._delay
 
     # ------------------------------------------------------------------------------------------------
@@ -131,7 +131,7 @@ class Schedule:
     def _plan(
         self, anchor: float, q: Sequence[float], qd: Sequence[float], waypoints: list[_Waypoint], new: int
     ) -> None:
-        """The curve from where the arm is led through waypoints; those from number `new` on later, where need be."""
+        """The curve from the present set-point through waypoints; those from number `new` on are put off if needed."""
         times = [time for time, _ in waypoints]
         places = np.array([list(q), *(place for _, place in waypoints)])
         before = times[new - 1] if new else anchor
@@ -152,7 +152,7 @@ class Schedule:
 
 
 def _curve(times: np.ndarray, places: np.ndarray, qd: Sequence[float]) -> Trajectory:
-    """Through places at times, with speeds `qd` at first and rest at the end."""
+    """A curve through places at times, with speeds `qd` at first and rest at the end."""
     speeds = Trajectory.from_arrays(times, places).qd.copy()
     speeds[0] = qd
     return Trajectory.from_arrays(times, places, speeds)

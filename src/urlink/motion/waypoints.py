@@ -1,4 +1,4 @@
-"""A trajectory handed over point by point: the robot interpolates by itself, and asks for the next one in good time.
+"""A trajectory sent point by point: the robot interpolates by itself, and requests the next point in good time.
 
 For links that are too slow or too uneven to stream over. A point has to arrive while the arm moves to the one before,
 so points should be further apart in time than an answer takes.
@@ -19,7 +19,7 @@ from .trajectory import Trajectory
 
 __all__ = ["WaypointServer"]
 
-#: Seconds between two lines of the program, which are a heartbeat apart, after which it counts as gone.
+#: Seconds without a line of the program, which sends a heartbeat, after which it counts as gone.
 _SILENCE = 3.0
 #: Bytes in a line at most.
 _LONGEST_LINE = 32
@@ -28,7 +28,7 @@ _LONGEST_LINE = 32
 class WaypointServer(Following):
     """Serves the points of a trajectory.
 
-    The first point is the one where the arm stands, so that it leaves from there without a jump.
+    The first point is the position of the arm, so that the arm leaves it without a jump.
 
     Args:
         firmware: of the controller.
@@ -61,14 +61,14 @@ class WaypointServer(Following):
         )
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """What to say when a state has come, and what the program has said since the last one.
+        """The word that answers a state, and the requests that the program has sent since the last one.
 
         Raises:
-            BadValue: the arm does not stand where the trajectory begins.
-            ConnectionLost: the program has said nothing for too long.
+            BadValue: the arm is not at the beginning of the trajectory.
+            ConnectionLost: the program has sent nothing for too long.
             LinkTimeout: the arm does not come to rest.
-            ProgramStopped: what comes is no request.
-            ToleranceExceeded: the arm is too far from where it should be.
+            ProgramStopped: the program has sent something that is no request.
+            ToleranceExceeded: the arm is too far from the trajectory.
         """
         passed = self._clock.passed(state.time, now)
         if self._t is not None:
@@ -87,11 +87,11 @@ class WaypointServer(Following):
         return b"".join(answers)
 
     def conclude(self) -> None:
-        """The program has come to its own end, so the arm was led to the last point."""
+        """Handle that the program has ended by itself: the arm was led to the last point."""
         self._has_arrived = True
 
     def _read(self, data: bytes, now: float) -> None:
-        """Take apart the lines of the program."""
+        """Parse the lines of the program."""
         if data or self._heard is None:
             self._heard = now
         *lines, self._line = (self._line + data).split(b"\n")
@@ -115,11 +115,11 @@ class WaypointServer(Following):
         if request == 0:
             return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
         if request == 2 and self._t is None:
-            # It has just handed over the first point to go to, and moves from now on.
+            # It has received the first point to go to, and moves from now on.
             self._t = 0.0
         if request < len(self._trajectory):
             return self._point(request, self._trajectory.q[request].tolist())
-        # All points are handed over: the program may come to its end before its last line was read.
+        # All points have been sent: the program may end before its last line was read.
         self.survives_its_program = True
         zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
         return _line(waypoints.NO_MORE, zeros)
