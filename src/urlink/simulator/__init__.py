@@ -1,6 +1,6 @@
 """A controller in software: the arm, its programs and its servers.
 
-`Controller` is what a user holds; see `urlink.simulator.controller`.
+`Controller` is the class for users; see `urlink.simulator.controller`.
 """
 
 from __future__ import annotations

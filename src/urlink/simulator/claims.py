@@ -10,8 +10,8 @@ from collections.abc import Iterable
 
 __all__ = ["FIELDBUSES", "InputClaims"]
 
-# That EtherNet/IP reserves the lower half of both kinds at once was reported to the vendor's Python client; that
-# PROFINET does too is a guess. What becomes of the boolean registers is not known; they stay free.
+# That EtherNet/IP reserves the lower half of both kinds was reported to the vendor's Python client; that PROFINET does
+# so too is a guess. What happens to the boolean registers is not known; here they stay free.
 _LOWER = frozenset(f"input_{kind}_register_{number}" for kind in ("int", "double") for number in range(24))
 
 #: Fieldbus -> the inputs that it reserves.
@@ -23,7 +23,7 @@ class InputClaims:
 
     def __init__(self) -> None:
         self._owners: dict[str, object] = {}
-        # Connections that are over, and the cycle up to which they hold what they held.
+        # Connections that are over, and the cycle up to which their inputs stay held.
         self._stale: dict[object, int] = {}
 
     def holder(self, name: str, now: int) -> object | None:
@@ -39,10 +39,10 @@ class InputClaims:
         self._owners.update(dict.fromkeys(names, owner))
 
     def release(self, owner: object) -> None:
-        """Hold no input any more."""
+        """Release all inputs of a client."""
         self._stale.pop(owner, None)
         self._owners = {name: held_by for name, held_by in self._owners.items() if held_by is not owner}
 
     def go_stale(self, owner: object, until: int) -> None:
-        """The owner is gone, and its inputs are held up to that cycle."""
+        """Keep the inputs of a client whose connection is over held up to that cycle."""
         self._stale[owner] = until

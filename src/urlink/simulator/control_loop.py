@@ -1,9 +1,9 @@
-"""One cycle of the controller, 8 ms (CB) or 2 ms (e-Series) long: what happens in which order.
+"""One cycle of the controller, 8 ms (CB) or 2 ms (e-Series) long: the order of its steps.
 
     faults that are due -> programs -> their set-point -> arm -> modes -> messages about them
 
-No thread, no clock and no socket: whoever owns the controller says when a cycle is over, a test with `step` or the
-server's thread. The same programs and faults in the same cycles do the same to the last bit.
+There is no thread, clock or socket here: the owner of the controller decides when a cycle is over, a test with `step`,
+or the server's thread. The same programs and faults in the same cycles give the same result to the last bit.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class ControlLoop:
         state: of the controller.
         runner: of its programs.
         schedule: of its faults.
-        make_source: what the arm follows when the controller has come up.
+        make_source: makes what the arm follows when the controller has come up.
     """
 
     def __init__(
@@ -42,9 +42,10 @@ class ControlLoop:
         self._make_source = make_source
 
     def next_event(self, cycle: int) -> int | None:
-        """The first cycle after this one that has to come at its time; None if that is not known.
+        """The first cycle after this one that must be executed at its time; None if there is none.
 
-        Each has, while a program runs or the controller is down; else the one in which a fault is scheduled.
+        While a program runs or the controller is down, that is every cycle; otherwise the next one with a scheduled
+        fault.
         """
         if self._runner.is_running or not self._state.is_up:
             return cycle + 1
@@ -52,7 +53,7 @@ class ControlLoop:
         return None if fault is None else max(cycle + 1, fault)
 
     def advance(self) -> None:
-        """One cycle later."""
+        """Execute one cycle."""
         state = self._state
         state.cycle += 1
         self._schedule.advance(state.cycle, state.firmware.rate)

@@ -1,4 +1,4 @@
-"""The controller that users hold: wires up state, programs, faults and ports, and serves or steps them."""
+"""`Controller`: wires up state, programs, faults and ports, and serves or steps them."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ __all__ = ["Controller"]
 
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
-# Hosts to listen on that are none to connect to.
+# Addresses to listen on that cannot be connected to.
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
 # The interfaces of a real controller's ports.
 _NAMES = {number: name for name, number in PORTS.items()}
-#: Lines from clients that are kept.
+#: Most lines from clients that are kept.
 RECEIVED = 1000
 
 
@@ -71,11 +71,11 @@ class Controller:
         with Controller("UR5e", "5.11") as controller:
             print(controller.host, controller.ports["realtime"])
 
-    Without being started it has no thread and no socket, and `step` advances it cycle by cycle: everything then is
-    the same for the same seed, to the last byte.
+    Until it is started it has no thread and no socket, and `step` advances it cycle by cycle: everything is then the
+    same for the same seed, to the last byte.
 
     Args:
-        model: name of the arm, such as `"UR10"`; None for a UR5e, or a UR5 where the firmware is older than 5.0.
+        model: name of the arm, such as `"UR10"`; None for a UR5e, or for a UR5 if the firmware is older than 5.0.
         firmware: None for the newest that suits the model.
         host: address to listen on; `""` for every IPv4 address of this computer, `"::"` for those of both families.
         ports: `"free"` for any that are free, `"standard"` for those that a real controller of this firmware has (80,
@@ -83,27 +83,27 @@ class Controller:
             `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
         seed: of the noise on the sensors and of random garbage.
         serial: serial number of the arm.
-        motion: where the arm's set-points come from until a program commands it; None for the gentle demonstration.
-        output_limit: bytes that may wait for one client, beside what the network holds. Beyond it, packets of the
-            primary, secondary and real-time interface are left out, and a client of the dashboard is disconnected.
+        motion: the source of set-points until a program commands the arm; None for the slow demonstration.
+        output_limit: bytes that may wait for one client, besides what the network has buffered. Beyond it, packets of
+            the primary, secondary and real-time interface are left out, and a client of the dashboard is disconnected.
         files: path -> URScript of the programs that are saved at the pendant.
-        reachable: numeric addresses beyond this computer that programs may open sockets to. Those of connected
-            clients always are.
+        reachable: numeric addresses, other than this computer, to which programs may open sockets. Those of connected
+            clients are always allowed.
         calibration: DH parameters of the arm; it then moves as they say and sends them. None for those published.
-        gripper: a Robotiq gripper is mounted, and its URCap serves it.
-        stepped: time passes only by `step` and within `passing`, also while the ports are served. For tests of programs
-            that are to meet the robot at a moment of their choice.
+        gripper: whether a Robotiq gripper is mounted and its URCap serves it.
+        stepped: time passes only by `step` and within `passing`, even while the ports are served. For tests that need
+            the robot at a certain moment.
 
     Attributes:
         host: address that it listens on.
-        faults: what can go wrong, on demand.
-        pendant: what is saved, loaded and shown at it; its buttons.
+        faults: faults to cause on demand.
+        pendant: its saved programs, what it shows, and its buttons.
         received: (name of the port, line of text) of the latest lines that clients sent.
 
     Raises:
         UnknownModel: no such arm.
         BadVersion: no such firmware.
-        BadValue: the firmware does not go with the model, the calibration is not of such an arm, `ports` is none of the
+        BadValue: the firmware does not run on the model, the calibration is not of such an arm, `ports` is none of the
             above, or an address in `reachable` is not numeric.
     """
 
@@ -138,7 +138,7 @@ class Controller:
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
         self._clock: Callable[[], float] = self._stepped or time.monotonic
-        # Messages that were there at the end of the last step.
+        # Number of messages at the end of the last step.
         self._said = 0
 
         def source() -> SetpointSource:
@@ -175,7 +175,7 @@ class Controller:
         )
 
     def _route(self, address: str, port: int) -> tuple[str, int] | None:
-        """Where a program's connection to this numeric address and port goes; see `program_sockets.Route`."""
+        """Where a connection of a program to this numeric address and port goes; see `program_sockets.Route`."""
         if ipaddress.ip_address(address).is_loopback:
             own = _NAMES.get(port)
             if own is None:
@@ -186,10 +186,10 @@ class Controller:
 
     @property
     def _own_host(self) -> str:
-        """Where this computer finds it."""
+        """The address of this controller for this computer."""
         return "127.0.0.1" if self.host in _ALL_ADDRESSES else self.host
 
-    # -- what it is ----------------------------------------------------------------------------------
+    # -- properties ----------------------------------------------------------------------------------
 
     @property
     def model(self) -> Model:
@@ -218,12 +218,12 @@ class Controller:
 
     @property
     def is_up(self) -> bool:
-        """False while it reboots."""
+        """Whether it is up; False while it reboots."""
         return self._state.is_up
 
     @property
     def arm(self) -> Arm:
-        """The joints at present: set-point, sensors, TCP and payload. A reboot makes another one of it."""
+        """The joints at present: set-point, sensors, TCP and payload. A reboot makes a new object."""
         return self._state.arm
 
     @property
@@ -233,7 +233,7 @@ class Controller:
 
     @property
     def modes(self) -> Modes:
-        """Of robot, safety and program. A reboot makes another one of it."""
+        """Modes of robot, safety and program. A reboot makes a new object."""
         return self._state.modes
 
     @property
@@ -243,12 +243,12 @@ class Controller:
 
     @property
     def modbus(self) -> ModbusSignals:
-        """Modbus signals by name: `modbus["pressure"] = 42` is what programs read of it."""
+        """Modbus signals by name: programs read 42 after `modbus["pressure"] = 42`."""
         return self._state.modbus
 
     @property
     def registers(self) -> Registers:
-        """General-purpose registers: what programs read and write. A reboot makes other ones."""
+        """General-purpose registers: what programs read and write. A reboot makes a new object."""
         return self._state.registers
 
     @property
@@ -263,12 +263,12 @@ class Controller:
 
     @property
     def robot_api(self) -> RobotApiPort:
-        """Answers the HTTP requests of PolyScope X; its operational mode."""
+        """Answers the HTTP requests of PolyScope X; holds the operational mode."""
         return self._robot_api
 
     @property
     def gripper(self) -> SimulatedGripper:
-        """The gripper that is mounted: what is between its fingers, and what is wrong with it.
+        """The mounted gripper: the object between its fingers, and its faults.
 
         Raises:
             LocalError: the controller was made without one.
@@ -279,13 +279,13 @@ class Controller:
 
     @property
     def rtde(self) -> RtdePort:
-        """The RTDE interface: its connections, for a controller that is stepped; and which client holds an input."""
+        """The RTDE interface: its connections, for a stepped controller; and which client holds an input."""
         return self._rtde
 
     @property
     def fieldbus(self) -> str | None:
         """The fieldbus that is enabled in the installation and reserves RTDE inputs: "EtherNet/IP", "PROFINET" or None.
-        Can be set; what clients hold already they keep.
+        Can be set; clients keep the inputs that they hold.
 
         Raises:
             BadValue: on setting it to something else.
@@ -300,17 +300,17 @@ class Controller:
 
     @property
     def counters(self) -> Counters:
-        """What has happened on the ports."""
+        """Counters of events on the ports."""
         return self._state.counters
 
     @property
     def stopped_since(self) -> float | None:
-        """`time` at which the present stop began; None without one."""
+        """`time` at which the present stop began; None if there is no stop."""
         return self._state.stopped_since
 
     @property
     def remote_control(self) -> bool:
-        """On an e-Series, whether it takes commands from others than the pendant. Can be set."""
+        """Whether an e-Series accepts commands from outside the pendant. Can be set."""
         return self._state.remote_control
 
     @remote_control.setter
@@ -319,7 +319,7 @@ class Controller:
 
     @property
     def teach_button(self) -> bool:
-        """The button for freedrive is held: it shows in `robot_status_bits`, and no more. Can be set."""
+        """Whether the button for freedrive is held: only `robot_status_bits` shows it. Can be set."""
         return self._state.teach_button
 
     @teach_button.setter
@@ -328,7 +328,7 @@ class Controller:
 
     @property
     def speed_fraction(self) -> float:
-        """Of the speed slider, 0 to 1. Can be set."""
+        """Position of the speed slider, 0 to 1. Can be set."""
         return self._state.speed_fraction
 
     @speed_fraction.setter
@@ -343,19 +343,19 @@ class Controller:
 
     @property
     def is_running_program(self) -> bool:
-        """A program that was sent runs or waits for its turn, a secondary one included."""
+        """Whether a program that was sent runs or waits for its turn; secondary programs count."""
         return self._runner.is_running
 
-    # -- commanding it -------------------------------------------------------------------------------
+    # -- commands ------------------------------------------------------------------------------------
 
     def step(self, cycles: int = 1) -> None:
-        """Advance so many controller cycles of 8 ms (CB) or 2 ms (e-Series).
+        """Advance by controller cycles of 8 ms (CB) or 2 ms (e-Series).
 
-        Of a controller that serves its ports, with `stepped`: from any thread; when it returns, what the cycles bring
-        is on its way to the clients.
+        If the controller serves its ports (`stepped`): from any thread; when it returns, the packets of these cycles
+        are on their way to the clients.
 
         Raises:
-            LocalError: the controller has been started without `stepped`, so its own thread steps it.
+            LocalError: the controller was started without `stepped`, so its own thread steps it.
         """
         if self._server is not None:
             if self._stepped is None:
@@ -377,25 +377,25 @@ class Controller:
             self._said = len(outbox)
 
     def passing(self, speed: float = 1.0) -> contextlib.AbstractContextManager[None]:
-        """``with controller.passing():`` lets time pass while the block is carried out; for `stepped`.
+        """``with controller.passing():`` lets time pass while the block is executed; for `stepped`.
 
         Args:
-            speed: times real time; less where the machine is too slow. What a client does in its own time, such as
+            speed: factor of real time; less if the machine is too slow. What a client does in its own time, such as
                 streaming set-points, does not get faster.
 
         Raises:
             LocalError: the controller serves its ports and was not made with ``stepped=True``.
-            BadValue: no positive number.
+            BadValue: `speed` is not a positive number.
         """
         if self._server is not None and self._stepped is None:
             raise LocalError("the time of this controller passes by itself; it was not made stepped=True")
         return passing(self.step, self.firmware.rate, speed)
 
     def take(self, text: str) -> None:
-        """Text that a client has sent: the lines of one or more programs, or of commands.
+        """Load text as if a client had sent it: the lines of one or more programs, or of commands.
 
-        From any thread. Programs begin in the next cycle, however long they are. What has no `end` is thrown away, as
-        that of a client that disconnects.
+        From any thread. Programs begin in the next cycle, however long they are. A program without `end` is discarded,
+        as that of a client that disconnects.
         """
         assembler = LineAssembler()
         lines = [line.removesuffix("\r") for line in text.split("\n")]
@@ -408,16 +408,16 @@ class Controller:
         self.call(load)
 
     def follow(self, source: SetpointSource) -> None:
-        """Let the arm brake, and then follow another source of set-points. From any thread."""
+        """Brake the arm, then let it follow another source of set-points. From any thread."""
         self.call(lambda: self._runner.follow(source))
 
     def push(self, wrench: Sequence[float], joint_torques: Sequence[float] = (0.0,) * 6) -> None:
-        """Push the arm from now on, as a hand does: an arm in freedrive or force mode yields, any other shows the
-        force. Six zeros let go. From any thread.
+        """Push the arm from now on: in freedrive or force mode it yields, otherwise it shows the force.
+        Six zeros end it. From any thread.
 
         Args:
             wrench: (6,) at the TCP, N in the directions of the base frame, and Nm about the TCP.
-            joint_torques: (6,) Nm at the joints, on top of that.
+            joint_torques: (6,) Nm at the joints, in addition.
 
         Raises:
             BadValue: not six finite numbers each.
@@ -426,35 +426,35 @@ class Controller:
         self.world.push_joints(joint_torques)
 
     def schedule(self, *faults: str | ScheduledFault) -> None:
-        """Let faults happen at their times, in seconds since the controller was made: `schedule("protective_stop@5")`.
+        """Schedule faults, in seconds since the controller was made: `schedule("protective_stop@5")`.
 
         Raises:
-            BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not go
-                with the model.
+            BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not run
+                on the model.
         """
         wanted = checked(faults, self.model)
         self.call(lambda: self._schedule.add(wanted))
 
-    # -- what it sends -------------------------------------------------------------------------------
+    # -- packets and messages ------------------------------------------------------------------------
 
     def realtime_packet(self) -> bytes:
         """The real-time packet of this cycle."""
         return self._realtime.packet()
 
     def state_package(self, first: bool = False) -> bytes:
-        """The robot state of this cycle; with `first` as a connection begins, with kinematics and configuration."""
+        """The robot state of this cycle; with `first`, that of a new connection, with kinematics and configuration."""
         return self._states.package(first)
 
     def take_messages(self) -> list[bytes]:
-        """The robot messages that wait to be sent to the primary interface, once each.
+        """The robot messages that wait for the clients of the primary interface, once each.
 
-        Of a controller that is stepped: those of its last cycle, and what was said since.
+        If the controller is stepped: those of its last cycle, and those since.
         """
         self._said = 0
         return self._state.outbox.take()
 
     def greeting(self, port: str) -> list[bytes]:
-        """The packets with which a connection to this port begins: none on the real-time ports."""
+        """The packets at the beginning of a connection to this port: none on the real-time ports."""
         return self._ports[interface(port)].greeting()
 
     # -- serving -------------------------------------------------------------------------------------
@@ -477,13 +477,13 @@ class Controller:
 
     @property
     def is_serving(self) -> bool:
-        """Started and not closed."""
+        """Whether it was started and not closed."""
         return self._server is not None
 
     def call(self, change: Callable[[], object]) -> None:
-        """Do something to the controller between two cycles, in whichever thread owns it, and wait until it is done.
+        """Call a function between two cycles, in the thread that owns the controller, and wait until it returns.
 
-        For changes that must not fall into the middle of a cycle; from any thread.
+        For changes that must not happen in the middle of a cycle; from any thread.
         """
         server = self._server
         if server is None:
@@ -492,13 +492,13 @@ class Controller:
             server.call(change)
 
     def start(self) -> Self:
-        """Listen on the ports and serve them from a thread. Without effect if that is so already.
+        """Listen on the ports and serve them from a thread. No effect if it does so already.
 
         Raises:
             BadAddress: the ports cannot be listened on.
         """
         if self._server is None:
-            # The one module with sockets is imported when the controller begins to serve.
+            # The module with sockets is imported only when the controller begins to serve.
             from .server import Server
 
             server = Server(
@@ -518,7 +518,7 @@ class Controller:
         return self
 
     def close(self) -> None:
-        """End all connections and the thread, within a second or so. Without effect if it is not started."""
+        """End all connections and the thread, within about a second. No effect if it is not started."""
         server, self._server = self._server, None
         if server is not None:
             server.close()
@@ -546,7 +546,7 @@ def _numeric(address: str) -> str:
 
 def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[str, int]:
     if ports == "standard":
-        # Port 80 needs rights that few processes have, so it is bound only where it would be served.
+        # Port 80 needs rights that few processes have, so it is opened only if it is used.
         needless = "dashboard" if firmware.is_polyscope_x else "robot_api"
         return {name: number for name, number in PORTS.items() if name != needless}
     if ports == "free":

@@ -1,8 +1,8 @@
-"""Robot messages, and the packages with which a connection begins.
+"""Robot messages, and the packages at the beginning of a connection.
 
-Layouts and codes: docs/protocols/primary.md, Robot messages. That a runtime exception carries no time stamp where a
-program does not compile, and that keys, texts and exceptions come from source -3, is on real bytes of 5.4. The source
-of the others, their levels and all of it on older firmware are guesses.
+Layouts and codes: docs/protocols/primary.md, Robot messages. Seen on real bytes of 5.4: a runtime exception carries no
+time stamp if a program does not compile, and keys, texts and exceptions have source -3. The source of the others, their
+levels, and all of it on older firmware are guesses.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = [
     "text_message",
 ]
 
-#: Bytes of a text that go into one message; the vendor gives no limit.
+#: Most bytes of a text in one message; the vendor gives no limit.
 _LONGEST_TEXT = 4096
 
 _HAS_MESSAGE_12 = Since("3.3")
@@ -45,7 +45,7 @@ _HAS_TOLERANCES = Since("3.10/5.4")
 
 
 def greeting(state: ControllerState, kind: str) -> list[bytes]:
-    """The packages with which a connection on the primary or secondary interface begins.
+    """The packages at the beginning of a connection on the primary or secondary interface.
 
     Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
     3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is said to be of the primary
@@ -69,7 +69,7 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
         message_12 = {**on_connect, "first": 0, "second": 0, "third": 1}
         packages.append(UnnamedMessage12.LAYOUTS.of(firmware).encode(message_12))
     if kind == "primary" and firmware in _HAS_TOLERANCES:
-        # The fourth is 3 on 3.10 and 2 on 5.4.
+        # The fourth number is 3 on 3.10 and 2 on 5.4.
         fourth = 2.0 if firmware.is_e_series else 3.0
         tolerances = [0.15, 25.0, 0.0, fourth, *[0.2] * 6, *[0.05235987755982989] * 6]
         tolerances += [0.0, 0.0, 0.0, 0.017453292519943295, 0.001, 0.01]
@@ -80,7 +80,7 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
 def safety_messages(state: ControllerState, reason: str = "") -> list[bytes]:
     """The messages of the primary interface when the safety mode has changed.
 
-    A report with a code, and the reason where there is one, then from 3.0 on the safety mode message. The code of a
+    A report with a code and, if there is one, the reason; then from 3.0 on the safety mode message. The code of a
     protective stop, C153A0 "position deviates from path", is a documented one; the others, the order, the sources and
     the levels are guesses.
     """
@@ -117,12 +117,12 @@ _REPORTS = {
 
 
 def program_started(state: ControllerState, name: str) -> bytes:
-    """A program begins."""
+    """The message for a program that begins."""
     return _message(state, KeyMessage, title="PROGRAM_XXX_STARTED", text=name)
 
 
 def program_stopped(state: ControllerState, name: str) -> bytes:
-    """A program is over, whyever."""
+    """The message for a program that is over, for any reason."""
     return _message(state, KeyMessage, title="PROGRAM_XXX_STOPPED", text=name)
 
 
@@ -132,7 +132,7 @@ def text_message(state: ControllerState, text: str) -> bytes:
 
 
 def runtime_exception(state: ControllerState, line: int, column: int, text: str, is_running: bool) -> bytes:
-    """A program does not compile, or has failed while it was running."""
+    """The message for a program that does not compile, or that failed while it was running."""
     stamp = {} if is_running else {"timestamp": NO_TIMESTAMP}
     return _message(state, RuntimeExceptionMessage, **stamp, line=line, column=column, text=text)
 
@@ -140,7 +140,7 @@ def runtime_exception(state: ControllerState, line: int, column: int, text: str,
 def popup_message(
     state: ControllerState, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool
 ) -> bytes:
-    """A program shows a popup."""
+    """The message for a popup of a program."""
     return _message(
         state,
         PopupMessage,

@@ -55,7 +55,7 @@ Action = Literal["ignore", "pause", "stop"]
 
 @dataclass
 class _Watchdog:
-    """Of one variable: fed by each data package that contains it, whatever its value."""
+    """The watchdog of one variable: reset by each data package that contains it, whatever its value."""
 
     cycles: float
     action: Action
@@ -69,14 +69,14 @@ class Watchdogs:
         self._dogs: dict[str, _Watchdog] = {}
 
     def set(self, variable: str, cycles: float, action: Action, now: int) -> None:
-        """Watch a variable from now on: it has to come once in so many cycles. With infinitely many, no longer."""
+        """Watch a variable from now on: it must come once in `cycles`. Infinity ends the watchdog."""
         if math.isinf(cycles):
             self._dogs.pop(variable, None)
         else:
             self._dogs[variable] = _Watchdog(cycles, action, now)
 
     def feed(self, variables: Iterable[str], now: int) -> None:
-        """A data package with these variables has come in this cycle."""
+        """Note a data package with these variables in this cycle."""
         if self._dogs:
             for variable in variables:
                 dog = self._dogs.get(variable)
@@ -84,15 +84,15 @@ class Watchdogs:
                     dog.fed = now
 
     def restart(self, now: int) -> None:
-        """All variables have their full time again from this cycle on."""
+        """Give all variables their full time again from this cycle on."""
         for dog in self._dogs.values():
             dog.fed = now
 
     def expired(self, now: int) -> Action | None:
-        """What is to be done because a variable is late: "stop" before "pause"; None if nothing is."""
+        """The action for a late variable: "stop" before "pause"; None if none is late."""
         late = {dog.action for dog in self._dogs.values() if now - dog.fed > dog.cycles}
         return "stop" if "stop" in late else "pause" if "pause" in late else None
 
     def clear(self) -> None:
-        """The program is over."""
+        """Remove all watchdogs: the program is over."""
         self._dogs.clear()

@@ -1,6 +1,6 @@
 """Corruption of a byte stream: tails, unknown packages, garbage, other segments. Pure functions.
 
-The bytes that come out are those of a newer controller, of a broken one, or of an unkind network.
+The results look like the bytes of a newer controller, of a broken one, or of a bad network.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["Segmenter", "with_garbage_inside", "with_sub_package", "with_tail", 
 
 
 def with_tail(packet: bytes, tail: bytes) -> bytes:
-    """A real-time packet that a newer release has appended `tail` to."""
+    """A real-time packet as of a newer release that appends `tail` to it."""
     return (len(packet) + len(tail)).to_bytes(4, "big") + packet[4:] + tail
 
 
@@ -35,22 +35,22 @@ def with_sub_package(state: bytes, kind: int, payload: bytes) -> bytes:
 
 
 def with_garbage_inside(packet: bytes, garbage: bytes) -> bytes:
-    """A packet that grew in its middle and does not say so: what follows is out of step by that much."""
+    """A packet with bytes in its middle that its size does not count: the fields after them are shifted."""
     half = len(packet) // 2
     return packet[:half] + garbage + packet[half:]
 
 
 class Segmenter:
-    """Cuts the stream of one connection anew, wherever its packets end.
+    """Cuts the stream of one connection into segments that are independent of its packets.
 
     >>> cut = Segmenter(sizes=[4, 2])
     >>> cut.put(b"abcde"), cut.put(b"fghij"), cut.rest()
     ([b'abcd'], [b'ef', b'ghij'], b'')
 
     Args:
-        sizes: the stream is cut into segments of these sizes, in turn. What does not fill one waits for more, so that
-            the cuts wander through the packets.
-        count: so many packets make one segment. Not together with `sizes`.
+        sizes: the stream is cut into segments of these sizes, in turn. The rest of a packet that does not fill one
+            waits, so the cuts move through the packets.
+        count: this many packets make one segment. Not together with `sizes`.
     """
 
     def __init__(self, sizes: Sequence[int] = (), count: int = 1) -> None:
@@ -61,7 +61,7 @@ class Segmenter:
         self._held = b""
 
     def put(self, packet: bytes) -> list[bytes]:
-        """One more packet; the segments that are ready to be sent."""
+        """Add a packet; returns the segments that can be sent."""
         self._held += packet
         if self._sizes is None:
             self._waiting += 1
@@ -76,6 +76,6 @@ class Segmenter:
         return ready
 
     def rest(self) -> bytes:
-        """The bytes that are kept back, to be sent unchanged."""
+        """The bytes that were kept back, to be sent unchanged."""
         held, self._held, self._waiting = self._held, b"", 0
         return held

@@ -1,7 +1,7 @@
 """The faults, as methods.
 
-Faults of the arm change its modes, as on a real controller. Faults of the link change the bytes or the connections; the
-controller itself runs on. All methods may be called from any thread, and have happened when they return.
+Faults of the arm change its modes, as on a real controller. Faults of the link change bytes or connections, while the
+controller itself runs on. All methods may be called from any thread; the fault has happened when they return.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ __all__ = ["Faults"]
 class Faults:
     """The faults of one controller.
 
-    Wherever a method takes `port`, that is the name of the one port it is for (`"realtime"`,
-    `"primary_readonly"`, ...), or None for all of them.
+    In every method `port` is the name of the one port that is affected (`"realtime"`, `"primary_readonly"`, ...), or
+    None for all of them.
 
     Args:
         state: of the controller.
@@ -37,7 +37,7 @@ class Faults:
         link: the faults of its connections.
         rtde: the RTDE interface.
         seed: of random garbage.
-        call: does something in the thread that owns the controller, and waits until it is done.
+        call: calls a function in the thread that owns the controller, and waits until it returns.
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class Faults:
     # -- the arm -----------------------------------------------------------------------------------
 
     def protective_stop(self) -> None:
-        """The arm brakes and stands with its motors on; its program pauses. Ends with `clear`."""
+        """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`."""
         self._do(lambda: self._state.modes.protective_stop())
 
     def emergency_stop(self) -> None:
-        """The arm brakes, stands and loses its power; its program stops. Ends with `clear`, then `power_on`."""
+        """The arm brakes, stands still and loses its power; its program stops. Ends with `clear`, then `power_on`."""
         self._do(lambda: self._state.modes.emergency_stop())
 
     def clear(self) -> None:
@@ -73,11 +73,11 @@ class Faults:
         self._do(lambda: self._state.modes.clear())
 
     def power_off(self) -> None:
-        """The arm brakes, stands and loses its power."""
+        """The arm brakes, stands still and loses its power."""
         self._do(lambda: self._state.modes.power_off())
 
     def power_on(self) -> None:
-        """Power the arm up and release its brakes; the motion begins anew. Without effect in an emergency stop."""
+        """Power the arm up and release its brakes; the motion begins again. No effect in an emergency stop."""
         self._do(lambda: self._state.modes.power_on())
 
     # -- connections ---------------------------------------------------------------------------------
@@ -85,7 +85,7 @@ class Faults:
     def reboot(self, firmware: Firmware | str | None = None, downtime: float = 1.0) -> None:
         """Reset all connections, refuse new ones for `downtime` seconds, then come back with the time at 0.
 
-        The controller comes back running, which a real one does not: it waits to be powered on.
+        The controller comes back running; a real one waits to be powered on.
 
         Args:
             firmware: to come back with; None for the present one.
@@ -109,7 +109,7 @@ class Faults:
         self._do(lambda: self._link.cut(names))
 
     def stall(self, seconds: float, port: str | None = None) -> None:
-        """Stay connected and silent for so many seconds. The packets of that time are lost; new clients wait.
+        """Stay connected and silent for this time. Packets of that time are lost; new clients wait.
 
         Raises:
             BadValue: the time is negative or not finite.
@@ -122,8 +122,9 @@ class Faults:
     def split(self, sizes: Sequence[int] | int, port: str | None = None) -> None:
         """Cut the stream of each connection into segments of these sizes, in turn, until `heal`.
 
-        What does not fill a segment waits for the next packet, so packets arrive in parts. `split(1460)` is what a
-        real capture shows. The receiving side may join segments again if it does not read in time.
+        The rest of a packet that does not fill a segment waits for the next packet, so packets arrive in parts.
+        `split(1460)` is what a real capture shows. The receiver may get segments joined again if it does not read in
+        time.
 
         Raises:
             BadValue: a size is not a whole number of at least 1.
@@ -146,11 +147,11 @@ class Faults:
     # -- bytes ---------------------------------------------------------------------------------------
 
     def garbage(self, data: bytes | int, port: str | None = None, *, inside: bool = False) -> None:
-        """Bytes that belong to no packet, once: before the next packet of a port, or in the middle of it.
+        """Send bytes that belong to no packet, once: before the next packet of a port, or in the middle of it.
 
         Args:
-            data: the bytes, or how many random ones; random as the controller's seed has it.
-            inside: in the middle of the next packet, which does not say so in its size.
+            data: the bytes, or a number of random ones, which depend on the controller's seed.
+            inside: in the middle of the next packet, whose size does not count them.
 
         Raises:
             BadValue: a number of bytes that is not at least 1.
@@ -161,7 +162,7 @@ class Faults:
         self._do(lambda: self._link.insert(names, garbage, inside))
 
     def append(self, tail: bytes | int, port: str | None = None) -> None:
-        """Let packets end in bytes that no known layout explains, as those of a newer release; until `heal`.
+        """Append bytes that no known layout explains to packets, as a newer release does; until `heal`.
 
         Real-time packets grow by the tail, robot states by one tail per sub-package, and their size fields say so.
         Messages stay as they are.
@@ -197,8 +198,7 @@ class Faults:
         self._do(lambda: self._link.add_sub_package(names, byte, payload))
 
     def heal(self) -> None:
-        """End all that has been done to the link: stalls, segments, garbage, tails, unknown sub-packages, and what has
-        been done to RTDE."""
+        """End all faults of the link (stalls, segments, garbage, tails, unknown sub-packages) and of RTDE."""
 
         def heal() -> None:
             self._link.heal()
@@ -213,15 +213,15 @@ class Faults:
 
         Args:
             text: of at most 255 bytes, or it is cut.
-            source: who says it.
+            source: sender of the text, as shown in the message.
             level: 0 exception, 1 error, 2 warning, 3 info.
         """
         self._do(lambda: self._rtde.send_text(text, source, MessageLevel(level)))
 
     def rtde_hello(self, text: str = "SafetySetup has not been confirmed yet") -> None:
-        """Let each RTDE connection begin with a text, as on a PolyScope X whose safety was not confirmed; until `heal`.
+        """Begin each RTDE connection with a text, as a PolyScope X whose safety was not confirmed; until `heal`.
 
-        ur_rtde's control interface does not get through that.
+        The control interface of ur_rtde cannot connect then.
         """
         self._disturb(hello=text)
 
@@ -243,7 +243,7 @@ class Faults:
         self._do(lambda: self._rtde.disturbance.text_before.update({kind: text}))
 
     def rtde_text_instead_of_reply(self, request: str = "S", text: str = "a text in place of the reply") -> None:
-        """Answer the next request of one kind by a text, once; the reply does not come.
+        """Answer the next request of one kind with a text, once; the reply is not sent.
 
         Raises:
             BadValue: there is no such request.
@@ -251,7 +251,7 @@ class Faults:
         self._instead(request, lambda session: session.send_text(text))
 
     def rtde_data_before_start(self) -> None:
-        """Send a data package before each reply to a start, as PolyScope X does now and then; until `heal`."""
+        """Send a data package before each reply to a start, as PolyScope X sometimes does; until `heal`."""
         self._disturb(data_before_start=True)
 
     def rtde_refuse_start(self) -> None:
@@ -259,11 +259,11 @@ class Faults:
         self._disturb(refuses_start=True)
 
     def rtde_no_data(self) -> None:
-        """Accept a start, and send no data packages; until `heal`."""
+        """Accept a start, but send no data packages; until `heal`."""
         self._disturb(sends_no_data=True)
 
     def rtde_late_data(self, seconds: float) -> None:
-        """Let data packages come so much later than they were made; until `heal`.
+        """Send data packages this much later than they were made; until `heal`.
 
         Raises:
             BadValue: the time is negative or not finite.
@@ -271,7 +271,7 @@ class Faults:
         self._disturb(late=self._cycles(checked_seconds(seconds)))
 
     def rtde_stale_inputs(self, seconds: float) -> None:
-        """Let the inputs of connections that end stay held for so long, as real controllers do; until `heal`.
+        """Keep the inputs of connections that end held for this time, as real controllers do; until `heal`.
 
         Raises:
             BadValue: the time is negative or not finite.
@@ -279,7 +279,7 @@ class Faults:
         self._disturb(stale=self._cycles(checked_seconds(seconds)))
 
     def rtde_reboot_at_request(self, request: str = "O", downtime: float = 1.0) -> None:
-        """Reboot in place of answering the next request of one kind: in the middle of a handshake.
+        """Reboot instead of answering the next request of one kind: in the middle of a handshake.
 
         Raises:
             BadValue: there is no such request, or the time is negative or not finite.

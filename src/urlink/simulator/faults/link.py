@@ -1,6 +1,6 @@
-"""The faults of the connections at present: silence, cut connections, segments, and bytes that should not be there.
+"""The present faults of the connections: silence, cut connections, segments, and bytes that should not be there.
 
-The server asks it what a port sends in place of each packet. The controller itself runs on.
+The server gets from it what a port sends instead of each packet. The controller itself runs on.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["LinkFaults"]
 
 
 class LinkFaults:
-    """The faults of the links of one controller. Only for the thread that owns it.
+    """The faults of the links of one controller; used only in the thread that owns the controller.
 
     Args:
         cycle: the number of the present cycle.
@@ -33,14 +33,14 @@ class LinkFaults:
         self._before: dict[str, list[bytes]] = {name: [] for name in PORTS}
         self._inside: dict[str, list[bytes]] = {name: [] for name in PORTS}
 
-    # -- what is to go wrong -------------------------------------------------------------------------
+    # -- faults to cause ---------------------------------------------------------------------------
 
     def cut(self, ports: Iterable[str]) -> None:
         """Reset the connections to these ports."""
         self._cuts.update(ports)
 
     def stall(self, ports: Iterable[str], cycles: int) -> None:
-        """Let these ports be silent for so many cycles."""
+        """Make these ports silent for this many cycles."""
         self._stalled_until.update(dict.fromkeys(ports, self._cycle() + cycles))
         self._any_stalled_until = max(self._stalled_until.values())
 
@@ -55,15 +55,15 @@ class LinkFaults:
             (self._inside if inside else self._before)[name].append(data)
 
     def append(self, ports: Iterable[str], tail: bytes) -> None:
-        """Let the packets of these ports grow by a tail."""
+        """Append a tail to the packets of these ports."""
         self._tails.update(dict.fromkeys(ports, tail))
 
     def add_sub_package(self, ports: Iterable[str], kind: int, payload: bytes) -> None:
-        """Let the robot states of these ports end in one more sub-package."""
+        """Append a sub-package to the robot states of these ports."""
         self._sub_packages.update(dict.fromkeys(ports, (kind, payload)))
 
     def heal(self) -> None:
-        """End all of it."""
+        """End all faults."""
         self._stalled_until = dict.fromkeys(PORTS, 0)
         self._any_stalled_until = 0
         self._cuts.clear()
@@ -74,15 +74,15 @@ class LinkFaults:
         for waiting in (*self._before.values(), *self._inside.values()):
             waiting.clear()
 
-    # -- what the server asks ------------------------------------------------------------------------
+    # -- for the server ----------------------------------------------------------------------------
 
     def is_stalled(self, port: str) -> bool:
-        """This port is silent at present."""
+        """Whether this port is silent at present."""
         return self._cycle() < self._stalled_until[port]
 
     @property
     def is_any_stalled(self) -> bool:
-        """Some port is silent at present."""
+        """Whether some port is silent at present."""
         return self._cycle() < self._any_stalled_until
 
     def take_cuts(self) -> set[str]:
@@ -96,12 +96,12 @@ class LinkFaults:
         return self._generation
 
     def segmenter(self, port: str) -> corruption.Segmenter | None:
-        """A new one for a connection to this port, or None where packets are sent as they are."""
+        """A new segmenter for a connection to this port; None if packets are sent as they are."""
         rule = self._segments.get(port)
         return None if rule is None else corruption.Segmenter(*rule)
 
     def lasting(self, port: str, packet: bytes) -> bytes:
-        """A packet with what lasts: tails and unknown sub-packages."""
+        """A packet with the faults that last: tails and unknown sub-packages."""
         tail = self._tails.get(port)
         if interface(port) == "realtime":
             return packet if tail is None else corruption.with_tail(packet, tail)
@@ -113,7 +113,7 @@ class LinkFaults:
         return packet if added is None else corruption.with_sub_package(packet, *added)
 
     def on_the_wire(self, port: str, packet: bytes) -> bytes:
-        """The bytes that this port sends in place of a packet. Uses up faults that happen once."""
+        """The bytes that this port sends instead of a packet. Faults that happen once are used up."""
         packet = self.lasting(port, packet)
         inside, before = self._inside[port], self._before[port]
         if inside:

@@ -1,4 +1,4 @@
-"""Faults by the clock: as text for a command line, and the schedule of one controller."""
+"""Faults at given times: as text for a command line, and the schedule of one controller."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _log = logging.getLogger("urlink.simulator")
 
 @dataclass(frozen=True)
 class ScheduledFault:
-    """A fault with the time at which it is to happen.
+    """A fault, and the time at which it happens.
 
     Attributes:
         name: method of `Faults`.
         arguments: of that method.
-        at: seconds from the start of the controller; a reboot does not begin them anew.
+        at: seconds since the controller was made; a reboot does not reset them.
     """
 
     name: str
@@ -36,7 +36,7 @@ class ScheduledFault:
     at: float
 
     def happen(self, faults: Faults) -> None:
-        """Do it now."""
+        """Make it happen now."""
         getattr(faults, self.name)(*self.arguments)
 
 
@@ -124,11 +124,11 @@ def parse_fault(text: str) -> ScheduledFault:
 
 
 def checked(faults: Iterable[str | ScheduledFault], model: Model) -> list[ScheduledFault]:
-    """The faults, read where they are texts, as they can happen to an arm.
+    """The faults, with texts parsed, checked for an arm.
 
     Raises:
-        BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not go
-            with the model.
+        BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not run on
+            the model.
     """
     parsed = [parse_fault(fault) if isinstance(fault, str) else fault for fault in faults]
     for fault in parsed:
@@ -143,7 +143,7 @@ class FaultSchedule:
     """The faults that are to happen to one controller.
 
     Args:
-        faults: what they are carried out with.
+        faults: makes them happen.
     """
 
     def __init__(self, faults: Faults) -> None:
@@ -151,7 +151,7 @@ class FaultSchedule:
         self._faults: list[ScheduledFault] = []
 
     def add(self, faults: Iterable[ScheduledFault]) -> None:
-        """Let them happen, each at its time."""
+        """Add faults, each at its time."""
         self._faults = sorted([*self._faults, *faults], key=lambda fault: fault.at)
 
     def next_cycle(self, rate: float) -> int | None:
@@ -159,11 +159,11 @@ class FaultSchedule:
         return math.ceil(self._faults[0].at * rate) if self._faults else None
 
     def advance(self, cycle: int, rate: float) -> None:
-        """Let happen what is due in this cycle."""
+        """Make the faults happen that are due in this cycle."""
         while (due := self.next_cycle(rate)) is not None and due <= cycle:
             fault = self._faults.pop(0)
             try:
                 fault.happen(self._do)
             except LocalError as error:
-                # Made by hand, with arguments that its method does not take; the controller goes on without it.
+                # Made by hand, with arguments that its method does not have; the controller goes on.
                 _log.warning("%s did not happen: %s", fault, error)

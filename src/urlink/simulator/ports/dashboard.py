@@ -1,7 +1,7 @@
 """The dashboard server of a simulated controller: a line in, a line out.
 
-Facts and their evidence: docs/protocols/dashboard.md. Which firmware has which command, and what the replies look like,
-is in `urlink.interfaces.dashboard.commands`. What the commands do goes through the controller. Guesses, all of them:
+Facts and their evidence: docs/protocols/dashboard.md. Which firmware has which command, and the form of the replies, is
+in `urlink.interfaces.dashboard.commands`. Commands act through the controller. All of these are guesses:
 
 - the reply to a command that is unknown, not on this firmware, or followed by text that it does not take; and to one
   that lacks its text, but for `addToLog` and `setUserRole`;
@@ -57,12 +57,11 @@ _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 class DashboardPort(AnsweringPort):
     """The dashboard server of one controller: answers the lines of all its clients.
 
-    Args:
-        state: of the controller.
-        pendant: whose buttons the commands press.
+    state: of the controller.
+    pendant: the commands press its buttons.
 
     Attributes:
-        user_role: what the pendant of a CB3 lets its user do, in lower case.
+        user_role: what the pendant of a CB3 allows its user, in lower case.
         operational_mode: that of an e-Series, in lower case.
         installation: path of the installation that was loaded last, or None.
     """
@@ -74,7 +73,7 @@ class DashboardPort(AnsweringPort):
         self.user_role = "none"
         self.operational_mode = "none"
         self.installation: str | None = None
-        # The methods are named after the commands; a command without one fails here, and not when it is sent.
+        # The methods have the names of the commands; a command without one fails here, and not when it is sent.
         self._actions: dict[str, Callable[[str], str | None]] = {
             name: getattr(self, f"_{name.replace(' ', '_').lower()}") for name in COMMANDS
         }
@@ -95,7 +94,7 @@ class DashboardPort(AnsweringPort):
         return LineReceiver(client, self._state.counters, answer)
 
     def reply(self, line: str) -> str | None:
-        """The reply to a line, without the line's end; None: say `Disconnected`, and close the connection.
+        """The reply to a line, without the line's end; None: send `Disconnected`, and close the connection.
 
         Upper and lower case are alike, as the vendor says.
         """
@@ -108,7 +107,7 @@ class DashboardPort(AnsweringPort):
         return self.carry_out(command.name, argument)
 
     def carry_out(self, name: str, argument: str) -> str | None:
-        """Do what a command of the table says, on any firmware; returns its reply as `reply` does."""
+        """Execute a command of the table, on any firmware; returns its reply as `reply` does."""
         if COMMANDS[name].needs_remote_control and self._is_local:
             return NOT_IN_REMOTE_CONTROL
         return self._actions[name](argument)
@@ -291,7 +290,7 @@ class DashboardPort(AnsweringPort):
 
 
 def _find(text: str) -> tuple[Command, str] | None:
-    """The command that a line begins with, and what follows it; None if it is none, or one that nothing follows."""
+    """The command at the beginning of a line, and its argument; None if there is none, or if it takes no argument."""
     for command in _BY_LENGTH:
         name, rest = text[: len(command.name)], text[len(command.name) :]
         if name.lower() == command.name.lower() and (not rest or rest.startswith(" ")):

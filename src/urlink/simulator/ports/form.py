@@ -22,8 +22,8 @@ Fields = Mapping[str, Any]
 class Form:
     """A packet of one layout and of fixed size, filled in and packed many times.
 
-    Gives the bytes that `Layout.encode` gives, in a tenth of the time: the values stay where they were put, and one
-    `struct` packs them. Values are plain numbers and lists of them, not checked beyond what `struct` checks.
+    Gives the bytes of `Layout.encode` in a tenth of the time: values stay where they were put, and one `struct` packs
+    them. Values are plain numbers and lists of them, checked only by `struct`.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -45,7 +45,7 @@ class Form:
         self.size = layout.size
 
     def pack(self, fields: Fields) -> bytes:
-        """The packet with these fields, the others as they were; what the layout does not send is passed over."""
+        """The packet with these fields, others unchanged; fields that are not in the layout are skipped."""
         values, places = self._values, self._at
         for name, value in fields.items():
             at = places.get(name)

@@ -1,6 +1,6 @@
-"""Interpreter mode of a simulated controller (port 30020): a statement in, a line out that says what becomes of it.
+"""Interpreter mode of a simulated controller (port 30020): a statement in, and a line out with its status.
 
-Guesses: that nothing is said on connecting, that statements are discarded in local control, and that without a program
+Guesses: that nothing is sent on connecting, that statements are discarded in local control, and that without a program
 all numbers are 0.
 """
 
@@ -19,7 +19,7 @@ SINCE = Since("5.10")
 
 
 class InterpreterPort(AnsweringPort):
-    """Hands statements to the program that runs.
+    """Passes statements to the program that runs.
 
     Args:
         state: of the controller.
@@ -42,7 +42,7 @@ class InterpreterPort(AnsweringPort):
         return LineReceiver(client, self._state.counters, answer)
 
     def reply(self, line: str) -> str:
-        """The reply to a line, without the line's end; nothing to an empty one."""
+        """The reply to a line, without the line's end; empty for an empty line."""
         # Of the separators of lines only one ends a line on the wire; the others must not look as if they did.
         text = " ".join(line.splitlines()).strip()
         if not text:

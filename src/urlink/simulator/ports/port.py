@@ -1,7 +1,7 @@
-"""An interface of the controller, as the server that carries its bytes uses it; and the input that several share.
+"""An interface of the controller, as the server uses it; and the receivers that several interfaces share.
 
-A `Port` is sans-IO. The server asks it in which cycle it has something to send and for the packets, and hands what a
-client sends to the `Receiver` that the port has made for this client.
+A `Port` is sans-IO. The server reads from it in which cycle it has something to send, and the packets; and passes what
+a client sends to the `Receiver` that the port has made for this client.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..state import Counters
 
 __all__ = ["AnsweringPort", "Client", "LineReceiver", "Port", "ReadOnlyReceiver", "Receiver", "ScriptReceiver"]
 
-#: Bytes of a line from a client; longer ones are thrown away.
+#: Bytes of a line from a client; longer ones are discarded.
 LONGEST_LINE = 1 << 16
 
 
@@ -23,59 +23,59 @@ class Client(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """The connection is open."""
+        """Whether the connection is open."""
 
     @property
     def pending(self) -> int:
-        """Bytes that were sent and that the network has not taken yet, since it does not read."""
+        """Bytes that were sent, but not taken by the network, because the client does not read."""
 
     def send(self, packet: bytes) -> None:
         """Send a packet or a reply."""
 
     def finish(self) -> None:
-        """Close it, when it has taken what was sent."""
+        """Close it when the bytes that were sent have been taken."""
 
     def drop(self) -> None:
         """Close it now, by a reset."""
 
 
 class Receiver(Protocol):
-    """Takes what one client sends."""
+    """Receives the bytes of one client."""
 
     def feed(self, data: bytes) -> None:
-        """Bytes, as they have come."""
+        """Handle bytes, as they came."""
 
     def end(self) -> None:
-        """The connection is over."""
+        """Handle the end of the connection."""
 
 
 class Port(Protocol):
     """One interface of the controller."""
 
     def is_offered(self) -> bool:
-        """The firmware that runs at present has this interface; without it connections are refused."""
+        """Whether the present firmware has this interface; without it connections are refused."""
 
     def greeting(self) -> list[bytes]:
-        """The packets with which a connection begins."""
+        """The packets at the beginning of a connection."""
 
     def next_cycle(self, cycle: int) -> int | None:
-        """The first cycle after this one in which all clients are sent something; None if that is not known."""
+        """The first cycle after this one with packets for all clients; None if that is not known."""
 
     def packets(self, cycle: int) -> list[bytes]:
         """The packets for all clients in this cycle. Called once in each cycle, while a client is connected.
 
-        A port whose clients are sent different things sends these to each client, and gives nothing back.
+        If clients are sent different packets, the port sends them itself, and returns none.
         """
 
     def skip(self) -> None:
-        """No client is connected in this cycle: what only these would have been sent is forgotten."""
+        """No client is connected in this cycle: discard what would have been sent in it."""
 
     def receiver(self, client: Client) -> Receiver:
-        """Takes the bytes of a new client."""
+        """Make the receiver for a new client."""
 
 
 class AnsweringPort:
-    """Base class of a port whose clients are sent nothing but answers; it adds `receiver`."""
+    """Base class of a port that only answers its clients; subclasses add `receiver`."""
 
     def is_offered(self) -> bool:
         return True
@@ -94,7 +94,7 @@ class AnsweringPort:
 
 
 class ReadOnlyReceiver:
-    """Of the read-only ports: what comes is counted, and has no effect."""
+    """The receiver of the read-only ports: bytes are counted, and have no effect."""
 
     def __init__(self, counters: Counters) -> None:
         self._counters = counters
@@ -107,11 +107,11 @@ class ReadOnlyReceiver:
 
 
 class LineReceiver:
-    """Cuts what comes into lines.
+    """Cuts received bytes into lines.
 
     Args:
-        client: what comes after it was closed is not looked at.
-        counters: where bytes of lines that are too long are counted.
+        client: what comes after it was closed is ignored.
+        counters: count the bytes of lines that are too long.
         on_line: called with each line, without its end.
     """
 
@@ -148,13 +148,13 @@ class LineReceiver:
 
 
 class ScriptReceiver(LineReceiver):
-    """Makes programs of the lines that come: of the primary, secondary and real-time interface.
+    """Makes programs of the received lines, for the primary, secondary and real-time interface.
 
     Args:
         client: the sender.
-        counters: where text that is thrown away is counted.
+        counters: count the text that is discarded.
         on_line: called with each line.
-        on_program: called with the text of each whole program; False where it is thrown away.
+        on_program: called with the text of each whole program; returns False if it was discarded.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """The primary and secondary interface, 30001 and 30002: a robot state ten times a second, and messages on the first.
 
-Sizes and order of the sub-packages: docs/protocols/primary.md, Robot state. What they hold is read off captures where a
-comment says so.
+Sizes and order of the sub-packages: docs/protocols/primary.md, Robot state. Comments say which values were read off
+captures.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class RobotStates:
         self._first_only: frozenset[int] = frozenset()
         self._forms: dict[int, Form] = {}
         self._unchanging: dict[int, bytes] = {}
-        # What both interfaces send in one cycle, and the cycle.
+        # The packet that both interfaces send in one cycle, and the cycle.
         self._made: tuple[int, bytes] = (-1, b"")
 
     def next_cycle(self, cycle: int) -> int:
@@ -58,7 +58,7 @@ class RobotStates:
         return [self._made[1]]
 
     def package(self, first: bool = False) -> bytes:
-        """The state of this cycle; with `first` as a connection begins, with kinematics and configuration."""
+        """The state of this cycle; with `first`, that of a new connection, with kinematics and configuration."""
         state = self._state
         if self._firmware is not state.firmware:  # at first, and after a reboot into another one
             self._lay_out(state.firmware)
@@ -75,7 +75,7 @@ class RobotStates:
         self._first_only = frozenset(release.first_state_only)
         self._forms.clear()
         for kind, size in release.state.items():
-            # Where a number had two meanings, the size tells them apart.
+            # If a number had two meanings, the size distinguishes them.
             for cls in SUB_PACKAGES[kind]:
                 layouts = [layout for layout in cls.LAYOUTS.all if layout.size == size]
                 if layouts:
@@ -90,8 +90,8 @@ class SecondaryPort:
 
     Args:
         state: of the controller.
-        states: what is sent.
-        receiver: makes programs of what a client sends.
+        states: the states to send.
+        receiver: makes the receiver of a client.
     """
 
     _NAME = "secondary"
@@ -120,7 +120,7 @@ class SecondaryPort:
 
 
 class PrimaryPort(SecondaryPort):
-    """The primary interface of one controller: as the secondary, and robot messages."""
+    """The primary interface of one controller: as the secondary one, with robot messages."""
 
     _NAME = "primary"
 
@@ -226,7 +226,7 @@ def _cartesian(state: ControllerState) -> Fields:
 
 def _kinematics(state: ControllerState) -> Fields:
     table = np.array([getattr(state.kinematics.table, name) for name in ("dh_theta", "dh_a", "dh_d", "dh_alpha")])
-    # All ones: not calibrated, as simulated controllers send it. What a checksum is of is not known; a guess.
+    # All ones: not calibrated, as simulated controllers send it. What is in the checksum is not known; this is a guess.
     is_calibrated = state.kinematics.is_calibrated
     checksum = [zlib.crc32(row.tobytes()) for row in table.T] if is_calibrated else [0xFFFFFFFF] * 6
     theta, a, d, alpha = table.tolist()

@@ -18,8 +18,8 @@ class RealtimePort:
     """The real-time interface of one controller.
 
     Args:
-        state: what is sent.
-        receiver: makes programs of what a client sends.
+        state: of the controller.
+        receiver: makes the receiver of a client.
     """
 
     def __init__(self, state: ControllerState, receiver: Callable[[Client], ScriptReceiver]) -> None:
@@ -97,7 +97,7 @@ def _fields(state: ControllerState) -> Fields:
 
 
 def robot_current(state: ControllerState) -> float:
-    """A, a guess: what the electronics take, and a part of what the motors do."""
+    """A, a guess: the current of the electronics, and a part of that of the motors."""
     if not state.modes.is_powered:
         return 0.0
     return 0.3 + 0.1 * sum(map(abs, state.arm.sample.I_actual))

@@ -1,10 +1,10 @@
 """The Robot API of a simulated PolyScope X: one HTTP request, one answer in JSON, and the connection ends.
 
-What it takes is in the one table of `urlink.interfaces.dashboard.robot_api`; it does what the dashboard's command of
-that name does. Guesses, all of them: the status and body of an answer that says no (400 for what cannot be read, 403 in
-local control, 404 for what is not there, 405 for another method, 409 for what cannot be done now); that actions are
-answered at once; the version of the API before 10.12; the name of the control mode that is not REMOTE; that a program
-that was uploaded has the name of its file, and is sent back as it came; and that nothing else is known of it.
+Its requests are in the table of `urlink.interfaces.dashboard.robot_api`; each does what the dashboard's command of that
+name does. All of these are guesses: status and body of an answer that refuses (400 if it cannot be read, 403 in local
+control, 404 if nothing is there, 405 for another method, 409 if it cannot be done now); that actions are answered at
+once; the version of the API before 10.12; the name of the control mode that is not REMOTE; that an uploaded program
+has the name of its file, and is sent back unchanged; and that nothing else is known of it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class RobotApiPort(AnsweringPort):
 
     Args:
         state: of the controller.
-        dashboard: whose commands it carries out.
+        dashboard: executes the commands.
         pendant: has the programs.
 
     Attributes:
@@ -84,7 +84,7 @@ class RobotApiPort(AnsweringPort):
         return self._change(fitting, request.body)
 
     def _programs(self, request: HttpRequest, name: str) -> HttpResponse:
-        """The programs at the pendant: listed, sent, and taken."""
+        """The programs at the pendant: list, download, upload."""
         files = self._pendant.files
         if name:
             wanted = unquote(name)

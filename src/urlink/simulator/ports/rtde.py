@@ -61,13 +61,13 @@ __all__ = ["Disturbance", "RtdePort", "RtdeSession"]
 
 _log = logging.getLogger("urlink.simulator")
 
-#: The first firmware that listens. Sources have 3.2 to 3.4; 3.3 is the one of the oldest variables.
+#: The first firmware with RTDE. Sources say 3.2 to 3.4; 3.3 is that of the oldest variables.
 SINCE = Since("3.3/5.0")
 #: Data packages a second under protocol 1.
 RATE_1 = 125
 #: The source of the simulator's text messages.
 SOURCE = "simulator"
-#: Bytes of names in one request, says the vendor.
+#: Bytes of names in one request (vendor's documents).
 MOST_NAMES = 2048
 #: Seconds after which a client whose data packages are all dropped is disconnected.
 UNREAD = 2.0
@@ -79,12 +79,12 @@ class Disturbance:
 
     Attributes:
         hello: text that each connection begins with; "" for none.
-        protocols: the versions that are accepted.
-        text_before: type of a request -> text that comes before each reply to it.
-        data_before_start: a data package comes before each reply to a start.
-        instead: type of a request -> what happens in place of the next reply to it, once.
-        refuses_start: a start is refused.
-        sends_no_data: nothing comes after a start that was accepted.
+        protocols: the accepted versions.
+        text_before: type of a request -> text that is sent before each reply to it.
+        data_before_start: whether a data package is sent before each reply to a start.
+        instead: type of a request -> what happens instead of the next reply to it, once.
+        refuses_start: whether a start is refused.
+        sends_no_data: whether nothing is sent after an accepted start.
         late: cycles by which data packages are late.
         stale: cycles for which the inputs of a connection that is over stay held.
     """
@@ -108,7 +108,7 @@ class RtdePort:
         on_text: called with each text message of a client.
 
     Attributes:
-        disturbance: what goes wrong at present.
+        disturbance: the present faults.
         sessions: the connections.
     """
 
@@ -130,7 +130,7 @@ class RtdePort:
         return min(wanted, default=None)
 
     def packets(self, cycle: int) -> list[bytes]:
-        """None: each client is sent the outputs of its own recipes."""
+        """Empty: each client is sent the outputs of its own recipes."""
         for session in list(self.sessions):
             session.advance(cycle)
         return []
@@ -150,7 +150,7 @@ class RtdePort:
 
 
 class _Outputs:
-    """The output recipe of a client: what it is sent, and how often.
+    """The output recipe of a client, and the period of its packages.
 
     Attributes:
         recipe: names and types.
@@ -168,13 +168,13 @@ class _Outputs:
 
 
 class RtdeSession:
-    """One connection: its protocol, its recipes and whether it is started. It knows bytes and cycles, and no socket.
+    """One connection: its protocol, its recipes and whether it is started. Sans-IO: bytes and cycles, no socket.
 
     Attributes:
-        protocol: 1 until 2 was asked for.
-        is_started: data packages are sent.
-        unread: data packages that were left out, because older ones were waiting.
-        ignored: packages from the client that do not fit.
+        protocol: 1, until the client requests 2.
+        is_started: whether data packages are sent.
+        unread: number of data packages that were left out, because older ones were waiting.
+        ignored: number of packages from the client that do not fit.
     """
 
     def __init__(self, port: RtdePort, client: Client) -> None:
@@ -206,7 +206,7 @@ class RtdeSession:
     # -- input ---------------------------------------------------------------------------------------
 
     def feed(self, data: bytes) -> None:
-        """Bytes, as they have come."""
+        """Handle bytes, as they came."""
         self._buffer += data
         while len(self._buffer) >= HEADER.width and self._client.is_open:
             size = int.from_bytes(self._buffer[:2], "big")
@@ -221,7 +221,7 @@ class RtdeSession:
             self._take(package)
 
     def end(self) -> None:
-        """The connection is over: its inputs are free again, at once or later."""
+        """Handle the end of the connection: its inputs are free again, at once or later."""
         self._port.sessions.remove(self)
         claims, stale = self._state.claims, self._port.disturbance.stale
         if stale:
@@ -275,7 +275,7 @@ class RtdeSession:
         return self._reply(OutputsReply, recipe=int(is_good), types=join_names(types))
 
     def _step(self, frequency: float | None) -> int | None:
-        """Cycles from one package to the next; None where the frequency is none."""
+        """Cycles from one package to the next; None if the frequency is invalid."""
         rate = self._state.firmware.rate
         if frequency is None:
             return rate // RATE_1
@@ -386,7 +386,7 @@ class RtdeSession:
             self._client.send(package)
 
     def _drop(self, cycle: int) -> None:
-        """Older packages still wait for the client."""
+        """Handle a package that cannot be sent, because older ones still wait for the client."""
         self.unread += 1
         self._state.counters.unread += 1
         if self._unread_since is None:

@@ -1,8 +1,8 @@
 """RTDE's variables of the simulated controller: outputs read from its state, inputs that change it.
 
-Everything that another interface sends too comes from the same place, so that it is the same number in the same cycle.
-`timestamp` alone differs from the real-time interface's `time`, by `UPTIME`: controllers have been up for a while when
-a client connects, and public clients wait until 40 s are over (docs/protocols/rtde.md).
+Values that another interface sends too come from the same place, so that they are equal in the same cycle. Only
+`timestamp` differs from the real-time interface's `time`, by `UPTIME`: real controllers have been up for a while when a
+client connects, and public clients wait until 40 s are over (docs/protocols/rtde.md).
 
 Guesses, where nothing is behind a variable here: the energy counters are those of the electronics alone, ratios,
 encoders and Euromap are zero, the window of currents is 2 A, and `script_control_line` is always 0.
@@ -196,14 +196,14 @@ Change = Callable[[ControllerState, Mapping[str, Any]], None]
 
 
 def write_inputs(state: ControllerState, values: Mapping[str, Any]) -> None:
-    """Let the controller take the inputs of one data package, by name.
+    """Apply the inputs of one data package, by name.
 
-    All inputs keep their last value. An output of the controller changes when a package contains anything of its group,
-    by the mask and the values that hold then; that these may come in different recipes is a guess. The speed slider
-    moves once for each package that holds its mask with the value 1. What is not a number changes nothing.
+    All inputs keep their last value. An output of the controller changes when a package contains any input of its
+    group, by the mask and the values that hold then; that these may come in different recipes is a guess. The speed
+    slider moves once for each package in which its mask is 1. A value that is not a number changes nothing.
 
-    In local control an e-Series takes registers, and no outputs and no slider: a guess on the careful side. It is known
-    that it takes no URScript then.
+    In local control an e-Series accepts registers, but no outputs and no slider: a cautious guess. It is known that it
+    accepts no URScript then.
     """
     is_local = state.firmware.is_e_series and not state.remote_control
     state.rtde_inputs.update(values)
@@ -228,7 +228,7 @@ def _analog(state: ControllerState, values: Mapping[str, Any]) -> None:
 
 
 def _digital(group: str, first: int, count: int) -> Change:
-    """Set the outputs of a group whose bits begin at `first`; only those that its mask has."""
+    """Set the outputs of a group whose bits begin at `first`; only those in its mask."""
 
     def change(state: ControllerState, values: Mapping[str, Any]) -> None:
         held, signals = state.rtde_inputs, state.signals

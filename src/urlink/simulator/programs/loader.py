@@ -3,12 +3,12 @@
 A program begins with `def` or `sec` in the first column and ends with `end` in the first column; every other line is a
 program by itself, or one of a few commands that are no URScript.
 
-The programs of one client begin in the order in which they came. Short ones are compiled at once, so many in a cycle as
-cost no more than `BUDGET`. A long one can take up to a second, for which the clock would stand still, so it is compiled
-in a thread beside it, and what the same client sends after it waits. No client waits for the text of another one,
-unless both are long: one is compiled at a time.
+The programs of one client begin in the order in which they came. Short ones are compiled at once, as many in a cycle as
+cost no more than `BUDGET`. A long one can take up to a second, during which the clock would stand still, so it is
+compiled in a thread, and later programs of the same client wait for it. Other clients do not wait, unless their
+programs are long too: one is compiled at a time.
 
-Guess: a text is ignored while the arm may not move, and on an e-Series that is not in remote control.
+Guess: a text is ignored while the arm may not move, and on an e-Series that is in local control.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ __all__ = ["LineAssembler", "ProgramLoader", "ProgramQueue", "obey"]
 
 _log = logging.getLogger("urlink.simulator")
 
-#: Characters of a program; with more it is thrown away, to its `end`. The compiler's limit is lower.
+#: Characters of a program; a longer one is discarded, up to its `end`. The compiler's limit is lower.
 LONGEST_PROGRAM = 1 << 20
-#: Characters from which on a program is compiled in a thread: some 20 ms of work.
+#: Characters above which a program is compiled in a thread: some 20 ms of work.
 LONG = 1 << 13
 #: Characters of one client that may wait for their turn.
 MOST_WAITING = 1 << 20
-#: Characters of all clients that are compiled in one cycle, give or take one program. A program counts as `LEAST`
-#: characters at least, since to compile and begin one costs something however short it is.
+#: Characters of all clients that are compiled in one cycle, up to one program more. A program counts as at least
+#: `LEAST` characters, since compiling and starting one has a cost, however short it is.
 BUDGET, LEAST = 8192, 200
-#: Seconds that the end of a compilation is waited for when the controller closes.
+#: Seconds to wait for the end of a compilation when the controller closes.
 _JOIN_TIMEOUT = 4.0
 
 _BEGIN = re.compile(r"(?:def|sec)\b")
@@ -62,7 +62,7 @@ class LineAssembler:
         self._length = 0
 
     def feed(self, line: str) -> str | None:
-        """The program that this line completes, if it does."""
+        """Add a line; returns the program that it completes, if any."""
         if not self._length and not _BEGIN.match(line):
             return None if _NOTHING.match(line) else line
         self._length += len(line) + 1
@@ -81,11 +81,11 @@ class LineAssembler:
 
 
 def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
-    """Do what a line says, if it is a command to the controller and no URScript.
+    """Execute a line that is a command to the controller and not URScript; False if it is none.
 
-    Such lines are known from a forum and from public drivers; `stop program` is how the UR Client Library ends what
-    runs. What a real controller answers is not known; this one stays silent. `set robotmode freedrive` is taken and
-    does nothing.
+    Such lines are known from a forum and from public drivers; the UR Client Library ends programs with `stop program`.
+    What a real controller answers is not known; this one does not answer. `set robotmode freedrive` is accepted and has
+    no effect.
     """
     words = " ".join(line.split())
     speed = _SPEED.fullmatch(words)
@@ -111,7 +111,7 @@ class _Compilation(threading.Thread):
     """One long program, being compiled.
 
     Attributes:
-        result: what came of it; None until it is over.
+        result: the script or the error; None until it is over.
     """
 
     def __init__(self, text: str, firmware: Firmware, on_end: Callable[[], object]) -> None:
@@ -135,7 +135,7 @@ class ProgramQueue:
         self.compilation: _Compilation | None = None
 
     def put(self, text: str) -> bool:
-        """A whole program, or a line. False where so much waits that it is thrown away."""
+        """Add a whole program, or a line. False if too much waits, and it is discarded."""
         if sum(map(len, self.texts)) + len(text) > MOST_WAITING:
             return False
         self.texts.append(text)
@@ -144,9 +144,9 @@ class ProgramQueue:
 
 
 class ProgramLoader:
-    """Compiles the programs that clients of one controller have sent, and begins them.
+    """Compiles and starts the programs that the clients of one controller have sent.
 
-    Everything but the compiling of long programs is done in the thread that owns the controller.
+    Everything except the compilation of long programs runs in the thread that owns the controller.
 
     Args:
         state: of the controller.
@@ -160,21 +160,21 @@ class ProgramLoader:
         self.on_compiled: Callable[[], object] = lambda: None
         self._state = state
         self._runner = runner
-        # Those with something in them; the first has its turn next.
+        # The queues that are not empty; the first one is next.
         self._queues: deque[ProgramQueue] = deque()
         self._compilation: _Compilation | None = None
-        # The cycle for which it is counted what was compiled, and the characters.
+        # Characters compiled in a cycle, and that cycle.
         self._cycle = -1
         self._spent = 0
 
     @property
     def is_waiting(self) -> bool:
-        """Some programs wait for the next cycle rather than for a compilation."""
+        """Whether programs wait for the next cycle, other than for a compilation."""
         return any(queue.texts and queue.compilation is None for queue in self._queues)
 
     @property
     def is_compiling(self) -> bool:
-        """A long program is being compiled in a thread."""
+        """Whether a long program is being compiled in a thread."""
         return self._compilation is not None
 
     def open(self) -> ProgramQueue:
@@ -182,12 +182,12 @@ class ProgramLoader:
         return ProgramQueue(self)
 
     def load(self, text: str) -> None:
-        """Compile a whole program, or a line, and begin it before this returns."""
+        """Compile a whole program, or a line, and start it before this returns."""
         if self._may_load(text):
             self._begin(text, _compiled(text, self._state.firmware))
 
     def advance(self) -> None:
-        """Begin what has been compiled, and what has waited for this cycle."""
+        """Start the programs that have been compiled, and those that have waited for this cycle."""
         compilation = self._compilation
         if compilation is not None and compilation.result is not None:
             self._compilation = None
@@ -200,7 +200,7 @@ class ProgramLoader:
             self.serve(queue)
 
     def serve(self, queue: ProgramQueue) -> None:
-        """Begin the programs of one client, as far as that can be in this cycle; the rest has its turn in `advance`."""
+        """Start the programs of one client, as many as this cycle allows; the rest is started by `advance`."""
         if self._cycle != self._state.cycle:
             self._cycle, self._spent = self._state.cycle, 0
         texts = queue.texts
@@ -218,7 +218,7 @@ class ProgramLoader:
             self._queues.append(queue)
 
     def clear(self) -> None:
-        """Forget all of it: the controller goes down."""
+        """Discard all programs: the controller goes down."""
         for queue in self._queues:
             queue.texts.clear()
             queue.compilation = None
@@ -226,14 +226,14 @@ class ProgramLoader:
         self._compilation = None
 
     def close(self) -> None:
-        """Forget all of it, and wait for the thread."""
+        """Discard all programs, and wait for the thread."""
         compilation = self._compilation
         self.clear()
         if compilation is not None:
             compilation.join(_JOIN_TIMEOUT)
 
     def _may_load(self, text: str) -> bool:
-        """Whether it is a program, and the controller takes programs now; a command is carried out."""
+        """Whether the text is a program, and the controller accepts programs now; a command is executed."""
         state = self._state
         if not state.is_up:
             return self._refuse("down", text)

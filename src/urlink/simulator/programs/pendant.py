@@ -1,6 +1,6 @@
-"""The teach pendant of a simulated controller: the programs that were saved at it, and its buttons.
+"""The teach pendant of a simulated controller: its saved programs and its buttons.
 
-A dashboard presses the same buttons.
+The dashboard presses the same buttons.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _log = logging.getLogger("urlink.simulator")
 
 
 class Pendant:
-    """The pendant of one controller. Its buttons are only for the thread that owns the controller.
+    """The pendant of one controller. Its buttons may be pressed only in the thread that owns the controller.
 
     Args:
         state: of the controller.
@@ -43,7 +43,7 @@ class Pendant:
 
     @property
     def popup(self) -> str | None:
-        """Text that it shows, or None. To set it to None closes the popup."""
+        """The text that it shows, or None. Setting it to None closes the popup."""
         return self._state.popup
 
     @popup.setter
@@ -64,7 +64,7 @@ class Pendant:
         return True
 
     def play(self) -> bool:
-        """Go on with the program that was paused, or run the loaded one; False if neither can be."""
+        """Continue the paused program, or run the loaded one; False if neither is possible."""
         state, main = self._state, self._runner.main
         if not state.is_up or not state.modes.may_move:
             return False
@@ -82,7 +82,7 @@ class Pendant:
         return True
 
     def pause(self) -> bool:
-        """Let the arm stand and its program wait; False if none plays."""
+        """Pause the program, and stop the arm; False if none plays."""
         state = self._state
         if state.modes.program_state is not ProgramState.PLAYING:
             return False
@@ -91,7 +91,7 @@ class Pendant:
         return True
 
     def stop(self) -> bool:
-        """End what the arm follows, the demonstration too; False if that is nothing."""
+        """End what the arm follows, the demonstration too; False if there is nothing."""
         state = self._state
         if not self._runner.stop():
             if not state.source.is_program:

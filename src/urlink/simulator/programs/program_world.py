@@ -1,4 +1,4 @@
-"""The controller, as one of its programs sees it: the `World` of `urlink.simulator.urscript`, over the state."""
+"""The controller for one of its programs: the `World` of `urlink.simulator.urscript`, over the state."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ __all__ = ["ProgramWorld"]
 
 
 class ProgramWorld:
-    """The controller as one of its programs sees it: the `World` of `urlink.simulator.urscript`.
+    """The controller for one of its programs: the `World` of `urlink.simulator.urscript`.
 
     Args:
         state: of the controller.
         route: where the connections of programs go.
-        drive: what the program moves the arm with; None for a secondary program, which may only ask whether the arm
-            moves.
+        drive: moves the arm for the program; None for a secondary program, which may only read whether the arm moves.
     """
 
     def __init__(self, state: ControllerState, route: Route, drive: Drive | None = None) -> None:
@@ -146,7 +145,7 @@ class ProgramWorld:
             arm.payload_inertia = tuple(inertia)
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """Without effect: the simulated arm stands upright."""
+        """No effect: the simulated arm stands upright."""
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
         known = INPUTS.get(variable)

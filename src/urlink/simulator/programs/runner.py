@@ -1,7 +1,7 @@
 """The programs that run on a controller: the one that commands the arm, and the secondary ones beside it.
 
-In each cycle the threads of the program run first; then its motion generator makes one set-point of what they have
-commanded. The arm follows that set-point, and knows nothing of programs.
+In each cycle the threads of the program run first; then its motion generator makes one set-point of their commands. The
+arm follows that set-point, and has no access to programs.
 
 Guesses: that a protective stop pauses a program, which `play` then continues, and that an emergency stop or switching
 off ends it; that secondary programs run on through all of these; that a program which was paused because an RTDE input
@@ -26,7 +26,7 @@ from .program_world import ProgramWorld
 
 __all__ = ["ProgramRunner", "RunningProgram"]
 
-#: Secondary programs that run at once; more than that wait until one of them is over. Nearly all are within a cycle.
+#: Secondary programs that run at once; others wait. Nearly all of them end within a cycle.
 MOST_SECONDARY = 32
 #: Characters of the secondary programs that wait.
 MOST_WAITING = 1 << 20
@@ -37,8 +37,8 @@ class RunningProgram:
 
     Attributes:
         name: of the program.
-        is_program: it is not over. When it is, what still moves brakes, and holds.
-        error: what has ended it, or None.
+        is_program: whether it runs. When it is over, a movement is braked, and the arm holds its position.
+        error: the error that ended it, or None.
     """
 
     def __init__(
@@ -52,14 +52,14 @@ class RunningProgram:
         self.is_program = True
         self._state = state
         self._on_end = on_end
-        # It takes over from what moved the arm before, at its speed.
+        # It continues from what moved the arm before, at its speed.
         self._drive = Drive(state.kinematics, state.arm.setpoint)
         self._world = ProgramWorld(state, route, self._drive)
         self._execution = Execution(script, self._world)
 
     @property
     def statements(self) -> StatementQueue[StatementCode]:
-        """What clients hand to it in interpreter mode."""
+        """The statements from clients in interpreter mode."""
         return self._execution.statements
 
     @property
@@ -67,11 +67,11 @@ class RunningProgram:
         return self._execution.error
 
     def start(self, q: Sequence[float]) -> None:
-        """Go on from rest at six joint positions in rad, to which the arm has braked meanwhile."""
+        """Continue from rest at six joint positions, rad, to which the arm has braked."""
         self._drive.start(q)
 
     def advance(self, seconds: float) -> Setpoint:
-        """Run the threads, and return the set-point one cycle of that many seconds later."""
+        """Run the threads for one cycle of `seconds`, and return its set-point."""
         drive, generator, state = self._drive, self._drive.generator, self._state
         generator.speed_fraction = state.speed_fraction
         if self.is_program:
@@ -88,7 +88,7 @@ class RunningProgram:
             return drive.setpoint
 
     def end(self) -> None:
-        """Stop it, if it is not over by itself."""
+        """Stop it, if it still runs."""
         if self.is_program:
             self.is_program = False
             self._execution.stop()
@@ -98,33 +98,33 @@ class RunningProgram:
 
 
 class ProgramRunner:
-    """Runs the programs of one controller, and gives the set-points that its arm is to follow.
+    """Runs the programs of one controller, and gives the set-points for its arm.
 
     Args:
         state: of the controller.
         route: where the connections of programs go.
 
     Attributes:
-        main: the program that was started last, also when it is over; None before the first.
+        main: the program that was started last, even if it is over; None before the first.
     """
 
     def __init__(self, state: ControllerState, route: Route) -> None:
         self.main: RunningProgram | None = None
         self._state = state
         self._route = route
-        # The arm has braked, or is to: the source begins anew from where it comes to stand.
+        # The arm has braked, or will: the source starts again from where the arm stands then.
         self._begins_anew = False
         self._secondary: list[tuple[Execution, ProgramWorld]] = []
         self._waiting: deque[tuple[Script, int]] = deque()
 
     @property
     def is_running(self) -> bool:
-        """A program that was sent runs, so that every cycle counts."""
+        """Whether a program that was sent runs, so that no cycle may be skipped."""
         return bool(self._secondary or self._waiting) or (self.main is not None and self.main.is_program)
 
     @property
     def statements(self) -> StatementQueue[StatementCode] | None:
-        """The statements of clients for the program in interpreter mode; None where there is none."""
+        """The statements from clients for the program in interpreter mode; None if there is none."""
         return self.main.statements if self.main is not None and self.main.is_program else None
 
     # -- beginning and ending ------------------------------------------------------------------------
@@ -135,13 +135,13 @@ class ProgramRunner:
         self.stop()
         state.is_paused = False
         self.main = state.source = RunningProgram(state, script, self._route, self._ended)
-        # It goes on from the speed that the arm has, also while it brakes.
+        # It continues from the speed of the arm, even while the arm brakes.
         self._begins_anew = False
         state.outbox.put(messages.program_started(state, script.name))
         state.update_modes(0.0)
 
     def start_secondary(self, script: Script, length: int) -> bool:
-        """Run a program beside the others, when there is room for it; False if too many of them wait.
+        """Run a program beside the others when there is room for it; False if too many wait.
 
         Args:
             script: to run.
@@ -160,12 +160,12 @@ class ProgramRunner:
         return True
 
     def follow(self, source: SetpointSource) -> None:
-        """Brake if need be, then follow another source from where the arm comes to stand."""
+        """Brake if necessary, then follow another source from where the arm stands."""
         self._state.source = source
         self._begins_anew = True
 
     def close(self) -> None:
-        """End everything, as the controller goes down."""
+        """End all programs: the controller goes down."""
         self.stop()
         for execution, world in self._secondary:
             execution.stop()
@@ -191,7 +191,7 @@ class ProgramRunner:
         """Run every program for one cycle.
 
         Returns:
-            The set-point that the arm is to follow; None where it is to brake, and to stand.
+            The set-point for the arm; None if it must brake and stand still.
         """
         state, modes = self._state, self._state.modes
         state.control_mode = ControlMode.POSITION
@@ -216,7 +216,7 @@ class ProgramRunner:
         return state.source.advance(seconds)
 
     def _watch(self) -> None:
-        """Pause or stop the program if an RTDE input that it waits for is late. While it is paused, none is."""
+        """Pause or stop the program if an RTDE input with a watchdog is late. While it is paused, none is late."""
         state = self._state
         if state.is_paused:
             state.watchdogs.restart(state.cycle)

@@ -1,1 +1,1 @@
-"""The robot of a simulated controller: arm, sensors, modes, inputs and outputs. It knows neither programs nor ports."""
+"""The robot of a simulated controller: arm, sensors, modes, inputs and outputs, without programs and ports."""

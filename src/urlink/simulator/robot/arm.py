@@ -1,7 +1,7 @@
-"""The arm: it follows set-points, brakes when it gets none, and shows what its sensors would measure.
+"""The arm: it follows set-points, brakes without them, and has sensors.
 
-Following and braking happen in every cycle. What the sensors show is worked out when a packet asks for it, so that it
-costs nothing while nobody looks, and comes out the same whoever looks and how often; see `sensors`.
+Following and braking happen in every cycle. Sensor values are computed when a packet needs them; they do not depend on
+when, or how often, they are read; see `sensors`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Arm:
 
     Args:
         kinematics: of a model, as published or calibrated.
-        setpoint: where the arm is in the beginning.
+        setpoint: initial targets.
         seed: of the noise on its sensors.
         surroundings: what acts on its tool; None for nothing.
 
@@ -38,9 +38,9 @@ class Arm:
         payload: kg at the flange.
         payload_cog: (3,) its centre of mass in the flange frame, m.
         payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
-        is_powered: without power there is no current and no noise.
+        is_powered: whether it has power; without it there is no current and no noise.
         external_force: at the TCP, N and Nm, as an RTDE client has sent it.
-        uses_external_force: it is shown in place of what the sensor measures.
+        uses_external_force: whether that is shown instead of the measured force.
     """
 
     def __init__(
@@ -75,16 +75,16 @@ class Arm:
 
     @property
     def is_moving(self) -> bool:
-        """It follows set-points that move, or brakes."""
+        """Whether it follows set-points that move, or brakes."""
         return self._brake is not None or any(self._setpoint.qd)
 
     @property
     def is_standing(self) -> bool:
-        """It neither moves nor follows anything."""
+        """Whether it neither moves nor follows anything."""
         return not self.is_moving and not self._is_following
 
     def advance(self, seconds: float, setpoint: Setpoint | None) -> None:
-        """One cycle later: at this set-point; or, where that is None, slowing down, and standing from then on."""
+        """Advance by one cycle: to this set-point; or, if it is None, slow down, and then stand still."""
         self._cycle += 1
         self._time += seconds
         if setpoint is not None:
@@ -105,7 +105,7 @@ class Arm:
             self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
 
     def _go_on_braking(self, begin: Setpoint, duration: float, past: float, seconds: float) -> None:
-        """All joints slow down in proportion, so the brake path goes straight on from where the arm was going."""
+        """Slow all joints down in proportion, so that the brake path continues the direction of the movement."""
         past += seconds
         if past >= duration:
             self._brake = None
@@ -138,7 +138,7 @@ class Arm:
         self._sample = None
 
     def take_tool_of(self, other: Arm) -> None:
-        """TCP and payload of another arm: they are in the installation, which outlives a reboot."""
+        """Take over TCP and payload of another arm: they are in the installation, which a reboot does not change."""
         self.tcp = other.tcp
         self.payload = other.payload
         self.payload_cog = other.payload_cog
@@ -148,17 +148,17 @@ class Arm:
 
     @property
     def wrench(self) -> Sequence[float]:
-        """The force at the TCP that the controller goes by: that of `sample`, without noise, N and Nm."""
+        """The force at the TCP that the controller uses: that of `sample`, without noise, N and Nm."""
         return self.external_force if self.uses_external_force else self._force_sensor.wrench
 
     @property
     def pushed_joints(self) -> Sequence[float]:
-        """The torques with which the joints are turned from outside, Nm, apart from the force at the TCP."""
+        """Torques that turn the joints from outside, Nm, without the force at the TCP."""
         return self._surroundings.joint_torques
 
     @property
     def external_torques(self) -> list[float]:
-        """All that turns the joints from outside, Nm."""
+        """All torques from outside on the joints, Nm."""
         torques = list(self.pushed_joints)
         if any(self.wrench):
             across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self.wrench
@@ -167,17 +167,17 @@ class Arm:
 
     @property
     def raw_wrench(self) -> list[float]:
-        """The force at the TCP without what `zero_force` takes off, N and Nm in the base frame."""
+        """The force at the TCP without the offset of `zero_force`, N and Nm in the base frame."""
         shown, measured, external = self.sample.force, self._force_sensor.wrench, self._force_sensor.external
         return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
 
     @property
     def is_overloaded(self) -> bool:
-        """The force at the TCP is above its limit, and grows."""
+        """Whether the force at the TCP is above its limit, and grows."""
         return self._force_sensor.grows
 
     def zero_force(self) -> None:
-        """Take off from the force at the TCP what it is now."""
+        """Make the present force at the TCP the new zero."""
         self._force_sensor.zero()
         self._sample = None
 
@@ -189,7 +189,7 @@ class Arm:
 
     @property
     def sample(self) -> Sample:
-        """What the sensors show in this cycle."""
+        """The values of all sensors in this cycle."""
         if self._sample is None:
             self._sample = self._sensors.sample(
                 self._setpoint,
@@ -208,7 +208,7 @@ class Arm:
 
     @property
     def q_actual(self) -> list[float]:
-        """The joint positions of `sample`, rad, without working out the rest of it: programs ask in every cycle."""
+        """The joint positions of `sample`, rad, without computing the rest: programs read them in every cycle."""
         if self._sample is not None:
             return self._sample.q_actual
         return self._sensors.positions(self._setpoint, self._cycle, self.is_powered)
@@ -220,7 +220,7 @@ class Arm:
 
     @property
     def tool_acceleration(self) -> list[float]:
-        """Of the TCP at the targets of this cycle, in the base frame, m/s² and rad/s²."""
+        """Acceleration of the TCP at the targets of this cycle, in the base frame, m/s² and rad/s²."""
         q, qd, qdd = self._setpoint
         if not any(qd) and not any(qdd):
             return list(_ZERO)

@@ -1,8 +1,8 @@
-"""The force sensor of a simulated arm: what acts on the TCP, less what the controller takes off it.
+"""The force sensor of a simulated arm: what acts on the TCP, minus the offset of `zero`.
 
-It shows what the surroundings do, and the weight of a load that the controller was not told of; `zero` takes off what
-it shows at that moment. That the offset turns with the tool, as that of a sensor in the tool does, is a guess for arms
-that have none and work the force out of their currents. Forces are in N and Nm, in the directions of the base frame,
+It measures the forces of the surroundings, and the weight of a load that the controller does not know; `zero` makes the
+present value the new zero. That the offset turns with the tool, as with a sensor in the tool, is a guess for arms that
+have none and compute the force from their currents. Forces are in N and Nm, in the directions of the base frame,
 moments about the TCP; that they are those on the tool, and not those of the tool, is a guess too.
 """
 
@@ -24,9 +24,9 @@ from .surroundings import Surroundings
 
 __all__ = ["ForceSensor"]
 
-# N at which a contact is noticed, and below which it has not begun. How sensitive a controller is is not published.
+# N at which a contact is detected, and below which it has not begun. The sensitivity of controllers is not published.
 _NOTICED, _BEGUN = 5.0, 1.0
-# Cycles that are remembered.
+# Cycles that are kept.
 _REMEMBERED = 500
 _NONE = [0.0] * 6
 
@@ -39,9 +39,9 @@ class ForceSensor:
         surroundings: what acts on it.
 
     Attributes:
-        external: (6,) what acts on the TCP in this cycle, with the weight that the controller was not told of.
-        wrench: (6,) that, less the offset.
-        grows: the force at the TCP is above the limit, and more than a cycle ago.
+        external: (6,) what acts on the TCP in this cycle, with the weight that the controller does not know.
+        wrench: (6,) that, minus the offset.
+        grows: whether the force at the TCP is above the limit, and larger than a cycle ago.
     """
 
     def __init__(self, kinematics: Arm, surroundings: Surroundings) -> None:
@@ -55,7 +55,7 @@ class ForceSensor:
         self.grows = False
 
     def advance(self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float]) -> None:
-        """One cycle later, at these targets, with this tool, and this load in kg and m as the controller knows it."""
+        """Advance by one cycle, at these targets, with this tool and the load, kg and m, that the controller knows."""
         before = math.hypot(*self.wrench[:3])
         if self._surroundings.is_empty and self._offset is None:
             self.external = self.wrench = _NONE
@@ -90,12 +90,12 @@ class ForceSensor:
             ).tolist()
 
     def _weight(self, mass: float, place: FloatArray) -> FloatArray:
-        """Of a mass at a place in the frame of the TCP: force, and moment about the TCP."""
+        """The weight of a mass at a place in the frame of the TCP: force, and moment about the TCP."""
         force = np.array((0.0, 0.0, -GRAVITY * mass))
         return np.concatenate((force, np.cross(rotvec_to_matrix(self._turn) @ place, force)))
 
     def zero(self) -> None:
-        """Take off from now on what it shows in this cycle; where nothing acts on the tool, take off nothing."""
+        """Make the present value the new zero; if nothing acts on the tool, the offset is zero."""
         self._offset = None
         self.wrench = _NONE
         if any(self.external):

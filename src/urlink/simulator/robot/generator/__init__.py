@@ -1,4 +1,4 @@
-"""The motion generator of a simulated controller: from movej and its kin to set-points, cycle by cycle."""
+"""The motion generator of a simulated controller: from movej and the like to set-points, cycle by cycle."""
 
 from __future__ import annotations
 
