@@ -1,9 +1,9 @@
 """The controller's ports over TCP: one thread that keeps the clock and carries the bytes of every client.
 
-Deadlines are absolute: cycle k is due k periods after the start, however late the one before was. A thread that was
-starved of processor time catches up cycle by cycle, and the packets of these cycles still go out, as they would from a
-network that hiccups; packets that are more than `LATEST` late are not sent but counted. After `ASLEEP` the clock is set
-anew. Clients of a starved simulator so see late and missing packets, never two clocks.
+Deadlines are absolute: cycle k is due k periods after the start, however late the one before was. A thread without
+processor time catches up cycle by cycle, and the packets of these cycles are still sent, as by a network with a delay;
+packets that are more than `LATEST` late are counted instead. After `ASLEEP` the clock is set again. So clients of a
+slow simulator see late and missing packets, but only one clock.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from .stepped_clock import SteppedClock
 
 __all__ = ["Server"]
 
-#: Seconds after which a packet is not sent any more. Up to there a client gets every cycle. Beyond it, old packets
-#: would only make the next ones later, on a machine that is too slow for all of its controllers.
+#: Seconds after which a packet is not sent any more. Until then a client gets every cycle. Older packets would only
+#: delay the next ones, on a machine that is too slow for all of its controllers.
 LATEST = 1.0
-#: Seconds beyond which the clock is set anew rather than caught up: the machine slept.
+#: Seconds after which the clock is set again instead of catching up: the machine was suspended.
 ASLEEP = 5.0
 #: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
-#: cycles that cost more than they last.
+#: cycles that take longer than their period.
 LONGEST_CATCH_UP = 0.02
-#: Cycles a second that come at their time though nobody needs them, for the modes and those who look at the time.
+#: Cycles a second that are executed at their time even if no client needs them, so that modes and time go on.
 LEAST_RATE = 10
-#: Bytes taken from a client at once: each line of them may be a program.
+#: Bytes read from a client at once: each line of them may be a program.
 CHUNK = 1 << 12
 #: Seconds that other threads wait for the server's.
 TIMEOUT = 5.0
-#: Seconds that a client has to take the last reply before its connection is closed.
+#: Seconds within which a client must take the last reply before its connection is closed.
 LAST_REPLY = 2.0
 
 
@@ -72,7 +72,7 @@ class _Client(Handler):
         self.connection.close(reset=True)
 
     def data_received(self, data: bytes) -> None:
-        # What a client asks for takes effect in the next cycle of the present, not of the time of the last look.
+        # A request of a client takes effect in the next cycle of the present, not of the last reading of the clock.
         self._server.look_at_the_clock()
         self._receiver.feed(data)
 
@@ -82,14 +82,14 @@ class _Client(Handler):
 
 
 class Server:
-    """Serves the ports of one controller from one thread, which from then on owns the controller.
+    """Serves the ports of one controller from one thread, which owns the controller from then on.
 
     Args:
         loop: advances the controller.
         state: of the controller.
-        ports: name of the interface -> what it sends and takes.
-        loader: of programs; compiles beside the thread.
-        link: what is wrong with the connections.
+        ports: name of the interface -> its handler.
+        loader: of programs; compiles in another thread.
+        link: the faults of the connections.
         host: address to listen on.
         numbers: name of each port -> number, 0 for a free one.
         output_limit: bytes that may wait for one client.
@@ -112,7 +112,7 @@ class Server:
         output_limit: int,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        # Of each port, and the names of the interfaces that have any.
+        # The clients of each port, and the names of the interfaces that have any.
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
         self._watched: set[str] = set()
         self._control = loop
@@ -126,7 +126,7 @@ class Server:
         self._is_stepped = isinstance(clock, SteppedClock)
         self._is_closing = False
         self._is_changed = False
-        # The last look at the clock could not catch up in its time.
+        # Whether the last catching up ran out of its time.
         self._is_behind = False
         self._rate = state.firmware.rate
         #: time on the monotonic clock of the cycle in which the controller was when it was started, and that cycle
@@ -183,11 +183,11 @@ class Server:
             self._thread.join(TIMEOUT)
 
     def wake(self) -> None:
-        """Something is to be done before the next cycle that is due."""
+        """Something has to be done before the next cycle that is due."""
         self._sockets.wake()
 
     def call(self, change: Callable[[], object]) -> None:
-        """Do something in the server's thread between two cycles, and wait until it is done.
+        """Call a function in the server's thread between two cycles, and wait until it returns.
 
         Raises:
             LinkTimeout: it was not done within `TIMEOUT`.
@@ -198,7 +198,7 @@ class Server:
             self.catch_up()
             change()
             self._settle()
-            # What was changed shows in the very next cycle.
+            # The change has to be in the very next cycle.
             self._is_changed = True
 
         if self._thread is threading.current_thread():
@@ -224,12 +224,12 @@ class Server:
             cycle = self._state.cycle
             wake = cycle + 1 if self._is_changed else self._next(cycle)
             self._is_changed = False
-            # A stepped clock stands for as long as this waits: who lets it go on calls, and so ends the waiting.
+            # A stepped clock does not move while this waits: `step` calls a function here, which ends the waiting.
             until = None if self._is_stepped else self._epoch + (wake - self._first) / self._rate
             self._sockets.serve_once(until)
 
     def catch_up(self) -> None:
-        """Advance the controller to the present, and send what that brings."""
+        """Advance the controller to the present, and send the packets of its cycles."""
         rate, state, counters = self._rate, self._state, self._counters
         behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
         if behind > ASLEEP * rate:
@@ -239,7 +239,7 @@ class Server:
         until = self._clock() + LONGEST_CATCH_UP
         has_time = True
         while behind > 0 and has_time and not self._is_closing:
-            # Only of use where packets go out late.
+            # Needed only if packets are sent late.
             is_due = behind > 1 and self._next(state.cycle) == state.cycle + 1
             self._control.advance()
             behind -= 1
@@ -255,13 +255,13 @@ class Server:
     def look_at_the_clock(self) -> None:
         """Advance to the present before something is done for a client, unless the thread is behind anyway.
 
-        Where the machine is too slow for the controller, clients would have to wait for each other's catching up.
+        If the machine is too slow for the controller, clients would have to wait for each other's catching up.
         """
         if not self._is_behind:
             self.catch_up()
 
     def _next(self, cycle: int) -> int:
-        """The first cycle after this one in which something is to be done at its time; others are caught up then."""
+        """The first cycle after this one that must be executed at its time; those before it are caught up then."""
         earliest = -(-(cycle * LEAST_RATE // self._rate + 1) * self._rate // LEAST_RATE)
         if self._loader.is_waiting:
             return cycle + 1
@@ -275,7 +275,7 @@ class Server:
     # -- output --------------------------------------------------------------------------------------
 
     def _emit(self, cycle: int) -> None:
-        """Send what this cycle has to send."""
+        """Send the packets of this cycle."""
         self._settle()
         if not self._state.is_up:
             return
@@ -293,13 +293,13 @@ class Server:
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
                     if client.pending + len(data) > client.connection.port.output_limit:
-                        # Public clients send programs here for hours and never read, also to real controllers.
+                        # Public clients send programs here for hours and never read, to real controllers too.
                         self._counters.unread += 1
                     else:
                         self._put(client, data)
 
     def send(self, client: _Client, packet: bytes) -> None:
-        """Send one client something, unless its port is stalled."""
+        """Send a packet to one client, unless its port is stalled."""
         if not self._link.is_stalled(client.name):
             self._put(client, self._link.on_the_wire(client.name, packet))
 
@@ -322,7 +322,7 @@ class Server:
     def _accept(self, name: str, connection: Connection) -> _Client | None:
         if self._is_closing:
             return None
-        # The clock may be waiting for a cycle that is due later: a client that comes now gets nothing of the past.
+        # The clock may be waiting for a later cycle: a new client gets no packets of the past.
         self.look_at_the_clock()
         port = self._ports[interface(name)]
         client = _Client(self, name, port, connection)
@@ -335,20 +335,20 @@ class Server:
         return client
 
     def forget(self, client: _Client) -> None:
-        """A client is gone."""
+        """Remove a client whose connection is over."""
         self._clients[client.name].remove(client)
         kind = interface(client.name)
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
             self._watched.discard(kind)
 
     def receiver(self, name: str, port: Port, client: _Client) -> Receiver:
-        """Takes the bytes of a new client."""
+        """Make the receiver for a new client."""
         return ReadOnlyReceiver(self._counters) if name.endswith("_readonly") else port.receiver(client)
 
     # -- faults --------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring ports and connections into the state that controller and faults ask for."""
+        """Bring ports and connections into the state that controller and faults require."""
         if self._is_closing:
             return
         self._open_or_refuse()
@@ -362,7 +362,7 @@ class Server:
     def _open_or_refuse(self) -> None:
         is_up, is_stalled = self._state.is_up, self._link.is_any_stalled
         if is_up and self._was_up and not is_stalled and not self._was_stalled:
-            return  # as in nearly every cycle
+            return  # the usual case, in nearly every cycle
         self._was_up, self._was_stalled = is_up, is_stalled
         if not is_up:
             self._loader.clear()

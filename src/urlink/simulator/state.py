@@ -1,6 +1,6 @@
 """The state of a controller: everything that its ports show and its programs change, in one passive object.
 
-It knows neither programs nor ports. The control loop advances it; packets and messages are made from it.
+It does not depend on programs or ports. The control loop advances it; packets and messages are made from it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .robot.surroundings import Surroundings
 
 __all__ = ["ControllerState", "Counters", "Outbox", "firmware_for"]
 
-#: Bytes of messages in one cycle after which texts and popups are lost; a program could make thousands of them.
+#: Bytes of messages in one cycle above which texts and popups are lost; a program could make thousands of them.
 MOST_MESSAGES = 1 << 14
 #: Flags of `set_flag` and `get_flag`: that their numbers go up to 31 is inferred (docs/protocols/urscript.md, Flags).
 FLAGS = 32
@@ -42,10 +42,11 @@ class Counters:
         sent: packets and packages handed to the network, once per connection.
         dropped: connections ended because the client did not read.
         unread: packets that were left out because the client had not read those before.
-        refused_bytes: input thrown away: text to read-only ports, lines and programs too long, or too many that wait.
-        refused_programs: texts that were ignored because of the state that the controller was in.
-        late: cycles in which packets went out more than one cycle after they were due.
-        skipped: cycles in which no packets went out because they were far too late.
+        refused_bytes: input that was discarded: text to read-only ports, lines and programs too long, or too many that
+            wait.
+        refused_programs: texts that were ignored because of the state of the controller.
+        late: cycles whose packets were sent more than one cycle after they were due.
+        skipped: cycles whose packets were not sent because they were far too late.
         lost_messages: texts and popups of programs, beyond what one cycle sends.
         ignored_packages: packages of RTDE clients that do not fit, such as data of an unknown recipe.
     """
@@ -66,7 +67,7 @@ class Outbox:
     """The robot messages that wait to be sent to the clients of the primary interface.
 
     Args:
-        counters: where lost messages are counted.
+        counters: counts the lost messages.
     """
 
     def __init__(self, counters: Counters) -> None:
@@ -75,12 +76,12 @@ class Outbox:
         self._size = 0
 
     def put(self, message: bytes) -> None:
-        """A message that goes out whatever else does."""
+        """Add a message that is always sent."""
         self._messages.append(message)
         self._size += len(message)
 
     def offer(self, make: Callable[[], bytes]) -> None:
-        """A message that is lost where there is too much already. It is made only if it is not."""
+        """Add a message unless there are too many already, in which case it is lost. It is made only if it is added."""
         if self._size > MOST_MESSAGES:
             self._counters.lost_messages += 1
         else:
@@ -90,7 +91,7 @@ class Outbox:
         return len(self._messages)
 
     def forget(self, count: int) -> None:
-        """Throw away the first so many messages."""
+        """Remove the first `count` messages."""
         del self._messages[:count]
         self._size = sum(map(len, self._messages))
 
@@ -105,13 +106,13 @@ class ControllerState:
 
     Args:
         kinematics: of the arm.
-        firmware: what it begins with.
+        firmware: the first one.
         serial: serial number of the arm.
         seed: of the noise on the sensors.
 
     Attributes:
         kinematics, serial: as given.
-        firmware: what runs at present.
+        firmware: the present one.
         period: s from one cycle to the next.
         cycle: number of the cycle since the controller was made, reboots included.
         uptime: cycles since the controller came up.
@@ -127,17 +128,17 @@ class ControllerState:
         claims: which client holds which RTDE input.
         fieldbus: that is enabled in the installation, a key of `FIELDBUSES`, or None.
         source: where the arm's set-points come from.
-        is_paused: the source waits: its program was paused, by hand or by a protective stop.
+        is_paused: whether the source is paused: its program was, by hand or by a protective stop.
         speed_fraction: of the speed slider, 0 to 1.
-        remote_control: of an e-Series: whether it takes commands from others than the pendant.
-        control_mode: what the program that runs has the arm regulate; position without one.
-        teach_button: the button for freedrive is held.
+        remote_control: whether an e-Series accepts commands from outside the pendant.
+        control_mode: what the program that runs controls; position without a program.
+        teach_button: whether the button for freedrive is held.
         flags: of `set_flag`.
         stopped_since: `time` at which the present stop began; None without one.
         popup: text that the pendant shows, or None.
         loaded: path of the program that `play` runs, or None.
         log: lines that the dashboard has added.
-        counters: what has happened on the ports.
+        counters: of events on the ports.
         outbox: messages to be sent.
     """
 
@@ -190,7 +191,7 @@ class ControllerState:
         self.outbox.take()
 
     def come_up(self, source: SetpointSource) -> None:
-        """The reboot is over. The arm has not moved; tool and payload are in the installation, and stay.
+        """End the reboot. The arm has not moved; tool and payload are in the installation, and stay.
 
         That popup and loaded program are gone, and signals, remote control and log stay, is a guess.
         """
@@ -214,22 +215,22 @@ class ControllerState:
 
     @property
     def is_up(self) -> bool:
-        """False while it reboots."""
+        """Whether it is up; False while it reboots."""
         return self.cycles_down == 0
 
     # -- modes ---------------------------------------------------------------------------------------
 
     def update_modes(self, seconds: float) -> None:
-        """Let the modes show what arm and program do, so many seconds after they last did."""
+        """Update the modes by the state of arm and program, after `seconds`."""
         self.modes.advance(seconds, self.arm.is_standing, self.source.is_program, self.is_paused)
 
     def stop_protectively(self, reason: str) -> None:
-        """A protective stop, and why, for the message about it."""
+        """Make a protective stop; the reason is for its message."""
         self._stop_reason = reason
         self.modes.protective_stop()
 
     def take_safety_change(self) -> str | None:
-        """Why the safety mode has changed since the last call, "" for no reason given; None if it has not."""
+        """The reason of a change of the safety mode since the last call, "" for none given; None without a change."""
         reason, self._stop_reason = self._stop_reason, ""
         modes = self.modes
         if modes.safety_mode is self._announced:
@@ -240,14 +241,14 @@ class ControllerState:
 
 
 def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
-    """The firmware, if it goes with the model.
+    """The firmware, if it runs on the model.
 
-    UR3, UR5 and UR10 run 1.x (not the UR3, which came with CB3) and 3.x, all others 5.0 and later. In which later
-    release the younger arms arrived is not looked at.
+    UR3, UR5 and UR10 run 1.x (not the UR3, which came with CB3) and 3.x, all others 5.0 and later. With which later
+    release the younger arms came is not checked.
 
     Raises:
         BadVersion: no such firmware.
-        BadValue: it does not go with the model.
+        BadValue: it does not run on the model.
     """
     parsed = Firmware.parse(firmware)
     release_of(parsed)

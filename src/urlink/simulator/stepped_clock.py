@@ -12,7 +12,7 @@ from linkcore.threads import started
 
 __all__ = ["SteppedClock", "passing"]
 
-#: Seconds of robot time that `passing` lets pass at once: some packets, and one look at what clients have sent.
+#: Seconds of robot time that `passing` advances at once: some packets, then what clients have sent is read.
 _SLICE = 0.01
 
 
@@ -28,22 +28,22 @@ class SteppedClock:
         self._cycles = 0
 
     def __call__(self) -> float:
-        # In the middle of a cycle, so that no rounding counts one too few.
+        # In the middle of a cycle, so that rounding never counts one too few.
         return (self._cycles + 0.5) / self._rate if self._cycles else 0.0
 
     def advance(self, cycles: int) -> None:
-        """Let so many cycles pass."""
+        """Advance by this many cycles."""
         self._cycles += cycles
 
 
 @contextlib.contextmanager
 def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[None]:
-    """Let time pass, from a thread, until the block is left.
+    """Let time pass, in a thread, until the block is left.
 
     Args:
-        step: lets so many cycles pass.
+        step: advances by a number of cycles.
         rate: cycles a second.
-        speed: times real time; less where the machine is too slow.
+        speed: factor of real time; less if the machine is too slow.
     """
     speed = check_seconds(speed, "speed", positive=True, finite=True)
     over = threading.Event()

@@ -2,8 +2,8 @@
 
 Fingers move at constant speed and stop at once. The range of speeds is that of the data sheet (20 to 150 mm/s over a
 stroke of 85 mm). Guesses: that activation closes and opens the fingers at half of the speed; that they go to exactly 0
-and 255; the motor current; that an object is gripped at any force; and that fingers which were told to stop are shown
-as being where they should. The gripper is not in the arm's payload.
+and 255; the motor current; that an object is gripped at any force; and that the object status of fingers that were
+stopped is "at the requested position". The gripper is not in the arm's payload.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ STROKE = 0.085
 _SLOWEST, _FASTEST = 0.020 / STROKE * 255, 0.150 / STROKE * 255
 #: Counts a second at which the fingers move while the gripper is activated.
 _ACTIVATING = _FASTEST / 2
-#: `OBJ`: on the way, stopped while opening or closing, where it should be.
+#: `OBJ`: moving, stopped while opening or closing, at the requested position.
 _MOVING, _STOPPED_OPENING, _STOPPED_CLOSING, _AT_REQUEST = range(4)
-#: `FLT` where something is asked for before the gripper is activated.
+#: `FLT` if something is requested before the gripper is activated.
 _NOT_ACTIVATED = 7
 
 
@@ -35,80 +35,80 @@ class SimulatedGripper:
         clock: seconds of the controller.
 
     Attributes:
-        registers: what was set, by name; see `urlink.interfaces.gripper.protocol`.
-        is_connected: the controller sees it; without, it answers `?`.
-        fault: number that it shows as `FLT`; set it to let something be wrong with it. Activating clears it.
+        registers: the values that were set, by name; see `urlink.interfaces.gripper.protocol`.
+        is_connected: whether the controller is connected to it; if not, it answers `?`.
+        fault: the number of its fault, `FLT`; can be set. Activating clears it.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.registers = dict.fromkeys(WRITABLE, 0)
         self.is_connected = True
         self.fault = 0
-        # Tests look at it while the server's thread answers clients.
+        # Tests read it while the server's thread answers clients.
         self._lock = threading.Lock()
         self._clock = clock
         self._seen = clock()
         self._position = 0.0
         self._object: float | None = None
         self._is_inside = False
-        #: positions that it still goes to before it is activated
+        #: positions that it moves to before it is activated
         self._calibration: list[float] = []
         self._is_active = False
         self._stop = _AT_REQUEST
 
-    # -- what a test does ------------------------------------------------------------------------------
+    # -- for tests -------------------------------------------------------------------------------------
 
     def place(self, width: float, *, inside: bool = False) -> None:
-        """Put something between the fingers, which they cannot close upon; or, with `inside`, about them, which they
-        cannot open against. It takes the place of what was there.
+        """Put an object between the fingers, which they cannot close upon; with `inside`, around them, which
+        they cannot open against. It replaces an object that was there.
 
         Args:
             width: m, of the object from finger to finger, or of the hole in it.
-            inside: the fingers grip it from inside.
+            inside: whether the fingers grip it from inside.
 
         Raises:
-            BadValue: wider than the stroke, or narrower than nothing.
+            BadValue: wider than the stroke, or negative.
         """
         if not 0.0 <= width <= STROKE:
             raise BadValue(f"width={width!r} m; expected 0 to the stroke of {STROKE:g} m")
         with self._lock:
             self._advance()
             self._object, self._is_inside = 255 * (1.0 - width / STROKE), inside
-            # Fingers that are in its place are pushed aside, and hold it.
+            # Fingers in its place are pushed aside, and hold it.
             if self._is_blocked_at(self._position):
                 self._position = self._object
 
     def take_away(self) -> None:
-        """Nothing is between the fingers any more: they go on to where they should be."""
+        """Take the object away: the fingers continue to their requested position."""
         with self._lock:
             self._advance()
             self._object = None
 
-    # -- what it shows ---------------------------------------------------------------------------------
+    # -- status ----------------------------------------------------------------------------------------
 
     @property
     def position(self) -> int:
-        """Of its fingers, 0 (open) to 255 (closed)."""
+        """Position of the fingers, 0 (open) to 255 (closed)."""
         with self._lock:
             self._advance()
             return round(self._position)
 
     @property
     def is_active(self) -> bool:
-        """It has been activated."""
+        """Whether it has been activated."""
         with self._lock:
             self._advance()
             return self._is_active
 
     @property
     def holds_object(self) -> bool:
-        """The fingers press on something."""
+        """Whether the fingers press on something."""
         with self._lock:
             self._advance()
             return self._stop in (_STOPPED_OPENING, _STOPPED_CLOSING)
 
     def reply(self, line: str) -> str | None:
-        """The reply to a line of a client, without its end; None where there is none."""
+        """The reply to a line of a client, without its end; None if there is none."""
         with self._lock:
             self._advance()
             return self._answer(line.split())
@@ -158,9 +158,9 @@ class SimulatedGripper:
     # -- its fingers -----------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Bring the fingers to where they are by now."""
+        """Move the fingers to their present position."""
         now = self._clock()
-        # The clock begins anew where the controller was rebooted.
+        # The clock starts again at 0 when the controller was rebooted.
         seconds, self._seen = max(now - self._seen, 0.0), now
         while seconds > 0.0 and self._calibration:
             seconds = self._travel(self._calibration[0], _ACTIVATING, seconds)
@@ -178,7 +178,7 @@ class SimulatedGripper:
             self._travel(float(self.registers["POS"]), speed, seconds)
 
     def _travel(self, goal: float, speed: float, seconds: float) -> float:
-        """Move for so long at most; returns the seconds that are left over."""
+        """Move for at most `seconds`; returns the seconds that are left over."""
         end, stop = goal, _AT_REQUEST
         if self._is_blocked_at(goal):
             assert self._object is not None
@@ -193,7 +193,7 @@ class SimulatedGripper:
         return seconds - needed
 
     def _is_blocked_at(self, position: float) -> bool:
-        """The object is in the way of that."""
+        """Whether the object is in the way of this position."""
         if self._object is None:
             return False
         return position < self._object if self._is_inside else position > self._object

@@ -1,6 +1,6 @@
 """The Modbus signals of a simulated controller: named values, with no bus behind them.
 
-A program adds a signal, reads or sets it, and asks how it is; a test sets what it shows and what is wrong with it.
+A program adds a signal, reads or sets it, and reads its errors; a test sets its value and its errors.
 Guesses: that signals outlive the program that added them, and that a signal is valid from the moment it is added.
 """
 
@@ -29,8 +29,8 @@ class ModbusSignal:
         kind: 0 digital input, 1 digital output, 2 register input, 3 register output.
         value: 0 or 1, or 0 to 65535.
         frequency: with which it would be read, Hz.
-        watchdog: a failure of it stops programs.
-        choice: what happens to an output while no program runs, 0 to 4.
+        watchdog: whether a failure of it stops programs.
+        choice: state of an output while no program runs, 0 to 4.
         error: number of the error; 0 for none.
         invalid_since: s on the controller's clock at which the error came.
     """
@@ -48,17 +48,17 @@ class ModbusSignal:
 
     @property
     def is_digital(self) -> bool:
-        """It is on or off."""
+        """Whether it is on or off."""
         return self.kind < 2
 
     @property
     def is_input(self) -> bool:
-        """The device sets it, and programs cannot."""
+        """Whether the device sets it, and programs cannot."""
         return self.kind in (0, 2)
 
 
 class ModbusSignals(Mapping[str, int]):
-    """Name -> value of the signals of one controller. Setting one that no program has added yet lets it begin so.
+    """Name -> value of the signals of one controller. A value may be set before a program adds the signal.
 
     Args:
         clock: seconds of the controller.
@@ -74,10 +74,10 @@ class ModbusSignals(Mapping[str, int]):
         return self._values[name] if signal is None else signal.value
 
     def __setitem__(self, name: str, value: int) -> None:
-        """Let a signal have a value: 0 or 1, or 0 to 65535.
+        """Set the value of a signal: 0 or 1, or 0 to 65535.
 
         Raises:
-            BadValue: it cannot have that.
+            BadValue: the signal cannot have this value.
         """
         signal = self._signals.get(name)
         highest = 1 if signal is not None and signal.is_digital else _HIGHEST
@@ -94,11 +94,11 @@ class ModbusSignals(Mapping[str, int]):
         return len(self._values)
 
     def signal(self, name: str) -> ModbusSignal | None:
-        """What a program has added under that name; None if nothing."""
+        """The signal that a program has added under this name; None if there is none."""
         return self._signals.get(name)
 
     def fail(self, name: str, error: int) -> None:
-        """Let something be wrong with a signal; 0 mends it.
+        """Set the error of a signal; 0 ends it.
 
         Raises:
             BadValue: there is none of that name.
@@ -109,7 +109,7 @@ class ModbusSignals(Mapping[str, int]):
         signal.error, signal.invalid_since = error, self._clock()
 
     def add(self, name: str, signal: ModbusSignal) -> None:
-        """Add one; it takes the place of the one of that name."""
+        """Add a signal; it replaces one with the same name."""
         highest = 1 if signal.is_digital else _HIGHEST
         signal.value = min(self._values.get(name, 0), highest)
         self._signals[name] = signal
@@ -121,5 +121,5 @@ class ModbusSignals(Mapping[str, int]):
         return self._signals.pop(name, None) is not None
 
     def seconds_invalid(self, signal: ModbusSignal) -> float:
-        """For how long something has been wrong with a signal; 0 if nothing is."""
+        """For how long a signal has had an error, s; 0 if it has none."""
         return max(self._clock() - signal.invalid_since, 0.0) if signal.error else 0.0

@@ -1,7 +1,7 @@
-"""The modes of robot, joints, safety and program, and how they follow from one another.
+"""The modes of robot, joints, safety and program, and how they depend on each other.
 
-Numbers and names are in `urlink.interfaces.enums`. How the modes hang together is read off manuals, drivers and three
-captures of standing robots; what is a guess says so here:
+Numbers and names are in `urlink.interfaces.enums`. How the modes depend on each other is taken from manuals, drivers
+and three captures of standing robots; what is a guess is marked:
 
 - the times that powering on takes, and that a reboot is over with the arm running: guesses, made short for tests;
 - a protective stop leaves the motors on; an emergency stop is a stop of category 1, which in the manual's words leaves
@@ -41,7 +41,7 @@ class Power(enum.Enum):
 
 
 class Stop(enum.Enum):
-    """The causes for which an arm may not move."""
+    """The causes of a stop of the arm."""
 
     NONE = "none"
     PROTECTIVE = "protective"
@@ -78,10 +78,10 @@ _SAFETY_MODE = {
     Stop.EMERGENCY: SafetyMode.ROBOT_EMERGENCY_STOP,
 }
 
-#: On CB2 this number says that the joint is emergency stopped; later it got another meaning.
+#: On CB2 this number means that the joint is emergency stopped; later it got another meaning.
 _JOINT_EMERGENCY_STOPPED_CB2 = JointMode.READY_FOR_POWER_OFF
 
-# Real bytes: without a program 3.3 says 1.0, 3.10 and 5.4 say 0.0. Where between them it changed is not known.
+# Real bytes: without a program 3.3 sends 1.0, 3.10 and 5.4 send 0.0. In which release it changed is not known.
 _SCALES_TO_ZERO = Since("3.10/5.0")
 
 
@@ -90,7 +90,7 @@ class Modes:
 
     Attributes:
         power: how far the arm is powered.
-        stop: what keeps it from moving.
+        stop: the cause that keeps it from moving.
     """
 
     #: seconds from power off to idle, and from idle to running (brakes released)
@@ -108,15 +108,15 @@ class Modes:
         self._releases_brakes = False
         self._wait = 0.0
 
-    # -- what happens ----------------------------------------------------------------------------
+    # -- events ----------------------------------------------------------------------------------
 
     def protective_stop(self) -> None:
-        """The arm brakes and stands, motors on. Without effect while an emergency stop holds or the power is off."""
+        """The arm brakes and stands still, motors on. No effect while an emergency stop holds or the power is off."""
         if self.stop is Stop.NONE and self.power is Power.RUNNING:
             self.stop = Stop.PROTECTIVE
 
     def emergency_stop(self) -> None:
-        """The arm brakes and stands, then loses its power."""
+        """The arm brakes and stands still, then loses its power."""
         self.stop = Stop.EMERGENCY
         self._is_switching_off = True
 
@@ -125,7 +125,7 @@ class Modes:
         self.stop = Stop.NONE
 
     def power_off(self) -> None:
-        """The arm brakes and stands, then loses its power."""
+        """The arm brakes and stands still, then loses its power."""
         self._is_switching_off = True
 
     def power_on(self, release_brakes: bool = True) -> None:
@@ -143,7 +143,7 @@ class Modes:
             self._wait = self.BRAKE_RELEASE_TIME
 
     def advance(self, seconds: float, is_standing: bool, has_program: bool, is_paused: bool = False) -> None:
-        """One cycle later. `is_standing`: the arm has come to rest; `is_paused`: its program waits."""
+        """Advance by one cycle. `is_standing`: the arm has come to rest; `is_paused`: its program is paused."""
         self._is_paused = is_paused
         self._is_standing = is_standing
         self._has_program = has_program
@@ -163,21 +163,21 @@ class Modes:
         elif self.power is Power.IDLE and self._releases_brakes:
             self.power = Power.RUNNING
 
-    # -- what follows from it ----------------------------------------------------------------------
+    # -- modes -------------------------------------------------------------------------------------
 
     @property
     def may_move(self) -> bool:
-        """The arm is free to follow its motion."""
+        """Whether the arm may follow its motion."""
         return self.power is Power.RUNNING and self.stop is Stop.NONE and not self._is_switching_off
 
     @property
     def holds_program(self) -> bool:
-        """The arm may not move, but its program waits for that and is not over: in a protective stop."""
+        """Whether the arm may not move while its program is kept: in a protective stop."""
         return self.stop is Stop.PROTECTIVE and self.power is Power.RUNNING and not self._is_switching_off
 
     @property
     def is_powered(self) -> bool:
-        """The joints have power."""
+        """Whether the joints have power."""
         return self.power is not Power.OFF
 
     @property
@@ -224,8 +224,8 @@ class Modes:
 
     @property
     def program_state(self) -> ProgramState:
-        """What the program does: plays while the arm may move, pauses in a protective stop and on demand, is stopped
-        otherwise."""
+        """The state of the program: it plays while the arm may move, is paused in a protective stop and on demand, and
+        is stopped otherwise."""
         if not self._has_program:
             return ProgramState.STOPPED
         if self.may_move and not self._is_paused:

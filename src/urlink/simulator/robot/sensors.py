@@ -1,6 +1,6 @@
 """The sensors of an arm, computed from its set-points.
 
-What is behind the numbers:
+Sources of the numbers:
 
 - **positions and poses** agree: every pose is the forward kinematics of the joint positions beside it;
 - **speeds** are the derivatives of the positions, TCP speeds the Jacobian times the joint speeds;
@@ -31,17 +31,17 @@ from .sources import Setpoint
 
 __all__ = ["Sample", "Sensors"]
 
-# Seconds by which the actual joints trail their targets.
+# Seconds by which the actual joints lag behind their targets.
 _LAG = 0.002
 # Standard deviations: rad, rad/s (of a moving joint), A, N or Nm, V, m/s².
 _NOISE_Q, _NOISE_QD, _NOISE_I, _NOISE_F, _NOISE_V, _NOISE_ACC = 1e-5, 5e-4, 0.01, 0.1, 0.05, 0.02
 _AMBIENT = 24.0
 _WARMING = 900.0
-# Of the friction current, A, and of the joint speed at which it is there, rad/s. A guess.
+# The friction current, A, and the joint speed above which it has its full size, rad/s. A guess.
 _FRICTION, _STICTION = 0.4, 0.02
 
 _ZERO = [0.0] * 6
-# Gaussian noise is drawn once and walked through; a prime length keeps the channels from falling into step.
+# Gaussian noise is drawn once and then read in turn; with a prime length the channels do not repeat together.
 _NOISE_LENGTH = 8191
 # Nm/A by joint, read off one capture each: simulated UR5e and UR3e, real CB2 UR5. The rest are guessed by joint size.
 _TORQUE_CONSTANTS = {
@@ -54,7 +54,7 @@ _TORQUE_CONSTANTS_LARGE = (14.0, 14.0, 12.5, 9.3, 9.3, 9.3)
 
 
 class Sample:
-    """Everything the arm shows in one cycle.
+    """The values of all sensors in one cycle.
 
     Attributes:
         q_target, qd_target, qdd_target, M_target, I_target: six numbers: rad, rad/s, rad/s², Nm, A.
@@ -117,14 +117,14 @@ class Sensors:
 
     Args:
         kinematics: of the arm.
-        q: (6,) rad, the joint positions that decide how warm each joint gets.
+        q: (6,) rad, joint positions from which the temperature of each joint is computed.
         seed: of the noise.
     """
 
     def __init__(self, kinematics: Kinematics, q: Sequence[float], seed: int) -> None:
         model = kinematics.model
         self._model, self._kinematics = model, kinematics
-        # What is carried, and the dynamics with it.
+        # The payload, and the dynamics with it.
         self._carried: tuple[float, tuple[float, ...]] = (0.0, (0.0, 0.0, 0.0))
         self._dynamics = Dynamics(kinematics)
         self._noise_table = _noise(seed)
@@ -141,7 +141,7 @@ class Sensors:
         """The actual joint positions, rad."""
         q, qd, _ = setpoint
         if any(qd):
-            # q(t - lag), to the first order: its derivative is known exactly.
+            # q(t - lag), to first order: its derivative is known exactly.
             noise = self._noise(cycle, 0, _NOISE_Q)
             return [p - _LAG * v + n for p, v, n in zip(q, qd, noise, strict=True)]
         return [p + n for p, n in zip(q, self._noise(cycle, 0, _NOISE_Q), strict=True)] if is_powered else q
@@ -158,7 +158,7 @@ class Sensors:
         time: float,
         is_powered: bool,
     ) -> Sample:
-        """Everything in one cycle.
+        """The values of all sensors in one cycle.
 
         Args:
             setpoint: the targets.
@@ -166,10 +166,10 @@ class Sensors:
             payload: kg.
             payload_cog: (3,) in the flange frame, m.
             external: (6,) what acts on the TCP, N and Nm in the base frame.
-            wrench: (6,) that, as the force sensor shows it.
-            cycle: decides the noise.
-            time: s since the arm was switched on, which decides the temperatures.
-            is_powered: the motors have power.
+            wrench: (6,) the same, with the offset of the force sensor.
+            cycle: selects the noise.
+            time: s since the arm was switched on, for the temperatures.
+            is_powered: whether the motors have power.
         """
         kinematics = self._kinematics
         q, qd, qdd = setpoint
@@ -202,7 +202,7 @@ class Sensors:
         return s
 
     def _velocity(self, q: Sequence[float], qd: Sequence[float], pose: Sequence[float]) -> list[float]:
-        """Of the TCP, whose pose is known already; `Arm.velocity` would work it out once more."""
+        """Velocity of the TCP, whose pose is known already; `Arm.velocity` would compute it again."""
         q1, q2, q3, q4, q5, q6 = q
         v1, v2, v3, v4, v5, v6 = qd
         x, y, z = pose[:3]
@@ -210,7 +210,7 @@ class Sensors:
         return list(velocity(geometry, FLOATS, (q1, q2, q3, q4, q5, q6), (v1, v2, v3, v4, v5, v6), (x, y, z)))
 
     def _moments(self, q: Sequence[float], tcp: Sequence[float], external: Sequence[float]) -> list[float]:
-        """What acts on the TCP, as moments of the joints."""
+        """The torques of the joints from what acts on the TCP, Nm."""
         if not any(external):
             return _ZERO
         moments: list[float] = (self._kinematics.jacobian(q, tcp).T @ external).tolist()
@@ -219,7 +219,7 @@ class Sensors:
     def _measure_load(
         self, s: Sample, payload: float, payload_cog: Sequence[float], moments: Sequence[float], cycle: int
     ) -> None:
-        """Moments, currents and voltages, where these moments from outside turn the joints."""
+        """Moments, currents and voltages, with these torques from outside on the joints."""
         carried = payload, tuple(payload_cog)
         if carried != self._carried:
             self._carried = carried
@@ -249,7 +249,7 @@ class Sensors:
 
 
 def _gravity_in_tool(pose: Sequence[float]) -> tuple[float, float, float]:
-    """Gravity as the tool's frame sees it, m/s²: +z for a tool that points down.
+    """Gravity in the frame of the tool, m/s²: +z for a tool that points down.
 
     The real CB2 packet has this sign: (-0.1, -2.8, 8.4) where the kinematics of its joints give (-1.0, -0.6, 9.8).
     """
@@ -280,7 +280,7 @@ def _elbow(model: Model, q: Sequence[float], qd: Sequence[float]) -> tuple[list[
 
 
 def _inertia(model: Model) -> list[float]:
-    """kg m² that each joint accelerates, coarsely: everything behind it at half its reach in an L-shaped posture."""
+    """kg m² that each joint accelerates, coarsely: all links after it at half its reach in an L-shaped posture."""
     lengths = [abs(a) + abs(d) for a, d in zip(model.dh_a.tolist(), model.dh_d.tolist(), strict=True)]
     masses = model.link_masses.tolist()
     return [sum(masses[i:]) * (0.5 * sum(lengths[i:])) ** 2 / 2.0 for i in range(6)]

@@ -11,10 +11,10 @@ __all__ = ["Signals", "ToolCommunication"]
 
 
 class ToolCommunication(NamedTuple):
-    """The serial line through the tool connector. As it begins, it is as in the captures: not enabled.
+    """The serial line through the tool connector. The initial values are those of the captures: not enabled.
 
     Attributes:
-        is_enabled: it is in use.
+        is_enabled: whether it is in use.
         baud_rate: Bd.
         parity: 0 none, 1 odd, 2 even.
         stop_bits: 1 or 2.
@@ -30,7 +30,7 @@ class ToolCommunication(NamedTuple):
 
 
 class Signals:
-    """The inputs and outputs, to be read and set at will.
+    """The inputs and outputs; all can be read and set.
 
     Attributes:
         digital_inputs: bit mask; see `urlink.interfaces.enums.DigitalBits`.
@@ -86,7 +86,7 @@ class Signals:
         self.analog_inputs[number] = float(value)
 
     def set_analog_output(self, number: int, value: float) -> None:
-        """Drive analogue output 0 or 1 with `value`, A or V.
+        """Set analogue output 0 or 1 to `value`, A or V.
 
         Raises:
             BadValue: there is no such output, or the value is not finite.
@@ -96,7 +96,7 @@ class Signals:
         self.analog_outputs[number] = float(value)
 
     def set_analog_fraction(self, number: int, fraction: float) -> None:
-        """Drive analogue output 0 or 1 with a fraction, 0 to 1, of its range: 4 to 20 mA or 0 to 10 V."""
+        """Set analogue output 0 or 1 to a fraction, 0 to 1, of its range: 4 to 20 mA or 0 to 10 V."""
         is_voltage = self.analog_output_domains[number]
         self.set_analog_output(number, fraction * 10.0 if is_voltage else 0.004 + fraction * 0.016)
 

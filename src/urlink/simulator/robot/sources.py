@@ -1,6 +1,6 @@
-"""Where the set-points of the arm come from, cycle by cycle.
+"""The sources of the arm's set-points, cycle by cycle.
 
-A controller begins with the gentle `Demonstration`; a program that runs is a source as well.
+A controller begins with the slow `Demonstration`; a program that runs is a source as well.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ __all__ = ["BRAKING", "HOME", "Demonstration", "Setpoint", "SetpointSource", "St
 #: rad. Elbow up, tool pointing down: far from the joint limits and from every singular posture of every model.
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
 
-#: Part of the largest joint acceleration with which an arm brakes where no program says how. How hard a controller
-#: brakes is not published; this is a guess on the gentle side.
+#: Fraction of the largest joint acceleration with which an arm brakes if no program commands it. How hard a controller
+#: brakes is not published; this is a cautious guess.
 BRAKING = 0.25
 
 _REST = [0.0] * 6
@@ -31,12 +31,12 @@ class Setpoint(NamedTuple):
 
 
 class SetpointSource(Protocol):
-    """A source of set-points. It is asked for one in each controller cycle in which the arm is free to move.
+    """A source of set-points. In each controller cycle in which the arm may move, it gives one.
 
-    After a stop the arm stands somewhere along its brake path; `start` tells the source where.
+    After a stop the arm stands somewhere along its brake path; `start` passes that position.
 
     Attributes:
-        is_program: following this source counts as a running program.
+        is_program: whether following this source counts as a running program.
     """
 
     is_program: bool
@@ -45,11 +45,11 @@ class SetpointSource(Protocol):
         """Begin, from rest, at six joint positions in rad."""
 
     def advance(self, seconds: float) -> Setpoint:
-        """The set-point one cycle of that many seconds later."""
+        """The set-point after a cycle of `seconds`."""
 
 
 class Still:
-    """The arm stands where it is, and no program runs."""
+    """The arm stands still, and no program runs."""
 
     is_program = False
 
@@ -61,12 +61,12 @@ class Still:
         self._setpoint = Setpoint(list(q), _REST, _REST)
 
     def advance(self, seconds: float) -> Setpoint:
-        """The same set-point as ever."""
+        """Always the same set-point."""
         return self._setpoint
 
 
 class Demonstration:
-    """Slow sine waves about a home posture, from rest, after a straight joint movement there if need be.
+    """Slow sine waves about a home posture, from rest, after a straight joint movement there if necessary.
 
     No joint goes faster than 0.45 rad/s or accelerates by more than 0.7 rad/s², a small part of what any model can do.
     Joint speeds are continuous; accelerations are too, once the movement to the home posture is over.
@@ -112,7 +112,7 @@ class Demonstration:
     def _approaching(self) -> Setpoint:
         u = self._time / self._approach
         rest = 1.0 - u
-        # What is left of the way: one minus the quintic that starts and ends without speed and acceleration.
+        # The rest of the way: one minus the quintic that starts and ends without speed and acceleration.
         left = rest**3 * (1.0 + 3.0 * u + 6.0 * u * u)
         speed = 30.0 * u * u * rest * rest / self._approach
         acceleration = 60.0 * u * rest * (1.0 - 2.0 * u) / self._approach**2

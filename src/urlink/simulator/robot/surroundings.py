@@ -22,7 +22,7 @@ __all__ = ["Contact", "Plane", "Spring", "Surroundings"]
 
 #: m/s of sliding at which friction has three quarters of its full size.
 _SLIDING = 1e-3
-#: N at the TCP beyond which the controller stops the arm. Controllers let it be chosen; this default is a guess.
+#: N at the TCP above which the controller stops the arm. On controllers it can be set; this default is a guess.
 FORCE_LIMIT = 150.0
 
 
@@ -81,10 +81,10 @@ class Plane:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring between a point and the TCP; without a length at rest, it pulls wherever the TCP is not at the point.
+    """A spring between a point and the TCP; its length at rest is zero, so it always pulls the TCP to the point.
 
     Args:
-        point: (3,) where its other end is, in the base frame, m.
+        point: (3,) its other end, in the base frame, m.
         stiffness: N/m.
         damping: N per m/s of the TCP.
 
@@ -110,24 +110,24 @@ class Spring:
 class Surroundings:
     """The surroundings of the arm of one controller. A reboot does not change them.
 
-    Each method may be called from any thread; what it changes counts from the next cycle on.
+    Each method may be called from any thread; changes have an effect from the next cycle on.
 
     Attributes:
-        force_limit: N at the TCP beyond which the controller stops the arm protectively.
+        force_limit: N at the TCP above which the controller stops the arm protectively.
     """
 
     def __init__(self) -> None:
         self.force_limit = FORCE_LIMIT
-        # Replaced as a whole, so that the thread that owns the controller always sees one or the other.
+        # Replaced as a whole, so that the thread that owns the controller sees either the old or the new one.
         self._contacts: tuple[Contact, ...] = ()
         self._wrench: tuple[float, ...] = (0.0,) * 6
         self._torques: tuple[float, ...] = (0.0,) * 6
         self._load: tuple[float, tuple[float, ...]] | None = None
 
-    # -- what a test places ----------------------------------------------------------------------------
+    # -- for tests -------------------------------------------------------------------------------------
 
     def add(self, contact: Contact) -> Contact:
-        """Place a plane, a spring, or something of your own with a method `force`; returns it.
+        """Place a plane, a spring, or your own object with a method `force`; returns it.
 
         Raises:
             BadValue: it has no such method.
@@ -138,7 +138,7 @@ class Surroundings:
         return contact
 
     def remove(self, contact: Contact) -> None:
-        """Take away what was placed.
+        """Remove a contact.
 
         Raises:
             BadValue: it is not there.
@@ -149,7 +149,7 @@ class Surroundings:
         self._contacts = left
 
     def clear(self) -> None:
-        """Take everything away: contacts, pushes and the load."""
+        """Remove everything: contacts, pushes and the load."""
         self._contacts = ()
         self._wrench = self._torques = (0.0,) * 6
         self._load = None
@@ -160,7 +160,7 @@ class Surroundings:
         return self._contacts
 
     def push(self, wrench: Sequence[float]) -> None:
-        """Push at the TCP from now on, as a hand does; six zeros let go.
+        """Push at the TCP from now on, as a hand does; six zeros end it.
 
         Args:
             wrench: (6,) N in the directions of the base frame, and Nm about the TCP.
@@ -171,8 +171,8 @@ class Surroundings:
         self._wrench = _numbers(wrench, 6, "a wrench")
 
     def push_joints(self, torques: Sequence[float]) -> None:
-        """Turn at the joints from now on, (6,) Nm; six zeros let go. Only an arm in freedrive or under direct torque
-        yields to it; the force at the TCP does not show it.
+        """Push the joints from now on, (6,) Nm; six zeros end it. Only an arm in freedrive or under direct torque
+        yields to it; it is not in the force at the TCP.
 
         Raises:
             BadValue: not six finite numbers.
@@ -180,11 +180,11 @@ class Surroundings:
         self._torques = _numbers(torques, 6, "torques")
 
     def carry(self, mass: float | None, cog: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
-        """What really hangs at the flange. Where that is not what the controller was told, the force at the TCP is off
-        by the difference of the weights.
+        """Set the real load at the flange. If it differs from the payload that the controller knows, the force at the
+        TCP is off by the difference of the weights.
 
         Args:
-            mass: kg; None for what the controller was told, which is so in the beginning.
+            mass: kg; None for the payload that the controller knows, which is the initial value.
             cog: (3,) its centre of mass in the frame of the flange, m.
 
         Raises:
@@ -196,16 +196,16 @@ class Surroundings:
         _check_figures(mass=mass)
         self._load = float(mass), _three(cog, "a centre of mass")
 
-    # -- what the arm feels ----------------------------------------------------------------------------
+    # -- for the arm -----------------------------------------------------------------------------------
 
     @property
     def is_empty(self) -> bool:
-        """Nothing can act on the arm."""
+        """Whether nothing can act on the arm."""
         return not (self._contacts or any(self._wrench) or any(self._torques) or self._load)
 
     @property
     def load(self) -> tuple[float, tuple[float, ...]] | None:
-        """Mass in kg and centre of mass in m of what really hangs at the flange; None for what was told."""
+        """Mass, kg, and centre of mass, m, of the real load at the flange; None for the known payload."""
         return self._load
 
     @property

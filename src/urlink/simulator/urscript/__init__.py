@@ -1,8 +1,8 @@
 """URScript, as the simulated controller runs it.
 
-`compile_script` makes a `Script` of a text; an `Execution` runs it, one controller cycle at a time, and asks the
-controller for everything else through the protocols of `world`. No sockets, no threads and no clock are in here: the
-same program in the same world does the same, cycle by cycle.
+`compile_script` makes a `Script` of a text; an `Execution` runs it, one controller cycle at a time, and uses the
+controller through the protocols of `world`. There are no sockets, threads or clocks in here: the same program in the
+same world gives the same result, cycle by cycle.
 """
 
 from __future__ import annotations

@@ -118,10 +118,10 @@ _SMALL_FRAME = 64
 
 
 class ScriptThread:
-    """One line of execution: frames, and what it waits for.
+    """A thread of a program: its frames, and what it waits for.
 
     Attributes:
-        is_over: it has ended or was killed.
+        is_over: whether it has ended or was killed.
     """
 
     __slots__ = ("_code", "_depth", "_destination", "_frame", "_next", "_stack", "_wait", "is_over", "machine", "world")
@@ -140,7 +140,7 @@ class ScriptThread:
         frame[THREAD] = self
 
     def call(self, code: Code, frame: Frame, after: int, destination: int) -> int:
-        """Enter a function; its value will go to the caller's slot `destination`."""
+        """Enter a function; its value is stored in the caller's slot `destination`."""
         self._depth += 1
         if self._depth > MAX_CALL_DEPTH:
             raise Fault(f"Too many calls in one another: {MAX_CALL_DEPTH}")
@@ -161,7 +161,7 @@ class ScriptThread:
         return SWITCHED
 
     def await_(self, waiting: Waiting, after: int, destination: int) -> int:
-        """Begin something that takes time; its value will go to the slot `destination`."""
+        """Begin something that takes time; its value is stored in the slot `destination`."""
         try:
             next(waiting)
         except StopIteration as done:
@@ -171,7 +171,7 @@ class ScriptThread:
         return WAITING
 
     def end(self) -> None:
-        """End it, wherever it is."""
+        """End it, at any place."""
         if not self.is_over:
             self.is_over = True
             wait, self._wait = self._wait, None
@@ -182,10 +182,10 @@ class ScriptThread:
             self.machine.forget(self)
 
     def run(self) -> None:
-        """Until it waits or ends.
+        """Run until it waits or ends.
 
         Raises:
-            ScriptError: something went wrong.
+            ScriptError: a run-time error.
         """
         at = self._next - 1
         machine = self.machine
@@ -208,7 +208,7 @@ class ScriptThread:
                         return
             machine.left = 0
             if machine.reads:
-                # It has read from a socket, for which a program waits anyway: it goes on in the next cycle.
+                # It has read from a socket, for which a program waits anyway: it continues in the next cycle.
                 self._next = at
                 return
             raise endless(machine.world.firmware)
@@ -224,7 +224,7 @@ class ScriptThread:
 
     @property
     def memory(self) -> int:
-        """Elements and characters that its variables hold."""
+        """Number of elements and characters in its variables."""
         frames = [self._frame, *(frame for _, frame, _, _ in self._stack)]
         return sum(len(frame) + sum(map(weight, frame)) for frame in frames)
 
@@ -234,13 +234,13 @@ class Machine:
 
     Attributes:
         world: the controller.
-        statements: that clients hand to it in interpreter mode.
+        statements: from clients, in interpreter mode.
         left: instructions that may still be run in this cycle.
-        reads: from sockets, in this cycle.
-        remote_calls: of methods of servers, so far.
+        reads: number of reads from sockets in this cycle.
+        remote_calls: number of calls of methods of servers so far.
         random: for the function of that name; it gives the same numbers in every run.
         history: the joint positions of past cycles, newest last.
-        has_moved: a motion was begun.
+        has_moved: whether a motion was begun.
     """
 
     def __init__(self, script: Script, world: World) -> None:
@@ -263,7 +263,7 @@ class Machine:
         self.main = self.start(script.main, [self._globals, None, *[UNSET] * (script.main.size - 2)])
 
     def start(self, code: Code, frame: Frame) -> ScriptThread:
-        """A new thread. It runs after those that are there, in the same cycle."""
+        """Start a thread. It runs after the existing ones, in the same cycle."""
         if len(self._threads) >= MAX_THREADS:
             raise Fault(f"Too many threads: {MAX_THREADS}")
         thread = ScriptThread(self, code, frame)
@@ -271,10 +271,10 @@ class Machine:
         return thread
 
     def advance(self) -> None:
-        """One cycle.
+        """Run one cycle.
 
         Raises:
-            ScriptError: something went wrong.
+            ScriptError: a run-time error.
         """
         self.left = MAX_INSTRUCTIONS
         self.reads = self._work = 0
@@ -290,7 +290,7 @@ class Machine:
             self._threads = [thread for thread in threads if not thread.is_over]
 
     def stop(self) -> None:
-        """End all threads. The arm is left to the caller."""
+        """End all threads. The caller has to stop the arm."""
         self._owner = None
         for thread in self._threads:
             thread.end()
@@ -298,7 +298,7 @@ class Machine:
         self._globals.clear()
 
     def forget(self, thread: ScriptThread) -> None:
-        """A thread has ended: if it commanded the arm, the arm brakes."""
+        """Handle the end of a thread: if it commanded the arm, the arm brakes."""
         if self._owner is thread:
             self._owner = None
             self.world.motion.release()
@@ -319,7 +319,7 @@ class Machine:
         except Unreachable as unreachable:
             raise Fault(str(unreachable)) from None
         while True:
-            # Even one that is there already takes a cycle.
+            # Even a motion without a distance takes a cycle.
             yield
             if move.is_over or self._is_aborted:
                 break
@@ -327,7 +327,7 @@ class Machine:
             self._owner = None
 
     def abort_motion(self) -> None:
-        """End the motion that a thread waits for: the arm brakes, and the thread goes on in the next cycle."""
+        """End the motion that a thread waits for: the arm brakes, and the thread continues in the next cycle."""
         if self._owner is not None and self._move is not None and not self._move.is_over:
             self._is_aborted = True
             self.world.motion.release()
@@ -335,13 +335,13 @@ class Machine:
     # -- bounds ------------------------------------------------------------------------------------
 
     def spend(self, work: int) -> None:
-        """Something is done that costs as much as the making of that many elements."""
+        """Count work that costs as much as making this many elements."""
         self._work += work
         if self._work > MAX_WORK:
             raise endless(self._firmware)
 
     def charge(self, elements: int) -> None:
-        """Something of that many elements is made."""
+        """Count the making of this many elements."""
         self.spend(elements)
         self._made += elements
         if self._made > MAX_MEMORY // 4:
@@ -356,7 +356,7 @@ class Execution:
 
     Attributes:
         script: the program.
-        is_over: its main thread has ended, which ends the others, or it was stopped, or it failed.
+        is_over: whether its main thread has ended, which ends the others, or it was stopped, or it failed.
         error: the run-time error that ended it.
     """
 
@@ -369,11 +369,11 @@ class Execution:
 
     @property
     def statements(self) -> StatementQueue[StatementCode]:
-        """What clients hand to it in interpreter mode."""
+        """The statements from clients in interpreter mode."""
         return self._machine.statements
 
     def advance(self) -> None:
-        """One controller cycle: every thread runs until it waits for a later one."""
+        """Run one controller cycle: every thread runs until it waits for a later one."""
         if self.is_over:
             return
         try:
@@ -385,7 +385,7 @@ class Execution:
             self.stop()
 
     def stop(self) -> None:
-        """End all threads, let go of the arm and close the program's sockets."""
+        """End all threads, release the arm, and close the program's sockets."""
         if self.is_over:
             return
         self.is_over = True

@@ -1,4 +1,4 @@
-"""Interpreter mode: the statements that a client hands to a program that waits for them, and what has become of each.
+"""Interpreter mode: the statements that clients send to a program that waits for them, and the status of each.
 
 The main thread calls `interpreter_mode()` and stays there. What comes is compiled into the scope of the function that
 called it: it sees its variables and functions, and what it assigns is there for later statements. Statements run one
@@ -43,11 +43,11 @@ S = TypeVar("S")
 
 
 class StatementQueue(Generic[S]):
-    """The statements of one program, in the order in which they came: compiled, what `take` hands out.
+    """The statements of one program, in the order in which they came, compiled.
 
     Attributes:
-        is_on: the program is in interpreter mode.
-        last_interpreted, last_executed, last_cleared: the largest number of a statement that was taken, begun and
+        is_on: whether the program is in interpreter mode.
+        last_interpreted, last_executed, last_cleared: the largest number of a statement that was accepted, begun and
             cleared; 0 for none.
         aborts: called to end the motion that the program waits for.
     """
@@ -62,10 +62,10 @@ class StatementQueue(Generic[S]):
         self._kept = 0
         self._clears_on_end = True
 
-    # -- what the program does -------------------------------------------------------------------------
+    # -- for the program -------------------------------------------------------------------------------
 
     def enter(self, compile_: Callable[[str], S], clear_on_enter: bool, clear_on_end: bool) -> None:
-        """The mode begins; `compile_` makes a statement ready to run, or raises `ScriptError`."""
+        """Begin the mode; `compile_` compiles a statement, or raises `ScriptError`."""
         self._compile = compile_
         if clear_on_enter:
             self._forget_waiting()
@@ -73,21 +73,21 @@ class StatementQueue(Generic[S]):
         self.is_on = True
 
     def leave(self) -> None:
-        """The mode ends."""
+        """End the mode."""
         self.is_on = False
         if self._clears_on_end:
             self._forget_waiting()
             self.clear()
 
     def take(self) -> S | None:
-        """The next statement, which begins; None if none waits."""
+        """Begin the next statement; None if none waits."""
         if not self._waiting:
             return None
         self.last_executed, statement = self._waiting.popleft()
         return statement
 
     def clear(self) -> None:
-        """Forget the statements that were begun."""
+        """Clear the statements that were begun."""
         self.last_cleared = self.last_executed
         self._kept = len(self._waiting)
 
@@ -95,7 +95,7 @@ class StatementQueue(Generic[S]):
         self._kept -= len(self._waiting)
         self._waiting.clear()
 
-    # -- what clients do -------------------------------------------------------------------------------
+    # -- for clients -----------------------------------------------------------------------------------
 
     def put(self, text: str) -> Reply:
         """A statement."""
@@ -114,7 +114,7 @@ class StatementQueue(Generic[S]):
         return Reply("ack", self._numbers)
 
     def obey(self, word: str) -> Reply | None:
-        """One of the words that are no statements; None if it is none of them."""
+        """Execute one of the words that are not statements; None if it is none of them."""
         if word == "skipbuffer":
             self._forget_waiting()
         elif word == "abort":

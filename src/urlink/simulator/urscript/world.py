@@ -1,4 +1,4 @@
-"""The controller, as a program sees it.
+"""The controller, as its programs use it.
 
 Sequences are read-only; a caller that keeps one copies it.
 """
@@ -26,7 +26,7 @@ class Move(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """The function that began it returns: the goal, or the blend zone about it, is reached."""
+        """Whether the function that began it returns: the goal, or the blend zone about it, is reached."""
 
 
 class MotionCommands(Protocol):
@@ -34,11 +34,11 @@ class MotionCommands(Protocol):
 
     @property
     def is_standing(self) -> bool:
-        """No joint moves."""
+        """Whether no joint moves."""
 
     @property
     def waypoint(self) -> Sequence[float] | None:
-        """The pose of the TCP at the end of the present path move, m and rad; None without one."""
+        """The pose of the TCP at the end of the present path move, m and rad; None if there is none."""
 
     def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> Move:
         """To joint positions, along a straight line in joint space."""
@@ -71,10 +71,10 @@ class MotionCommands(Protocol):
         """Brake the tool."""
 
     def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> Move:
-        """Turn the joints by torques for one cycle."""
+        """Move the joints by torques for one cycle."""
 
     def release(self) -> None:
-        """Nobody commands any more."""
+        """End the commands: the arm brakes."""
 
 
 class Sockets(Protocol):
@@ -84,10 +84,10 @@ class Sockets(Protocol):
         """Begin to connect."""
 
     def state(self, name: str) -> Literal["connecting", "open", "failed", "closed"]:
-        """How far that is."""
+        """The state of a socket."""
 
     def send(self, name: str, data: bytes) -> bool:
-        """False: it is not open."""
+        """Send data; False if the socket is not open."""
 
     def received(self, name: str) -> bytearray:
         """Bytes that were received and not taken; the caller deletes those that it takes."""
@@ -100,7 +100,7 @@ class Sockets(Protocol):
 
 
 class World(Protocol):
-    """The controller, as its programs see it.
+    """The controller, as its programs use it.
 
     Attributes:
         period: s per controller cycle.
@@ -171,17 +171,17 @@ class World(Protocol):
     def modbus(self) -> ModbusSignals: ...
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
-        """The RTDE input of that name has to come so many times a second from now on; at 0, no longer.
+        """Require this RTDE input so many times a second from now on; 0 ends that.
 
         Raises:
             BadValue: there is no such input.
         """
 
     def use_external_force(self, is_used: bool) -> None:
-        """Let the force at the TCP be what an RTDE client sends as `external_force_torque`."""
+        """Take the force at the TCP from the RTDE input `external_force_torque`, or from the sensor."""
 
     def zero_force(self) -> None:
-        """Take off from the force at the TCP what it is now."""
+        """Make the present force at the TCP the new zero."""
 
     def contact_steps(self, direction: Sequence[float]) -> int:
         """Cycles since a contact began that opposes a movement in a direction, (3,) in the base frame; 0 without one.
@@ -192,13 +192,13 @@ class World(Protocol):
         """External torques on the joints, Nm."""
 
     def force_mode(self, task: ForceTask) -> None:
-        """Yield along some axes until a force is there."""
+        """Begin force mode: yield along some axes until a force is there."""
 
     def set_force_damping(self, damping: float) -> None:
-        """Of force mode, 0 to 1."""
+        """Set the damping of force mode, 0 to 1."""
 
     def set_force_gain(self, gain: float) -> None:
-        """Of force mode, 0 to 2."""
+        """Set the gain of force mode, 0 to 2."""
 
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
         """Let the arm be moved by hand along these axes of a frame."""
@@ -207,23 +207,23 @@ class World(Protocol):
         """End force mode or freedrive."""
 
     def set_tcp(self, pose: Sequence[float]) -> None:
-        """Of the TCP in the flange frame, m and rad."""
+        """Set the TCP in the flange frame, m and rad."""
 
     def set_payload(self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None) -> None:
-        """In kg, m and kg m²; None leaves the figure to the controller."""
+        """Set the payload in kg, m and kg m²; None leaves a value to the controller."""
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """The acceleration that the arm feels at rest, in the base frame, m/s²."""
+        """Set the acceleration of an arm at rest, in the base frame, m/s²."""
 
     def text_message(self, text: str) -> None:
-        """Into the log, and to all clients of the primary interface."""
+        """Send a text to the log and to all clients of the primary interface."""
 
     def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
-        """Show it on the pendant."""
+        """Show a popup on the pendant."""
 
     @property
     def has_popup(self) -> bool:
-        """One is on the pendant and was not closed."""
+        """Whether a popup is on the pendant and was not closed."""
 
     def protective_stop(self, reason: str) -> None:
-        """Stop the arm; the program is not advanced until someone unlocks it."""
+        """Stop the arm; the program is not advanced until the stop is unlocked."""

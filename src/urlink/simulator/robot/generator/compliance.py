@@ -1,6 +1,6 @@
-"""Force control of the tool: along some axes it yields until a force is there, along the others it keeps to its path.
+"""Force control of the tool: along some axes it yields until a force is there, along the others it follows its path.
 
-How a controller does this is not published beyond what its arguments are for; the model here keeps to that.
+How a controller does this is not published beyond the purpose of the arguments; this model keeps to that.
 
 - Along a **compliant axis** the tool moves as a mass with damping would, under the force that it is to exert and the
   one that acts on it. The change of the force brakes it too, so that it comes to rest on stiff things. `damping` is the
@@ -35,17 +35,17 @@ __all__ = ["Compliance", "ForceTask", "free_tool"]
 
 # kg and kg m² that move along and about a compliant axis.
 _MASS = np.array([30.0, 30.0, 30.0, 1.0, 1.0, 1.0])
-# s: times the change of the force, it is a force that brakes.
+# s: times the change of the force, this is a braking force.
 _BRAKE = 0.03
 # 1/s that damping 1 is: all of the speed within 2 ms.
 _DAMPING = 500.0
 # N/m and Nm/rad of the axes that are not compliant, and s in which they give way.
 _STIFFNESS = np.array([20e3, 20e3, 20e3, 500.0, 500.0, 500.0])
 _YIELDING = 0.05
-# N and Nm by which something has to drive a compliant axis, and s for which it may do so at the limit of the speed.
+# N and Nm above which an axis counts as pushed, and s for which it may be pushed at its largest speed.
 _DRIVEN = np.array([5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
 _DRIVEN_FOR = 0.1
-# m/s below which there is no direction of the movement, and m within which none towards the frame.
+# m/s below which the movement has no direction, and m within which there is none towards the frame.
 _SLOW, _NEAR = 1e-4, 1e-6
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -57,7 +57,7 @@ class ForceTask:
     """The arguments of `force_mode`.
 
     Attributes:
-        frame: (6,) pose in the base frame whose axes count.
+        frame: (6,) pose in the base frame; only its axes have an effect.
         selection: (6,) which of them are compliant.
         wrench: (6,) N and Nm that the tool is to exert along and about compliant axes.
         kind: 1 turns the y axis towards the origin of the frame, as seen from the tool; 2 leaves it as it is; 3 turns
@@ -77,18 +77,18 @@ class ForceTask:
 
 
 def free_tool(frame: Sequence[float], axes: Sequence[bool]) -> ForceTask:
-    """Freedrive along some axes of a frame: nothing is exerted, speed is lost quickly, and nothing limits the rest."""
+    """Freedrive along some axes of a frame: no force is exerted, speed dies away quickly, and there are no limits."""
     return ForceTask(frame, axes, (0.0,) * 6, 2, (math.inf,) * 6, damping=0.02)
 
 
 class Compliance:
-    """Makes the set-points of an arm under force control out of those of its program.
+    """Changes the set-points of a program to those of an arm under force control.
 
     Args:
         kinematics, limits: of the arm.
         tcp: (6,) in the frame of the flange.
-        begin: where the arm is. It goes on at its speed along the axes that follow the program.
-        task: what it is to do.
+        begin: present set-point; the axes that follow the program keep its speed.
+        task: the arguments of force mode.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Compliance:
         self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
         self._last = begin
         self._pose: list[float] = kinematics.forward(begin.q, tcp).tolist()
-        # All in the base frame: the speed along compliant axes, that of the whole tool, and how far the others are off.
+        # In the base frame: the speed of the compliant axes, that of the whole tool, and the deviation of the others.
         self._yielding = np.zeros(6)
         self._speed = kinematics.velocity(begin.q, begin.qd, tcp) if any(begin.qd) else np.zeros(6)
         self._deviation = np.zeros(6)
@@ -107,7 +107,7 @@ class Compliance:
 
     @property
     def task(self) -> ForceTask:
-        """What it is to do."""
+        """The arguments of force mode."""
         return self._task
 
     @task.setter
@@ -121,9 +121,9 @@ class Compliance:
         """The set-point one cycle later.
 
         Args:
-            nominal: where the program alone would have the arm.
+            nominal: the set-point of the program alone.
             wrench: (6,) what acts on the TCP, N and Nm in the base frame.
-            seconds: that a cycle takes.
+            seconds: of a cycle.
 
         Raises:
             LimitViolation: a limit of the task or of the joints is broken.
@@ -156,7 +156,7 @@ class Compliance:
     def _check_driven(
         self, is_free: NDArray[np.bool_], speed: FloatArray, limits: FloatArray, felt: FloatArray, seconds: float
     ) -> None:
-        """Stop where something drives the tool at the limit of its speed."""
+        """Raise if something pushes the tool at the limit of its speed."""
         driven = is_free & (np.abs(speed) > limits) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
         self._driven = self._driven + seconds if driven.any() else 0.0
         if self._driven > _DRIVEN_FOR:
@@ -164,7 +164,7 @@ class Compliance:
             raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {limits[axis]:g}")
 
     def _axes(self, followed: FloatArray) -> FloatArray:
-        """(6, 6): from the base frame to the axes that count, for forces and speeds."""
+        """(6, 6): from the base frame to the axes of the task, for forces and speeds."""
         columns = self._frame
         if self._task.kind == 1:
             way = np.array(list(self._task.frame)[:3]) - np.array(self._pose[:3])
@@ -194,8 +194,8 @@ class Compliance:
 
 
 def _turned(columns: FloatArray, axis: int, way: FloatArray, least: float) -> FloatArray:
-    """A frame with one of its first two axes along a way, and its z axis as near to where it was as that lets it; the
-    frame itself where the way is too short, or goes along z."""
+    """A frame with one of its first two axes along a direction, and its z axis as close to its old one as possible; the
+    frame itself if the direction is too short, or along z."""
     length = float(np.linalg.norm(way))
     if length < least:
         return columns

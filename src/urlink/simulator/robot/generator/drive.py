@@ -1,10 +1,11 @@
 """Makes the set-points of one program: its motion generator, and force mode or freedrive on top of it.
 
-In force mode the program goes on to command the arm, which follows along the axes that are not compliant. In freedrive
-with every axis free, what the program commands does not count.
+In force mode the program still commands the arm, which follows along the axes that are not compliant. In freedrive with
+all axes free, commands of the program have no effect.
 
-Guesses: a stop ends both modes, so that a program which goes on after it has to begin them again; the movement under
-way when a mode ends is gone on with from where the arm is by then.
+Guesses: a stop ends both modes, so that a program which continues after it has to begin them again; a movement that
+    runs
+when a mode ends continues from where the arm is then.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ class Drive:
 
     Args:
         kinematics: of the arm.
-        setpoint: where it is, and how it moves.
+        setpoint: the present one.
 
     Attributes:
-        generator: takes the commands of the program.
+        generator: executes the commands of the program.
         setpoint: that of this cycle.
     """
 
@@ -48,23 +49,23 @@ class Drive:
         self._compliance: Compliance | None = None
         self._free: FreeJoints | None = None
         self._mode = ControlMode.POSITION
-        # Of force mode, as a program has set them.
+        # Parameters of force mode, as a program has set them.
         self._damping, self._gain = ForceTask.damping, ForceTask.gain
 
     # -- modes -------------------------------------------------------------------------------------
 
     @property
     def yields(self) -> bool:
-        """In force mode or freedrive, in which the arm moves without being commanded."""
+        """Whether force mode or freedrive is on, in which the arm moves without being commanded."""
         return self._compliance is not None or self._free is not None
 
     @property
     def control_mode(self) -> ControlMode:
-        """What is regulated in this cycle."""
+        """What is controlled in this cycle: position, force, ..."""
         return ControlMode.TORQUE if not self.yields and self.generator.follows_torque else self._mode
 
     def force_mode(self, task: ForceTask) -> None:
-        """Begin, or go on with another task."""
+        """Begin force mode, or change its task."""
         task = replace(task, damping=self._damping, gain=self._gain)
         if self._compliance is not None:
             self._compliance.task = task
@@ -74,12 +75,12 @@ class Drive:
         self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
-        """Of force mode, from its next beginning on, and of one that is on; 0 to 1."""
+        """Set the damping of force mode, 0 to 1: of the present one, and of those that follow."""
         self._damping = damping
         self._adjust()
 
     def set_gain(self, gain: float) -> None:
-        """As `set_damping`; 0 to 2."""
+        """Set the gain of force mode, 0 to 2; as `set_damping`."""
         self._gain = gain
         self._adjust()
 
@@ -100,7 +101,7 @@ class Drive:
         return Compliance(self._kinematics, self._limits, self.generator.tcp, self.setpoint, task)
 
     def end_mode(self) -> None:
-        """Follow the program alone again."""
+        """End force mode or freedrive."""
         if self.yields:
             self._compliance = self._free = None
             self._mode = ControlMode.POSITION
@@ -109,11 +110,11 @@ class Drive:
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float, wrench: Sequence[float], torques: Sequence[float]) -> Setpoint:
-        """The set-point one cycle of that many seconds later.
+        """The set-point after a cycle of `seconds`.
 
         Args:
             wrench: (6,) what acts on the TCP, N and Nm in the base frame.
-            torques: (6,) Nm, what turns the joints apart from that.
+            torques: (6,) Nm, on the joints in addition.
 
         Raises:
             LimitViolation: it would break a limit.
@@ -131,7 +132,7 @@ class Drive:
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
-        """Go on from rest at six joint positions in rad, to which the arm was braked by a stop; no mode is on."""
+        """Continue from rest at six joint positions, rad, to which a stop has braked the arm; no mode is on."""
         self._compliance = self._free = None
         self._mode = ControlMode.POSITION
         self.generator.start(q)

@@ -1,13 +1,13 @@
 """Freedrive with every axis free, and direct torque: the joints yield to torques.
 
-In **freedrive** each joint moves as an inertia with damping under what turns it from outside; gravity is made up for.
-At the end of its range a joint stands. The inertias and the damping are guesses, so is the speed of the tool beyond
-which the controller stops the arm.
+In **freedrive** each joint moves as an inertia with damping under the torques from outside; gravity is compensated. At
+the end of its range a joint stands still. The inertias and the damping are guesses, and so is the speed of the tool
+above which the controller stops the arm.
 
-Under **direct torque** the joints move as the masses of the arm, of its motors and of its payload say, under the
-torques that a program gives for one cycle and those from outside. Gravity is made up for by the controller, as the
-vendor says; friction is there where the program does not have it made up for, of a guessed size. In a cycle without a
-torque the arm brakes.
+Under **direct torque** the joints move by the masses of the arm, of its motors and of its payload, under the torques
+that a program gives for one cycle and those from outside. The controller compensates gravity, as the vendor says; if
+the program does not have friction compensated, it has a guessed size. In a cycle without a torque the arm
+brakes.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from .speed_motion import JointSpeed
 __all__ = ["ROTORS", "FreeJoints", "TorqueMotion"]
 
 _REST = [0.0] * 6
-# kg m² and 1/s of each joint in freedrive; s: times the change of a torque, it is a torque that brakes.
+# kg m² and 1/s of each joint in freedrive; s: times the change of a torque, this is a braking torque.
 _INERTIA = np.array([5.0, 5.0, 3.0, 1.0, 1.0, 0.5])
 _DAMPING = 8.0
 _BRAKE = 0.03
 # m/s of the tool in freedrive
 _FASTEST = 1.5
-# kg m² that motors and gears add to each joint; without them a wrist would weigh next to nothing. A guess.
+# kg m² that motors and gears add to each joint; without them a wrist would have almost no inertia. A guess.
 ROTORS = (0.3, 0.3, 0.3, 0.1, 0.1, 0.1)
-# Nm and Nms of the friction in each joint, and rad/s at which the first is there.
+# Nm and Nms of the friction in each joint, and rad/s above which the first has its full size.
 _COULOMB, _VISCOUS, _STICTION = 3.0, 5.0, 0.02
 
 
@@ -47,7 +47,7 @@ class FreeJoints:
     Args:
         kinematics, limits: of the arm.
         tcp: (6,) in the frame of the flange.
-        begin: where the arm is, and how it moves.
+        begin: present set-point.
     """
 
     def __init__(self, kinematics: Arm, limits: JointLimits, tcp: Sequence[float], begin: Setpoint) -> None:
@@ -86,13 +86,13 @@ class FreeJoints:
 
 
 class TorqueMotion:
-    """Torques for one cycle.
+    """Direct torque for one cycle.
 
     Args:
-        dynamics: of the arm and its payload; gravity does not count.
-        torque: (6,) Nm that the program gives, and what turns the joints from outside.
-        friction: (6,) which part of its friction each joint has, 0 to 1.
-        acceleration: (6,) rad/s² with which the arm brakes where nothing follows.
+        dynamics: of the arm and its payload; gravity has no effect.
+        torque: (6,) Nm of the program, and from outside.
+        friction: (6,) fraction of its friction that each joint has, 0 to 1.
+        acceleration: (6,) rad/s² with which the arm brakes if no torque follows.
 
     Attributes:
         move: over after one cycle.

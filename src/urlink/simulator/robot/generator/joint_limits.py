@@ -1,7 +1,7 @@
 """The limits that a controller enforces on an arm, and the arguments that it refuses.
 
-A controller stops an arm protectively when a joint is about to leave its range or to go faster than it may, or when
-no arm could follow. How much it tolerates is a guess here.
+A controller makes a protective stop when a joint is about to leave its range or to exceed its speed, or when no arm
+could follow. How much it tolerates is a guess here.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ __all__ = ["JOINTS", "JointLimits", "LimitViolation", "Unreachable", "checked", 
 
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
-# Part of the largest speed of a joint that a set-point may lie above it: rounding, and a client's rough interpolation.
+# Fraction by which a set-point may exceed the largest speed of a joint: rounding, and rough interpolation by clients.
 _TOLERANCE = 0.03
-# Times the largest acceleration of a joint, which no arm can follow. Less than that is left to the motors.
+# Factor of the largest acceleration of a joint that no arm can follow. Less than that is left to the motors.
 _HARDEST = 10.0
 # rad that rounding may put a joint beyond its range
 _ROUNDING = 1e-9
 
 
 class LimitViolation(Exception):
-    """A set-point breaks a limit of the arm, for which a controller stops it protectively.
+    """A set-point breaks a limit of the arm; a controller makes a protective stop.
 
     Attributes:
         reason: which joint and which limit.
@@ -41,7 +41,7 @@ class LimitViolation(Exception):
 
 
 class Unreachable(Exception):
-    """The arm cannot put its tool where a motion function wants it."""
+    """The pose that a motion function gets is out of reach."""
 
 
 class JointLimits:
@@ -61,20 +61,20 @@ class JointLimits:
         self._highest: list[float] = (model.position_limits[:, 1] + _ROUNDING).tolist()
 
     def check(self, last: Setpoint, new: Setpoint, seconds: float) -> None:
-        """Refuse a set-point that is too fast, too sudden after the last, or outside the range and further out than it.
+        """Raise if a set-point is too fast, too far from the last one, or outside the range and further out than it.
 
-        Moving back in is allowed, since an arm may stand outside once it has braked.
+        Moving back into the range is allowed, since an arm may stand outside after braking.
 
         Raises:
-            LimitViolation: it is refused.
+            LimitViolation: it breaks a limit.
         """
-        # In each cycle: loops of the interpreter would take a tenth of its time. NaN is refused as well.
+        # Executed in each cycle: loops of the interpreter would take a tenth of its time. True for NaN as well.
         if not all(map(le, map(abs, new.qd), self.allowed_speed)):
             raise LimitViolation(self._too_fast(new.qd))
         if not all(map(le, map(abs, map(sub, new.qd, last.qd)), map(mul, self._hardest, repeat(seconds)))):
             raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
         if not any(new.qd):
-            # At its end a path puts the joints where they belong, which is no leap, unless it ends in a singularity.
+            # At its end a path corrects the joints, which is no jump, unless it ends in a singularity.
             way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
             if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
                 raise LimitViolation(self._too_fast(way))
@@ -82,10 +82,10 @@ class JointLimits:
             self._check_range(last, new)
 
     def check_target(self, q: Sequence[float]) -> None:
-        """Refuse a target of the joints outside the range.
+        """Raise if a target of the joints is outside the range.
 
         Raises:
-            LimitViolation: it is refused.
+            LimitViolation: it is outside.
         """
         if all(map(le, self._lowest, q)) and all(map(le, q, self._highest)):
             return

@@ -1,12 +1,12 @@
 """The motion generator: from the commands of a program to one set-point of the joints in each cycle.
 
-Every command takes over whatever the arm is doing, with a continuous speed. Path moves (movej, movel, movep, movec,
+Every command continues from the present movement, with a continuous speed. Path moves (movej, movel, movep, movec,
 servoc) begin where the arm can come to rest, and a blend is added that takes over its speed. Speeds and stops change
-the speed that there is; servoj follows its set-point from there.
+the present speed; servoj follows its set-point from there.
 
-Guesses, because a controller's own way is not published: how hard it brakes when nobody commands it or a path move
+Guesses, because a controller's algorithm is not published: how hard it brakes without a command, or when a path move
 preempts another movement (a quarter of the model's acceleration), that the speed slider changes over 0.1 s, and that
-it does not count for servoj.
+it has no effect on servoj.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from .tool_paths import ToolPath
 __all__ = ["MotionGenerator"]
 
 _REST = [0.0] * 6
-# 1/s: the speed scaling gets from nothing to full in a tenth of a second.
+# 1/s: the speed scaling changes from zero to full in a tenth of a second.
 _SCALING_RATE = 10.0
-# rad or m: the least length for which a speed and an acceleration are worked out from a time.
+# rad or m: the least length for which a speed and an acceleration are computed from a time.
 _SHORTEST = 1e-9
 
 
@@ -42,8 +42,8 @@ class Command(Protocol):
     """One command that is being carried out.
 
     Attributes:
-        move: what the program waits for.
-        is_at_rest: the joints stand, and will until the next command.
+        move: the movement that the program waits for.
+        is_at_rest: whether the joints stand still, and will until the next command.
     """
 
     move: Move
@@ -57,8 +57,8 @@ class MotionGenerator:
     """Makes the set-points of six joints.
 
     Args:
-        kinematics: of the arm, whose limits count as well.
-        setpoint: where the joints are, and how they move; that is braked until a command comes.
+        kinematics: of the arm, with its limits.
+        setpoint: the present one; the arm brakes until a command comes.
 
     Attributes:
         setpoint: that of this cycle.
@@ -80,7 +80,7 @@ class MotionGenerator:
 
     @property
     def tcp(self) -> list[float]:
-        """The tool centre point in the flange frame, m and rad; a movement that was begun keeps its own."""
+        """The TCP in the flange frame, m and rad; a movement that has begun keeps its own."""
         return list(self._tcp)
 
     @tcp.setter
@@ -89,12 +89,12 @@ class MotionGenerator:
 
     @property
     def is_standing(self) -> bool:
-        """No joint moves, and none is about to."""
+        """Whether no joint moves or is about to move."""
         return (self._command is None or self._command.is_at_rest) and not any(self.setpoint.qd)
 
     @property
     def follows_torque(self) -> bool:
-        """The joints are turned by torques in this cycle."""
+        """Whether the joints are moved by torques in this cycle."""
         return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest
 
     @property
@@ -106,10 +106,10 @@ class MotionGenerator:
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:
-        """The set-point one cycle of that many seconds later.
+        """The set-point after a cycle of `seconds`.
 
         Raises:
-            LimitViolation: it would break a limit. The set-point stays what it was, until another command or `start`.
+            LimitViolation: it would break a limit. The set-point then stays the same until another command or `start`.
         """
         if self._refusal is not None:
             raise self._refusal
@@ -127,10 +127,10 @@ class MotionGenerator:
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
-        """Go on from rest at six joint positions in rad, to which the arm was braked by a stop.
+        """Continue from rest at six joint positions, rad, to which a stop has braked the arm.
 
-        A path move goes on to its end, and a speed is approached again. A command that had ended or has broken a limit,
-        and a set-point of servoj, are forgotten, and the arm stands.
+        A path move continues to its end, and a speed is approached again. A command that had ended or has broken a
+        limit, and a set-point of servoj, are discarded, and the arm stands still.
         """
         is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
         self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
@@ -141,7 +141,7 @@ class MotionGenerator:
             self.resume(self.setpoint)
 
     def resume(self, setpoint: Setpoint) -> None:
-        """Go on from another set-point, to which something else has led the arm; as `start`, but with its speed."""
+        """Continue from another set-point, to which something else has led the arm; as `start`, but with its speed."""
         self.setpoint = setpoint
         command = self._command
         if command is None or command.is_at_rest:
@@ -157,16 +157,16 @@ class MotionGenerator:
     # -- path moves --------------------------------------------------------------------------------
 
     def movej(self, q: Sequence[float], a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Move:
-        """All joints to positions in rad, together: the one that goes furthest with `a` rad/s² and `v` rad/s.
+        """Move all joints to positions together: the one that moves furthest with `a` rad/s² and `v` rad/s.
 
         Args:
             q: (6,) rad.
-            a, v: lowered to what the model can do.
-            t: s that it is to take; where above zero, `a` and `v` do not count.
+            a, v: lowered to the limits of the model.
+            t: duration, s; if above zero, `a` and `v` have no effect.
             r: m, the blend radius.
 
         Raises:
-            BadValue: an argument is no such number.
+            BadValue: an argument is invalid.
         """
         end = checked(q, "joint positions")
         start, blend = self._take_over()
@@ -176,16 +176,16 @@ class MotionGenerator:
         return move
 
     def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Move:
-        """The TCP straight to a pose in the base frame with `a` m/s² and `v` m/s, turning about one axis meanwhile.
+        """Move the TCP straight to a pose in the base frame with `a` m/s² and `v` m/s, turning about one axis.
 
         Args:
             pose: (6,) m and rad.
-            t: s that it is to take; where above zero, `a` and `v` do not count.
+            t: duration, s; if above zero, `a` and `v` have no effect.
             r: m, the blend radius.
 
         Raises:
-            BadValue: an argument is no such number.
-            Unreachable: the arm does not reach the pose.
+            BadValue: an argument is invalid.
+            Unreachable: the pose is out of reach.
         """
         start, blend = self._take_over()
         line = Line(self._kinematics.forward(start, self.tcp).tolist(), checked(pose, "a pose"))
@@ -195,16 +195,16 @@ class MotionGenerator:
     def movec(
         self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
     ) -> Move:
-        """The TCP along the circle from its place by way of one pose to another, with `a` m/s² and `v` m/s.
+        """Move the TCP along the circle through one pose to another, with `a` m/s² and `v` m/s.
 
         Args:
-            via, to: (6,) m and rad; only the position of `via` counts.
+            via, to: (6,) m and rad; only the position of `via` has an effect.
             r: m, the blend radius.
             mode: 0 turns the tool to the orientation of `to`; 1 keeps it as it is towards the path.
 
         Raises:
-            BadValue: an argument is no such number.
-            Unreachable: the arm does not reach the end, or the points are on no circle.
+            BadValue: an argument is invalid.
+            Unreachable: the end is out of reach, or the points are not on a circle.
         """
         if mode not in (0, 1):
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
@@ -219,17 +219,17 @@ class MotionGenerator:
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
-        """As `movel`: with blends between them, the tool goes on at about the same speed."""
+        """As `movel`: with blends between such moves, the tool keeps about the same speed."""
         return self.movel(pose, a, v, 0.0, r)
 
     def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Move:
-        """As `movel`. A controller follows the pose along a circular blend, of which only the straight part is here."""
+        """As `movel`. A controller follows the pose along a circular blend; here there is only the straight part."""
         return self.movel(pose, a, v, 0.0, r)
 
     # -- set-points, speeds, stops -----------------------------------------------------------------
 
     def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Move:
-        """Follow joint positions in rad for a cycle, or for `t` s where that is more; see the module `servo_motion`.
+        """Follow joint positions, rad, for a cycle, or for `t` s if that is longer; see the module `servo_motion`.
 
         Args:
             lookahead_time, gain: s and 1; zero on firmware that does not have them.
@@ -277,19 +277,19 @@ class MotionGenerator:
         return self._begin(self._tool_speed(_REST, a, a_rot, None))
 
     def release(self) -> None:
-        """Nobody commands any more: brake to rest. A path move whose blend nothing follows goes on to its end."""
+        """End the commands: brake to rest. A path move whose blend is followed by nothing continues to its end."""
         if isinstance(self._command, PathMotion) and self._command.blends:
             return
         if not self.is_standing:
             self._begin(JointSpeed(_REST, self._gentle, None))
 
     def direct_torque(self, dynamics: Dynamics, torque: FloatArray, friction: Sequence[float]) -> Move:
-        """Turn the joints by torques for one cycle; see the module `free_joints`.
+        """Move the joints by torques for one cycle; see the module `free_joints`.
 
         Args:
-            dynamics: of the arm and its payload; gravity does not count.
-            torque: (6,) Nm, with what turns the joints from outside.
-            friction: (6,) which part of its friction each joint has.
+            dynamics: of the arm and its payload; gravity has no effect.
+            torque: (6,) Nm, including those from outside.
+            friction: (6,) fraction of its friction that each joint has.
         """
         return self._begin(TorqueMotion(dynamics, torque, friction, self._limits.acceleration))
 
@@ -313,13 +313,13 @@ class MotionGenerator:
             acceleration = min(positive(a, "an acceleration"), path.acceleration)
         profile = Profile(path.length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
-            # No faster than the old speed dies away: then the sum of both is never above the larger of them.
+            # No faster than the old speed dies away: then the sum of both never exceeds the larger one.
             rise = min(acceleration, profile.peak / (blend.duration * max(self._scaling, 0.01)))
             profile = Profile(path.length, profile.peak, acceleration, rise)
         return self._begin(PathMotion(path, profile, start, blend, radius))
 
     def _take_over(self) -> tuple[list[float], Blend | None]:
-        """Where a path begins, and what is left of the present movement on the way there."""
+        """The start of a path, and the rest of the present movement on the way there."""
         q, qd, _ = self.setpoint
         if not any(qd):
             return list(q), None
@@ -333,7 +333,7 @@ class MotionGenerator:
         return [a + d for a, d in zip(q, way, strict=True)], Blend(way, qd, duration, self._limits.acceleration)
 
     def _check_target(self, q: list[float]) -> None:
-        """A target out of range is refused in the next cycle, where limits are."""
+        """Let a target out of range be refused in the next cycle, where limits are checked."""
         try:
             self._limits.check_target(q)
         except LimitViolation as refusal:

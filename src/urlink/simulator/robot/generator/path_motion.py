@@ -1,8 +1,8 @@
 """Following a path from rest to rest: movej, and with the paths of `tool_paths` movel, movep, movec and servoc.
 
-A `Path` tells the joints at a distance along it. A `Profile` tells how far the movement has come: speeding up, constant
-speed, slowing down, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the speed
-of the movement before. How a controller blends is not published, so that is a guess.
+A `Path` gives the joints at a distance along it. A `Profile` gives the distance over time: acceleration, constant
+speed, braking, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the speed of
+the movement before. How a controller blends is not published, so that is a guess.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _REST = [0.0] * 6
 
 
 class Move:
-    """One movement that was begun.
+    """A movement that has begun.
 
     Attributes:
-        is_over: the function that began it returns. The movement has ended, has come within its blend radius of the
-            target, has lasted as long as was asked, or was preempted.
+        is_over: whether the function that began it returns: the movement has ended, has come within its blend radius of
+            the target, has lasted as long as requested, or was preempted.
     """
 
     __slots__ = ("is_over",)
@@ -39,17 +39,17 @@ class Move:
 
 
 class Profile:
-    """From rest to rest over a length, as fast as a speed and two accelerations let it: a trapezoid of the speed over
-    time, or a triangle where the length is too short to reach the speed.
+    """From rest to rest over a length, as fast as a speed and two accelerations allow: the speed over time is a
+    trapezoid, or a triangle if the length is too short to reach the speed.
 
     Attributes:
-        length: of the path, in whatever unit the speed and the accelerations have.
+        length: of the path, in the unit of the speed and the accelerations.
         duration: s.
         peak: the largest speed.
     """
 
     def __init__(self, length: float, speed: float, acceleration: float, rise: float | None = None) -> None:
-        """`rise` is the acceleration while speeding up, where it differs from `acceleration` while slowing down."""
+        """`rise` is the acceleration while speeding up, if it differs from `acceleration` while slowing down."""
         rise = acceleration if rise is None else rise
         # Speeding up to v and slowing down from it take v² times this of the length.
         ramps = 0.5 / rise + 0.5 / acceleration
@@ -74,8 +74,8 @@ class Profile:
 
 
 def timed(length: float, duration: float, speed: float, acceleration: float) -> tuple[float, float]:
-    """The speed and the acceleration with which a length takes `duration` s, or the shortest time that the largest
-    `speed` and `acceleration` allow, where that is longer.
+    """The speed and the acceleration with which a length takes `duration` s, or the shortest possible time, by the
+    largest `speed` and `acceleration`, if that is longer.
 
     A third of the time each for speeding up, constant speed and slowing down, where the limits allow that; a
     controller's own choice is not known.
@@ -94,11 +94,11 @@ def timed(length: float, duration: float, speed: float, acceleration: float) -> 
 
 
 class Blend:
-    """What is added to the set-points of a path while it takes over from another movement.
+    """The difference that is added to the set-points of a path while it takes over from another movement.
 
-    A path begins at rest, at a place where the arm could come to rest. The blend begins with the difference to where
-    the arm is and with the speed that it has, and ends with neither: six cubics of the time. So the sum of both goes
-    from the old movement to the path with a continuous speed. Where the distance is half the speed times the duration,
+    A path begins at rest, at a position where the arm could come to rest. The blend begins with the difference to the
+    present position and with the present speed, and ends with neither: six cubics of the time. So the sum of both leads
+    from the old movement to the path with a continuous speed. If the distance is half the speed times the duration,
     the cubics are parabolas, which are constant decelerations.
 
     Attributes:
@@ -108,9 +108,9 @@ class Blend:
     def __init__(
         self, way: Sequence[float], qd: Sequence[float], duration: float, acceleration: Sequence[float]
     ) -> None:
-        """Six joints that have `way` rad to go and a speed of `qd` rad/s now, in at least `duration` s.
+        """Six joints with a distance of `way` rad and a speed of `qd` rad/s, in at least `duration` s.
 
-        It takes longer where a joint would exceed its acceleration, rad/s², otherwise.
+        It takes longer if a joint would exceed its acceleration, rad/s².
         """
         worst = max(
             max(abs(6.0 * d / duration - 4.0 * v), abs(2.0 * v - 6.0 * d / duration)) / (duration * limit)
@@ -132,11 +132,11 @@ class Blend:
 
     @property
     def is_over(self) -> bool:
-        """It adds nothing any more."""
+        """Whether it has ended, so that it adds nothing."""
         return self._time >= self.duration
 
     def advance(self, seconds: float) -> tuple[list[float], list[float], list[float]]:
-        """What is to be added to positions, speeds and accelerations that many seconds later."""
+        """What to add to positions, speeds and accelerations `seconds` later."""
         self._time += seconds
         if self.is_over:
             return _REST, _REST, _REST
@@ -153,10 +153,10 @@ class Blend:
 
 
 class Path(Protocol):
-    """Where the joints are, by the distance along a path.
+    """The joints by the distance along a path.
 
     Attributes:
-        length: of the path: rad of the joint that goes furthest, or m of the tool.
+        length: of the path: rad of the joint that moves furthest, or m of the tool.
         speed, acceleration: the largest along the path at which no joint exceeds its limits.
         end_pose: of the TCP at the end, m and rad.
     """
@@ -169,18 +169,18 @@ class Path(Protocol):
     def end_pose(self) -> list[float]: ...
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints after the distance `way`; `last` is the path's set-point of the cycle before."""
+        """The joints after the distance `way`; `last` is the set-point of the path in the cycle before."""
 
     def end(self, near: list[float]) -> list[float]:
         """The joints at the end of a path that has brought them to `near`."""
 
     def left(self, q: list[float]) -> float:
-        """How far the TCP is from its place at the end when the joints are at `q`, m."""
+        """Distance of the TCP from the end when the joints are at `q`, m."""
 
 
 class JointPath:
     """A straight line in joint space: six joints that start and arrive together. Lengths are those of the joint that
-    goes furthest, in rad.
+    moves furthest, in rad.
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class JointPath:
         return self._end
 
     def left(self, q: Sequence[float]) -> float:
-        """How far the TCP is from its place at the end when the joints are at `q`, m."""
+        """Distance of the TCP from the end when the joints are at `q`, m."""
         return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
 
     @property
@@ -224,12 +224,12 @@ def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
 
 
 class PathMotion:
-    """One path move. It is over at its end, or within the blend radius of it, in the second half of the way.
+    """One path move. It is over at its end, or within the blend radius of it, in the second half of its length.
 
     That a blend never begins in the first half is a guess: a controller ignores blends that overlap.
 
     Attributes:
-        move: what the program waits for.
+        move: the movement that the program waits for.
     """
 
     def __init__(self, path: Path, profile: Profile, start: list[float], blend: Blend | None, r: float) -> None:
@@ -242,11 +242,11 @@ class PathMotion:
 
     @property
     def blends(self) -> bool:
-        """The program has gone on, and the arm has not arrived yet: the next movement is to begin from this one."""
+        """Whether the program has gone on, while the arm has not arrived: the next movement begins from this one."""
         return self.move.is_over and not self.is_at_rest and self._way[1] > 0.0
 
     def corner(self) -> tuple[list[float], float]:
-        """Where the joints would come to rest, and in how many seconds if they slowed down evenly from now on."""
+        """Where the joints would come to rest, and in how many seconds, if they slowed down evenly from now on."""
         way, speed = self._way
         return self._path.end(self._last.q), 2.0 * (self._profile.length - way) / speed
 
@@ -276,7 +276,7 @@ class PathMotion:
         if arrives and self._blend is None:
             self.is_at_rest = self.move.is_over = True
         elif self._blend_begins(way, setpoint.q):
-            # Found now, so that a corner which cannot be reached is a violation in this cycle.
+            # Computed now, so that a corner out of reach is a violation in this cycle.
             self._path.end(self._last.q)
             self.move.is_over = True
         return setpoint
@@ -287,7 +287,7 @@ class PathMotion:
         return self._path.left(q) <= self._radius
 
     def restart(self, blend: Blend) -> None:
-        """Go on from rest elsewhere: the blend leads back to the path."""
+        """Continue from rest elsewhere: the blend leads back to the path."""
         self._blend = blend
         self._last = Setpoint(self._last.q, _REST, _REST)
         self._way = (self._way[0], 0.0)
@@ -299,5 +299,5 @@ class PathMotion:
 
     @property
     def place(self) -> list[float]:
-        """The joints on the path itself, without what is left of an older one."""
+        """The joints on the path itself, without the rest of an older one."""
         return self._last.q

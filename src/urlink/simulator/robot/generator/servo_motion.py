@@ -1,12 +1,13 @@
 """Following a stream of set-points of the joints: servoj.
 
-How a controller follows them is not published beyond what its arguments are for: the look-ahead time smooths, the gain
-sharpens. The model here is a guess that keeps to that: each joint follows like a critically damped spring, which trails
-a set-point of constant speed by half the look-ahead time and two over the gain, in seconds: 22 ms for 0.03 and 300. It
-never overshoots a set-point that stands still. Firmware without the two arguments trails by the time of the set-point.
+How a controller follows them is not published beyond the purpose of the arguments: the look-ahead time smooths, the
+gain sharpens. The model here is a guess that keeps to that: each joint follows like a critically damped spring, which
+lags behind a set-point of constant speed by half the look-ahead time and two over the gain, in seconds: 22 ms for 0.03
+and 300. It never overshoots a set-point that stands still. Firmware without the two arguments lags by the time of the
+set-point.
 
-A set-point that is held for several cycles is approached on a straight line over them. If none follows, the arm
-comes to rest on the last one. The speed slider does not count.
+A set-point that holds for several cycles is approached on a straight line over them. If none follows, the arm
+comes to rest on the last one. The speed slider has no effect.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ _NEAR, _SLOW = 1e-9, 1e-7
 
 
 def lag_of(t: float, lookahead_time: float, gain: float) -> float:
-    """Seconds by which the arm trails a set-point of constant speed."""
+    """Seconds by which the arm lags behind a set-point of constant speed."""
     if lookahead_time > 0.0 and gain > 0.0:
         return 0.5 * lookahead_time + 2.0 / gain
     return t
 
 
 class ServoMotion:
-    """One set-point that is followed.
+    """The motion to one set-point.
 
     Attributes:
-        move: over after one cycle, or after `t` s where that is more.
-        goal: where the line to the set-point has come, rad.
+        move: over after one cycle, or after `t` s if that is longer.
+        goal: present point of the line to the set-point, rad.
     """
 
     def __init__(self, limits: JointLimits, begin: list[float], end: Sequence[float], t: float, lag: float) -> None:
@@ -77,7 +78,7 @@ class ServoMotion:
         qdd: list[float] = []
         is_near = self.goal is self._end
         for position, speed, old_goal, goal in zip(last.q, last.qd, old_goals, self.goal, strict=True):
-            # Seen from what trails the moving goal, a deviation dies away.
+            # Relative to what lags behind the moving goal, a deviation dies away.
             goal_speed = (goal - old_goal) / seconds
             trail = lag * goal_speed
             error = position - old_goal + trail
@@ -94,7 +95,7 @@ class ServoMotion:
         return Setpoint(q, qd, qdd)
 
     def _check(self, q: Sequence[float], horizon: float) -> None:
-        """A joint that trails at its largest speed is as far from its target as it gets in this time."""
+        """Raise if a joint at its largest speed could not reach its target in this time."""
         self._limits.check_target(self._end)
         allowed = self._limits.allowed_speed
         if all(map(le, map(abs, map(sub, self._end, q)), map(mul, allowed, repeat(horizon)))):
@@ -106,6 +107,6 @@ class ServoMotion:
 
 @lru_cache(maxsize=64)
 def _follower(lag: float, seconds: float) -> tuple[float, float]:
-    """The rate of the spring in 1/s, and what a cycle leaves of a deviation."""
+    """The rate of the spring in 1/s, and the part of a deviation that is left after a cycle."""
     omega = 2.0 / lag
     return omega, math.exp(-omega * seconds)

@@ -22,11 +22,11 @@ class JointSpeed:
     """All joints change their speeds in proportion until each has its own, and keep it.
 
     Attributes:
-        move: over after `t` s, or when the speed is reached where that is None.
+        move: over after `t` s; if `t` is None, when the speed is reached.
     """
 
     def __init__(self, qd: Sequence[float], acceleration: Sequence[float], t: float | None) -> None:
-        """Six speeds in rad/s, and six accelerations in rad/s² that the joints are not to exceed."""
+        """Six speeds, rad/s, and the largest acceleration of each joint, rad/s²."""
         self.move = Move()
         self._target, self._acceleration = list(qd), acceleration
         self._left = t
@@ -59,11 +59,11 @@ class JointSpeed:
 class ToolSpeed:
     """The tool changes its speed straight to another one, and keeps that.
 
-    Where it is to stop and the arm cannot go on along its line, because that ends or is singular there, the joints
+    If it has to stop and the arm cannot continue along its line, because that ends or is singular there, the joints
     brake instead.
 
     Attributes:
-        move: over after `t` s, or when the speed is reached where that is None; for a stop, at rest.
+        move: over after `t` s; if `t` is None, when the speed is reached; for a stop, at rest.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class ToolSpeed:
     ) -> None:
         """A speed of the TCP in m/s and rad/s in the base frame, and how fast it changes, in m/s² and rad/s².
 
-        Where this takes over from an `old` one, the line goes on exactly.
+        After an `old` one, the line continues exactly.
         """
         self.move = Move()
         self._kinematics, self._limits, self._tcp = kinematics, limits, list(tcp)
@@ -99,7 +99,7 @@ class ToolSpeed:
         """The set-point one cycle later.
 
         Raises:
-            LimitViolation: the arm does not reach so far.
+            LimitViolation: the pose is out of reach.
         """
         if self._brake is not None:
             return self._braking(self._brake, last, seconds)
@@ -134,7 +134,7 @@ class ToolSpeed:
         return setpoint
 
     def restart(self, begin: Setpoint) -> None:
-        """Go on from rest elsewhere."""
+        """Continue from rest elsewhere."""
         self._pose = self._kinematics.forward(begin.q, self._tcp).tolist()
         self._speed = list(_REST)
 
@@ -145,7 +145,7 @@ class ToolSpeed:
 
 
 def _towards(now: list[float], target: list[float], most: float) -> tuple[list[float], bool]:
-    """A vector closer to a target by at most so much, and whether it is there."""
+    """A vector closer to a target by at most `most`, and whether it has reached the target."""
     way = [b - a for a, b in zip(now, target, strict=True)]
     distance = math.hypot(*way)
     if distance <= most:

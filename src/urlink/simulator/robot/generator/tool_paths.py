@@ -14,7 +14,7 @@ from .joint_limits import LimitViolation, Unreachable
 
 __all__ = ["ToolPath", "joints_at", "setpoint_at"]
 
-#: m of a path that a turn of one radian is worth at least, so that a tool which turns in place takes its time. A guess.
+#: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
 RADIAN = 0.25
 
 _REST = [0.0] * 6
@@ -24,7 +24,7 @@ def joints_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], near: Seque
     """The joint positions closest to `near` that put the TCP at a pose.
 
     Raises:
-        Unreachable: there are none.
+        Unreachable: the pose is out of reach.
     """
     try:
         found: list[float] = arm.inverse(pose, near, tcp, is_limited=False).tolist()
@@ -37,7 +37,7 @@ def setpoint_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], last: Set
     """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
 
     Raises:
-        Unreachable: the arm does not reach the pose.
+        Unreachable: the pose is out of reach.
     """
     q = joints_at(arm, pose, tcp, last.q)
     qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
@@ -45,11 +45,11 @@ def setpoint_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], last: Set
 
 
 class ToolPath:
-    """The TCP goes along a curve, from near the joint positions `near`.
+    """A path of the TCP along a curve, from close to the joint positions `near`.
 
     Attributes:
         length: m.
-        speed, acceleration: those of the joints have no such limits: a joint that gets too fast is a violation.
+        speed, acceleration: infinite, since the joints are checked later: one that gets too fast is a violation.
         end_pose: of the TCP at the end, m and rad.
     """
 
@@ -57,7 +57,7 @@ class ToolPath:
     acceleration = math.inf
 
     def __init__(self, arm: Arm, tcp: Sequence[float], curve: Curve, near: list[float]) -> None:
-        """Raises `Unreachable` where the arm does not reach the end."""
+        """Raises `Unreachable` if the end is out of reach."""
         self._kinematics, self._tcp, self._curve = arm, tcp, curve
         self.length = max(curve.length, RADIAN * curve.turn)
         self.end_pose = curve.end
@@ -65,10 +65,10 @@ class ToolPath:
         joints_at(arm, self.end_pose, tcp, near)
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints where so much of the way is behind the tool; `last` is the set-point of the cycle before.
+        """The joints after the distance `way`; `last` is the set-point of the cycle before.
 
         Raises:
-            LimitViolation: the arm does not reach so far.
+            LimitViolation: the pose is out of reach.
         """
         if not speed and not acceleration:
             return Setpoint(last.q, _REST, _REST)
@@ -78,10 +78,10 @@ class ToolPath:
             raise LimitViolation(str(error)) from None
 
     def end(self, near: Sequence[float]) -> list[float]:
-        """The joints at the end, by the branch of the inverse kinematics that they come from.
+        """The joints at the end, on the branch of the inverse kinematics that they come from.
 
         Raises:
-            LimitViolation: from there the arm does not reach it.
+            LimitViolation: the end is out of reach on this branch.
         """
         if self._end_joints is None:
             try:
@@ -91,5 +91,5 @@ class ToolPath:
         return self._end_joints
 
     def left(self, q: Sequence[float]) -> float:
-        """How far the TCP is from its place at the end when the joints are at `q`, m."""
+        """Distance of the TCP from the end when the joints are at `q`, m."""
         return math.dist(self._kinematics.forward(q, self._tcp)[:3].tolist(), self.end_pose[:3])
