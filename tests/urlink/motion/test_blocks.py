@@ -311,8 +311,9 @@ def test_where_a_contact_began_on_an_arm_that_nobody_knows(rehearsal: Callable[.
 
 
 def test_a_direction_of_any_length(robot: Rehearsal) -> None:
-    with pytest.raises(BadValue, match="direction is"):
-        robot.motion.until_contact([1.7e308] * 3)
+    for none in ([1.7e308] * 3, [0.0] * 3, [1.0, 0.0]):
+        with pytest.raises(BadValue, match="direction is"):
+            robot.motion.until_contact(none)
     assert robot.sent == []
     robot.motion.until_contact([0, 3e200, -4e200])
     assert "tool_contact(direction=[0.0, 0.6, -0.8, " in robot.uploaded

@@ -227,6 +227,8 @@ def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
     assert motion.progress == pytest.approx(0.75)
     with pytest.raises(LinkTimeout, match=r"move_joints is sent, and not over within 0\.01 s; it goes on"):
         motion.wait(0.01)
+    # Of a stop nobody knows how far it has got.
+    assert robot.motion.stop().progress == 0.0
 
 
 @pytest.mark.parametrize("timeout", [None, -1, "soon", float("nan")])
