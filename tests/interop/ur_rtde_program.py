@@ -20,6 +20,9 @@ TOOL = [0.0, 0.01, 0.15, 0.1, 0.0, 0.2]
 
 
 def main(host: str, prefix: str, rate: str) -> dict[str, Any]:
+    if prefix:
+        # ur_rtde has no limit for how long set-points may stay away; here they do when the machine is busy.
+        import_module(f"{prefix}control_blocks")._WATCHDOG = 10.0  # type: ignore[attr-defined]
     control = import_module(f"{prefix}rtde_control").RTDEControlInterface(host)
     receive = import_module(f"{prefix}rtde_receive").RTDEReceiveInterface(host)
     io = import_module(f"{prefix}rtde_io").RTDEIOInterface(host)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,10 @@ def controller() -> Iterator[Controller]:
 
 
 @pytest.fixture
-def arm(controller: Controller, tmp_path: Path) -> Iterator[UR]:
+def arm(controller: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[UR]:
+    # A robot that is silent here is so because the machine is busy.
+    connect = partial(urlink.connect, silence=20.0, stale_after=20.0, start_timeout=20.0)
+    monkeypatch.setattr(urlink, "connect", connect)
     arm = UR(URConfig(id="test", calibration_dir=tmp_path, address=controller.address, fps=50.0))
     yield arm
     arm.disconnect()
@@ -86,6 +90,7 @@ def test_an_observation_has_what_is_declared(arm: UR) -> None:
 
 
 def test_actions_lead_the_arm_in_small_steps(arm: UR) -> None:
+    arm.config.watchdog = 5.0  # of a machine that is busy
     arm.connect()
     start = positions(arm)
     goal = start + np.array([0.3, 0, 0, 0, 0, 0.1])
