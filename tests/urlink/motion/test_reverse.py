@@ -220,12 +220,14 @@ class Coming:
 
     name, host = "127.0.0.1:9", "127.0.0.1"
 
-    def __init__(self, link: ReverseLink) -> None:
+    def __init__(self, link: ReverseLink, closes: bool) -> None:
         self.link = link
+        self.closes = closes
         self.is_aborted = False
 
     def receive_waiting(self) -> tuple[bytes, None]:
-        self.link.close()  # as another thread does at this moment, if not before
+        if self.closes:
+            self.link.close()  # as another thread does at this moment
         return token(self.link), None
 
     def abort(self) -> None:
@@ -236,7 +238,7 @@ class Coming:
 def test_a_program_that_comes_while_its_link_is_closed(
     link: ReverseLink, monkeypatch: pytest.MonkeyPatch, is_closed_before: bool
 ) -> None:
-    coming = Coming(link)
+    coming = Coming(link, closes=not is_closed_before)
     # Before it comes another, that is gone when it is looked at.
     queue = [ConnectionLost("gone"), coming]
 
