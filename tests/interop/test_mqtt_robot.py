@@ -21,7 +21,8 @@ mqtt = pytest.importorskip("paho.mqtt.client")
 EXAMPLE = Path(__file__).parents[2] / "examples" / "mqtt_robot.py"
 HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 
-pytestmark = needs_broker
+# The example is a process that has to start.
+pytestmark = [needs_broker, pytest.mark.timeout(240)]
 
 
 def test_a_robot_behind_a_broker(broker: int) -> None:
@@ -38,7 +39,7 @@ def test_a_robot_behind_a_broker(broker: int) -> None:
             for topic in heard:
                 watch.subscribe(topic)
             watch.loop_start()
-            until(lambda: sum("q" in state for state in heard["arm/state"]) > 5, 20.0)
+            until(lambda: sum("q" in state for state in heard["arm/state"]) > 5, 90.0)
 
             panel = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
             panel.will_set("arm/gone/panel", "")
@@ -46,7 +47,7 @@ def test_a_robot_behind_a_broker(broker: int) -> None:
             panel.loop_start()
             until(panel.is_connected)
             panel.publish("arm/move_joints", json.dumps({"q": HOME, "client": "panel"}))
-            until(lambda: heard["arm/motion"], 20.0)
+            until(lambda: heard["arm/motion"], 60.0)
             assert heard["arm/motion"] == [{"phase": "done", "error": None}]
             panel.publish("arm/move_joints", json.dumps({"q": [0.0]}))
             until(lambda: len(heard["arm/motion"]) == 2)

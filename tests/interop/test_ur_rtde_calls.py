@@ -59,6 +59,8 @@ def run(firmware: str, prefix: str) -> tuple[dict[str, Any], dict[str, Any]]:
         return json.loads(replies[0]), kept
 
 
+# Each run takes 12 s, and several times that on a machine that is busy.
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("firmware", ["3.15", "5.4", "5.11", "5.25"])
 def test_the_same_program(firmware: str) -> None:
     theirs, theirs_kept = run(firmware, "")
