@@ -148,6 +148,7 @@ def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot)
     controller.faults.clear()
     controller.call(controller.pendant.play)
     until(lambda: not controller.is_running_program)
+    until(lambda: robot.safety.refusal is None)
     with pytest.raises(urlink.ScriptFailed, match="int has no elements"):
         execute_what_fails(robot)
     controller.faults.protective_stop()
