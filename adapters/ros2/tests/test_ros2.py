@@ -78,7 +78,7 @@ def test_a_node_reads_a_robot(robot: urlink.Robot, drive: Drive) -> None:
     assert position == pytest.approx(START, abs=1e-2)
     assert len(effort) == 6
     # In Python, seven topics at 500 Hz are more than a busy machine has time for; `benchmark.py` has figures.
-    assert heard["rate"] > 20.0
+    assert heard["rate"] > 100.0
     state = robot.realtime.wait()
     assert heard["last"]["pose"] == pytest.approx(state.tool_vector_actual[[0, 2]], abs=1e-2)
     assert 0.0 <= heard["last"]["speed_scaling"] <= 100.0
@@ -86,7 +86,7 @@ def test_a_node_reads_a_robot(robot: urlink.Robot, drive: Drive) -> None:
     assert heard["last"]["robot_mode"] == "RUNNING"
     assert heard["last"]["safety_mode"] == "NORMAL"
     assert heard["last"]["refusal"] == ""
-    assert heard["counts"]["wrench"] > 20
+    assert heard["counts"]["wrench"] > 100
 
 
 def test_a_trajectory_with_feedback_in_another_order_of_joints(robot: urlink.Robot, drive: Drive) -> None:
@@ -165,7 +165,7 @@ def test_several_robots_in_namespaces_one_of_which_is_lost_and_comes_back(
     robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as other, serve({"left": robot, "right": other}, rate=50.0):
-        assert 5.0 < drive("listen", "2", "right/")["rate"] < 60.0
+        assert 10.0 < drive("listen", "2", "right/")["rate"] < 60.0
         urlink_controller.faults.stall(600.0)
         until(lambda: robot.safety.refusal is not None)
         heard = drive("listen", "2", "left/")
@@ -175,7 +175,7 @@ def test_several_robots_in_namespaces_one_of_which_is_lost_and_comes_back(
         until(lambda: robot.safety.refusal is None, 40.0)
         heard = drive("listen", "2", "left/")
         assert (heard["last"]["robot_mode"], heard["last"]["refusal"]) == ("RUNNING", "")
-        assert heard["count"] > 10
+        assert heard["count"] > 50
 
 
 def test_serve_from_the_command_line(drive: Drive) -> None:

@@ -14,8 +14,8 @@ from .options import Subparsers, add_address, add_command, seconds
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Send a command to the dashboard server and print its reply; `start` powers the arm on, releases its brakes and waits
-until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`.
+Send a command to the dashboard server and print its reply; `start` powers the arm on, releases its brakes and
+waits until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`.
 
 Commands, on the firmware that has them:
 """

@@ -29,8 +29,8 @@ Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and b
   space         brake
   x, Ctrl-C     end
 
-A terminal reports a held key by sending it again and again, the second time after a pause. --hold says for how long
-the arm moves after each of them: if this is shorter than the pause, the arm stutters at first."""
+A terminal reports a held key by sending it again and again, the second time after a pause. --hold says for how
+long the arm moves after each of them: if this is shorter than the pause, the arm stutters at first."""
 
 _EXAMPLES = (
     "urlink jog 192.168.56.101",

@@ -18,7 +18,8 @@ from .tap import tell
 __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
-Send a URScript program, print the lines of its textmsg, and end when it does. THE ARM MOVES if the program says so.
+Send a URScript program, print the lines of its textmsg, and end when it does. THE ARM MOVES if the program
+says so.
 
 The program is a whole def, a sec, or bare statements, from a file or, with -, from stdin. Errors of the controller
 name the line and the column in that file. Ctrl-C stops the program."""

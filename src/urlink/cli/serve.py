@@ -35,8 +35,8 @@ _DESCRIPTION = """\
 Serve robots to a middleware. Each adapter is a distribution of its own, so that this one needs no middleware;
 without KIND all adapters are listed, with whether they are installed.
 
-Options after KIND are those of the adapter and of the connection: `urlink serve KIND --help` lists them. Motions that a
-client requests pass the same interlock as those of a local program, and end when that client is lost."""
+Options after KIND are those of the adapter and of the connection: `urlink serve KIND --help` lists them. Motions
+that a client requests pass the same interlock as those of a local program, and end when that client is lost."""
 
 _EXAMPLES = (
     "urlink serve",

@@ -221,12 +221,16 @@ class Server:
         while not self._is_closing:
             self.catch_up()
             self._loader.advance()
-            cycle = self._state.cycle
-            wake = cycle + 1 if self._is_changed else self._next(cycle)
-            self._is_changed = False
-            # A stepped clock does not move while this waits: `step` calls a function here, which ends the waiting.
-            until = None if self._is_stepped else self._epoch + (wake - self._first) / self._rate
-            self._sockets.serve_once(until)
+            self._sockets.serve_once(self._due())
+
+    def _due(self) -> float | None:
+        """The time of the next cycle in which something is to be done; None where `step` calls when it is."""
+        if self._is_stepped:
+            return None  # the clock stands still while the sockets are waited for
+        cycle = self._state.cycle
+        wake = cycle + 1 if self._is_changed else self._next(cycle)
+        self._is_changed = False
+        return self._epoch + (wake - self._first) / self._rate
 
     def catch_up(self) -> None:
         """Advance the controller to the present, and send the packets of its cycles."""
