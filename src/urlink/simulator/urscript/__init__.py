@@ -1,8 +1,8 @@
-"""URScript, as the simulated controller runs it.
+"""URScript for the simulated controller.
 
-`compile_script` makes a `Script` of a text; an `Execution` runs it, one controller cycle at a time, and uses the
-controller through the protocols of `world`. There are no sockets, threads or clocks in here: the same program in the
-same world gives the same result, cycle by cycle.
+`compile_script` compiles a text to a `Script`; an `Execution` runs it, one controller cycle at a time, and uses the
+controller through the protocols of `world`. This package has no sockets, threads or clocks: the same program in the
+same world gives the same result in every cycle.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""From syntax to instructions.
+"""Compiler from the syntax tree to instructions.
 
-An expression in which nothing is called that takes time or is part of the program becomes one Python function. Such
-calls become instructions of their own, which leave their value in a slot of the frame; what stands to the left of them
-in the expression is worked out before, into slots too, so that the order is that of the text. A function of the program
-that only works something out (`leaf_functions`) becomes a Python function as well.
+An expression becomes one Python function, unless it calls a function of the program or one that takes time. Such a call
+becomes an instruction, which stores its value in a slot of the frame. Operands to its left are evaluated before it,
+into slots too, so that the order of evaluation is that of the text. A leaf function of the program (`leaf_functions`)
+becomes a Python function as well.
 """
 
 from __future__ import annotations
@@ -78,23 +78,23 @@ from .values import NUMBERS, UNSET
 
 __all__ = ["compile_script"]
 
-# Statements that are written without brackets too.
+# Functions that a statement may call without brackets.
 _BARE = ("enter_critical", "exit_critical")
-# What the assignment of an element does where there is no such variable. Not in the manuals as far as they are
-# remembered, but a public client sets outputs so, and its users say that they switch.
+# Undefined variable -> function that an assignment to its element calls. Not in the manuals as far as they are
+# remembered; a public client sets outputs this way, and its users report that they switch.
 _SETTERS = {"digital_out": "set_digital_out"}
-# An expression of more parts counts as work.
+# Expressions with more parts count as work.
 _SHORT = 32
 
 
 def compile_script(text: str, firmware: Firmware) -> Script:
-    """A program, ready to run.
+    """Compile a program.
 
-    The last `def` or `sec` is the program, and what stands before it is done first; where other statements follow
-    it, all of them are the program. Both are guesses.
+    The last `def` or `sec` is the program, and the statements before it run first; if other statements follow it, all
+    statements are the program. Both are guesses.
 
     Raises:
-        ScriptError: it does not compile, with the place and the controller's text.
+        ScriptError: it does not compile; has the place and the controller's text.
     """
     with _collection_paused():
         source = Source(text)
@@ -103,11 +103,11 @@ def compile_script(text: str, firmware: Firmware) -> Script:
 
 @contextlib.contextmanager
 def _collection_paused() -> Iterator[None]:
-    """Collect no cyclic garbage in this process until the block ends, unless collection is off anyway.
+    """Disable cyclic garbage collection in this process until the block ends, if it is enabled.
 
-    A program of 250 kB becomes 0.4 to 1.2 million objects, of which none can be collected before the end. Their number
-    sets off one collection after another, each of which visits all of them: together two thirds of the time of
-    compiling. `MAX_TOKENS` bounds the memory that is held meanwhile to some 120 MB.
+    A program of 250 kB becomes 0.4 to 1.2 million objects, none of which can be collected before the end. Their number
+    triggers one collection after another, each of which visits all of them: two thirds of the compile time together.
+    `MAX_TOKENS` bounds the memory held meanwhile to about 120 MB.
     """
     if not gc.isenabled():
         yield
@@ -120,7 +120,7 @@ def _collection_paused() -> Iterator[None]:
 
 
 class _Program:
-    """What all functions of a program share."""
+    """State that all functions of a program share."""
 
     def __init__(self, source: Source, statements: Block, firmware: Firmware) -> None:
         self.source = source
@@ -142,15 +142,15 @@ class _Program:
         self.script = Script(source, name, kind, firmware, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
-        """The built-in function of that name, if the firmware has it."""
+        """The built-in function of that name; None if the firmware lacks it."""
         if name not in self._builtins:
             self._builtins[name] = find(name, self.firmware)
         return self._builtins[name]
 
     def leaf(self, definition: Definition, code: Code) -> tuple[Function | None, int]:
-        """What a call of this function works out, of its frame, and its size; None where it is no leaf function."""
+        """A leaf function as a Python function of its frame, and its size; None and 0 for any other function."""
         if code.source is not self.source:
-            return None, 0  # its faults would be looked for in the text of a statement that came later
+            return None, 0  # places of its faults would be looked up in the text of a later statement
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
             compiler = _Compiler(self, Code(code.name, self.source), definition.body, (definition,), None)
@@ -159,16 +159,16 @@ class _Program:
         return function, size
 
     def error(self, node: Node, text: str) -> ScriptError:
-        """Something is wrong with a part of the program."""
+        """A compile error at a node."""
         return self.source.failure(node.place, text)
 
     def not_found(self, node: Node, name: str) -> ScriptError:
-        """Nothing is called that."""
+        """The error of an undefined name."""
         return self.error(node, f"compile_error_name_not_found:{name}:")
 
 
 class _Compiler:
-    """Of one function."""
+    """Compiler of one function."""
 
     def __init__(
         self, program: _Program, code: Code, body: Block, definition: Sequence[Definition], outer: Functions | None
@@ -178,7 +178,7 @@ class _Compiler:
         self._body = body
         self._outer = outer
         self._parameters = [parameter for one in definition for parameter in one.parameters]
-        # They have a value from the beginning.
+        # Parameters that always have a value.
         self._given = {parameter.name for parameter in self._parameters if parameter.default is None}
         names = Names.of(body)
         self.functions = Functions(names, program.source, outer)
@@ -204,11 +204,11 @@ class _Compiler:
             Binary: self._binary,
             Call: self._call,
         }
-        # Of the expressions since the last instruction.
+        # Number of parts of the expressions since the last instruction.
         self._parts = 0
 
     def compile(self) -> None:
-        """Fill the code."""
+        """Generate the instructions."""
         for parameter in self._parameters:
             if parameter.default is not None:
                 self._default(parameter, parameter.default, self._slots[parameter.name])
@@ -220,11 +220,11 @@ class _Compiler:
         self._code.places.extend(place for _, place in self._makers)
 
     def leaf(self) -> Function:
-        """What a leaf function works out, of its frame."""
+        """The Python function of a leaf function, of its frame."""
         return self._chosen(self._body, operations.constant(None))
 
     def _chosen(self, block: Block, after: Function) -> Function:
-        """What the statements return, or else what comes after them does."""
+        """The value that the statements return; that of `after` if they return none."""
         for statement in reversed(block):
             if isinstance(statement, Return):
                 after = operations.constant(None) if statement.value is None else self._value(statement.value)
@@ -237,10 +237,10 @@ class _Compiler:
         return after
 
     def statement(self, text: str) -> StatementCode:
-        """A statement that comes while the program runs, compiled into the scope of this function.
+        """Compile a statement of interpreter mode into the scope of this function.
 
-        What it assigns is a variable of this function, or of the program where this is its own body; what it defines
-        is known to later statements.
+        It assigns to variables of this function, or to global ones if this is the program's own body. Functions that it
+        defines are known to later statements.
 
         Raises:
             ScriptError: it does not compile.
@@ -255,7 +255,7 @@ class _Compiler:
             if name not in known and name not in self._slots:
                 self._slots[name] = self._code.size
                 self._code.size += 1
-        # The same program, with places in another text.
+        # The same program with another source text.
         program = copy.copy(self._program)
         program.source = source
         compiler = _Compiler(program, Code("statement", source), body, (), self.functions)
@@ -267,7 +267,7 @@ class _Compiler:
         return StatementCode(compiler._code, len(known))
 
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
-        """It is worked out in the function that is called, each time (a guess)."""
+        """Evaluate a default value in the called function, at each call (a guess)."""
         given = Label()
         self._emit(parameter, lambda after: skip_if_set(slot, given, after))
         value = self._value(default)
@@ -286,7 +286,7 @@ class _Compiler:
         label.at = len(self._makers)
 
     def _slot(self) -> int:
-        """One that this statement does not use yet."""
+        """A slot that this statement does not use yet."""
         slot = self._used
         self._used += 1
         self._top = max(self._top, self._used)
@@ -399,7 +399,7 @@ class _Compiler:
     # -- expressions -------------------------------------------------------------------------------
 
     def _takes(self, node: Expression, alone: bool = False) -> bool:
-        """It has calls that are instructions; with `alone`, it is one."""
+        """Whether an expression contains calls that are instructions; with `alone`, whether it is one."""
         if not node.has_calls:
             return False
         if not alone and id(node) in self._taking:
@@ -419,7 +419,7 @@ class _Compiler:
         return taking
 
     def _sequence(self, nodes: Sequence[Expression]) -> list[Function]:
-        """Several expressions, worked out from left to right."""
+        """Python functions of expressions that are evaluated from left to right."""
         last = -1
         for at, node in enumerate(nodes):
             if node.has_calls and self._takes(node):
@@ -440,7 +440,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _value(self, node: Expression) -> Function:
-        """The expression; what in it is an instruction is emitted."""
+        """The Python function of an expression; emits the instructions in it."""
         self._parts += 1
         return self._visitors[node.__class__](node)
 
@@ -490,7 +490,7 @@ class _Compiler:
         join_of = operations.both if node.operator == "and" else operations.either
         if not self._takes(node.right):
             return join_of(self._value(node.left), self._value(node.right), place)
-        # The instructions of the right side are jumped over where the left side settles it.
+        # If the left operand decides the result, jump over the instructions of the right one.
         settled, slot = Label(), self._slot()
         left = operations.checked_truth(self._value(node.left), place)
         self._emit(node, lambda after: store(False, slot, left, after))
@@ -540,7 +540,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _struct(self, node: Call) -> Function:
-        """`struct(a=1, b=2)`: the names of its arguments are those of its members."""
+        """`struct(a=1, b=2)`: the argument names are the member names."""
         for argument in node.arguments:
             raise self._program.error(argument, "compile_error_member_without_name:struct:")
         names = [name for name, _ in node.named]
@@ -567,19 +567,19 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _interpreter_mode(self, node: Call, arguments: Sequence[Function]) -> Function:
-        """It runs statements that come while the program runs, so it is no function but two instructions."""
+        """Two instructions rather than a function, since it runs statements that arrive meanwhile."""
         slot = self._slot()
         self._emit(node, lambda after: enter_interpreter(self.statement, arguments[0], arguments[1], after))
         self._emit(node, lambda after: interpret(slot, after))
         return operations.constant(None)
 
     def _takes_time(self, node: Node, what: str) -> None:
-        """That a `sec` program in which time passes does not compile, is a guess; it may not have such calls."""
+        """Raise in a `sec` program: its calls may not take time. That this is a compile error is a guess."""
         if self._program.kind == "sec":
             raise self._program.error(node, f"compile_error_not_allowed_in_secondary_program:{what}:")
 
     def _arguments(self, node: Call, parameters: Sequence[tuple[str, object]]) -> list[Function]:
-        """One for each parameter, in their order; a wrong number of them is an error when the call is made."""
+        """One function for each parameter, in order; a wrong number of arguments is a run-time error."""
         positions = {name: at for at, (name, _) in enumerate(parameters)}
         for name, value in node.named:
             if name not in positions:

@@ -1,10 +1,10 @@
-"""The errors of a program, in the words of a controller.
+"""Errors of a program, with the texts of a controller.
 
-Words of real controllers, each seen in a log or a capture:
+Texts of real controllers, each seen in a log or a capture:
 
-- `syntax_error_on_line:2:end:` and `compile_error_name_not_found:txtmsg:` with line and column from 1 on; what stands
-  after the line's number is the whole line, with its indentation;
-- `Type error: str_sub takes exact...` (5.x, cut short there), which gave "Type error: " its form here;
+- `syntax_error_on_line:2:end:` and `compile_error_name_not_found:txtmsg:` with line and column, counted from 1; the
+  line number is followed by the whole line, with its indentation;
+- `Type error: str_sub takes exact...` (5.x, truncated there), the model of the "Type error: " texts here;
 - "The program used too much time without instructing the robot what to do. ..." (3.4) and "infinite loop detected"
   (1.8) for a program that loops without time passing;
 - "Another thread is already controlling the robot";
@@ -22,11 +22,11 @@ ANOTHER_THREAD = "Another thread is already controlling the robot"
 
 
 class ScriptError(Exception):
-    """An error of compiling or of running a program.
+    """A compile error or run-time error of a program.
 
     Attributes:
-        line, column: where, counted from 1.
-        text: what a controller says of it.
+        line, column: its place, counted from 1.
+        text: the controller's text.
     """
 
     def __init__(self, line: int, column: int, text: str) -> None:
@@ -40,10 +40,10 @@ class ScriptError(Exception):
 
 
 class Fault(Exception):
-    """A run-time error, of which the machine makes a `ScriptError`.
+    """A run-time error, which the machine converts to a `ScriptError`.
 
     Attributes:
-        place: where in the text it happened, if that is known better than by the instruction.
+        place: character offset in the text; None for that of the instruction.
     """
 
     def __init__(self, text: str, place: int | None = None) -> None:
@@ -52,12 +52,12 @@ class Fault(Exception):
 
 
 def type_error(text: str) -> Fault:
-    """A value of a type that does not fit."""
+    """The fault of a value of the wrong type."""
     return Fault(f"Type error: {text}")
 
 
 def endless(firmware: Firmware) -> Fault:
-    """The program goes on and on, and no time passes."""
+    """The fault of a program that loops without time passing."""
     if firmware.is_cb2:
         return Fault("infinite loop detected")
     return Fault(

@@ -1,4 +1,4 @@
-"""The instructions of the machine, made for their operands. Each returns the number of the next one."""
+"""Instructions of the machine, made for their operands. Each returns the number of the next, usually `after`."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ __all__ = [
     "store_element",
 ]
 
-# Lists that are copied without counting it as work.
+# Copies of lists up to this length are not counted as work.
 _SHORT = 32
 
 
 class Label:
-    """A place among the instructions that is known later.
+    """A jump target whose position is set later.
 
     Attributes:
-        at: the number of the instruction.
+        at: number of the instruction.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class Label:
 
 
 def evaluate(value: Function, after: int) -> Instruction:
-    """Work it out, for what it does."""
+    """Evaluate an expression for its effect."""
 
     def run(f: Frame, value: Function = value, after: int = after) -> int:
         value(f)
@@ -57,7 +57,7 @@ def evaluate(value: Function, after: int) -> Instruction:
 
 
 def spend(work: int, after: int) -> Instruction:
-    """Count what the next instruction costs beyond the usual."""
+    """Count the extra work of the next instruction."""
 
     def run(f: Frame) -> int:
         f[THREAD].machine.spend(work)
@@ -122,13 +122,13 @@ def _store_one(is_global: bool, slot: int, name: str, index: Function, value: Fu
 
 
 def jump(label: Label) -> Instruction:
-    """Go on elsewhere."""
+    """Jump to a label."""
     at = label.at
     return lambda f: at
 
 
 def branch(condition: Function, otherwise: Label, after: int) -> Instruction:
-    """Go on if it holds, or else elsewhere."""
+    """Jump to a label unless the condition holds."""
     away = otherwise.at
 
     def run(f: Frame) -> int:
@@ -143,7 +143,7 @@ def branch(condition: Function, otherwise: Label, after: int) -> Instruction:
 
 
 def skip_if_set(slot: int, label: Label, after: int) -> Instruction:
-    """Go elsewhere if a parameter was given."""
+    """Jump to a label if a parameter was given."""
     away = label.at
     return lambda f: after if f[slot] is UNSET else away
 
@@ -183,7 +183,7 @@ def await_builtin(
 def enter_interpreter(
     statement: Callable[[str], StatementCode], clear_on_enter: Function, clear_on_end: Function, after: int
 ) -> Instruction:
-    """Begin interpreter mode; `statement` compiles what comes."""
+    """Begin interpreter mode; `statement` compiles a statement."""
 
     def run(f: Frame) -> int:
         thread: ScriptThread = f[THREAD]
@@ -199,7 +199,7 @@ def enter_interpreter(
 
 
 def interpret(destination: int, after: int) -> Instruction:
-    """Run the next statement, or wait for one; go on when the mode is over."""
+    """Run the next statement, or wait for one; continue when the mode is off."""
     here = after - 1
 
     def wait() -> Waiting:
@@ -213,7 +213,7 @@ def interpret(destination: int, after: int) -> Instruction:
         taken = statements.take()
         if taken is None:
             return thread.await_(wait(), here, destination)
-        # It has the variables of this function, and may have brought more.
+        # It runs in the frame of this function, and may have added variables.
         f.extend([UNSET] * (taken.code.size - len(f)))
         f[GLOBALS].extend([UNSET] * (taken.n_globals - len(f[GLOBALS])))
         return thread.call(taken.code, f, here, destination)
@@ -222,7 +222,7 @@ def interpret(destination: int, after: int) -> Instruction:
 
 
 def start(code: Code, arguments: Sequence[Function]) -> Function:
-    """`run`: an expression, whose value is the new thread."""
+    """`run`: an expression whose value is the new thread."""
 
     def run(f: Frame) -> ScriptThread:
         thread: ScriptThread = f[THREAD]
@@ -232,7 +232,7 @@ def start(code: Code, arguments: Sequence[Function]) -> Function:
 
 
 def kill(handle: Function, after: int) -> Instruction:
-    """End a thread, which may be this one or one that is over."""
+    """End a thread, which may be this one or one that has ended."""
 
     def run(f: Frame) -> int:
         thread = _thread(handle(f))
@@ -244,7 +244,7 @@ def kill(handle: Function, after: int) -> Instruction:
 
 
 def join(handle: Function, destination: int, after: int) -> Instruction:
-    """Wait until a thread is over."""
+    """Wait until a thread has ended."""
 
     def wait(thread: ScriptThread | None) -> Waiting:
         while thread is not None and not thread.is_over:
@@ -269,14 +269,14 @@ def halt() -> Instruction:
 
 
 def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
-    """Of a called function: its arguments, and its other variables unset."""
+    """The frame of a called function: its arguments; other variables unset."""
     frame = [f[GLOBALS], f[THREAD], *[argument(f) for argument in arguments]]
     frame.extend([UNSET] * (code.size - len(frame)))
     return frame
 
 
 def _thread(value: Any) -> ScriptThread | None:
-    """The thread of a handle. Drivers kill and join a variable that holds 0 before a thread was started."""
+    """The thread of a handle; None for an integer: drivers kill and join variables that still hold 0."""
     if isinstance(value, ScriptThread):
         return value
     if value.__class__ is int:

@@ -1,8 +1,7 @@
-"""Functions of a program that only work something out, such as a number within bounds.
+"""Leaf functions of a program: those that only compute a value, such as a number limited to a range.
 
-They hold conditions and values to return, and neither call nor assign anything nor loop. So a call of one takes no turn
-from other threads and always comes to its end, and is a part of the expression that it stands in rather than an
-instruction with a frame to come back to.
+They consist of conditions and return values, without calls, assignments or loops. So a call of one cannot delay other
+threads and always terminates. It is a part of its expression rather than an instruction with a frame to return to.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ from .syntax import (
 
 __all__ = ["leaf_size"]
 
-#: Parts of the largest: a call of it is as cheap as a long expression.
+#: Most parts of a leaf function: a call is as cheap as a long expression.
 _LARGEST = 64
 
 
 def leaf_size(definition: Definition, names: Container[str]) -> int:
-    """How many parts such a function has; 0 for any other.
+    """Number of parts of a leaf function; 0 for any other function.
 
     Args:
         definition: of the function.

@@ -1,6 +1,6 @@
-"""The limits of a program, beyond which it is stopped. All are guesses, wide enough for the programs in the field.
+"""Limits beyond which a program is refused or stopped. All are guesses, wide enough for the programs in the field.
 
-They bound the work of one controller cycle and the memory of one program, whatever the program is.
+They bound the work of one controller cycle and the memory of any program.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ __all__ = [
 
 #: characters of a program's text
 MAX_TEXT = 262_144
-#: of a program; 250 kB of ordinary statements have some 120 000
+#: tokens of a program; 250 kB of ordinary statements have about 120 000
 MAX_TOKENS = 131_072
-#: of brackets, blocks and operators in one another
+#: nesting depth of brackets, blocks and operators
 MAX_NESTING = 64
-#: of one function; a call looks at each, given or not
+#: parameters of one function; a call handles each, given or not
 MAX_PARAMETERS = 64
-#: of one controller cycle, all threads together
+#: instructions of one controller cycle, all threads together
 MAX_INSTRUCTIONS = 20_000
-#: Of one controller cycle, all threads together: elements and characters that are made, parts of long expressions, and
-#: what costs as much as them.
+#: work of one controller cycle, all threads together: elements and characters made, parts of long expressions, and
+#: the equivalent of other costly operations
 MAX_WORK = 200_000
-#: calls that have not returned, in one thread
+#: call depth of one thread
 MAX_CALL_DEPTH = 200
-#: of one program, living ones and those that ended in this cycle
+#: threads of one program, those that ended in this cycle included
 MAX_THREADS = 100
-#: of a list, those of the lists in it included
+#: elements of a list, those of inner lists included
 MAX_ELEMENTS = 10_000
-#: of structs in one another
+#: nesting depth of structs
 MAX_STRUCTS = 16
-#: characters
+#: characters of a string
 MAX_STRING = 10_000
 #: elements and characters in all variables together
 MAX_MEMORY = 2_000_000
-#: Integers are those of 32 bits. That a result beyond them is an error, and no float, is a guess.
+#: Integers have 32 bits. That a result beyond them is an error rather than a float is a guess.
 MIN_INTEGER, MAX_INTEGER = -(2**31), 2**31 - 1

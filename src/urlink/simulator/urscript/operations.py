@@ -1,10 +1,9 @@
 """Expressions as Python functions of the frame.
 
-The common cases, numbers in variables, are handled in the function itself; everything else is left to `values`.
+The common cases, numbers in variables, are handled in the function itself; all others in `values`.
 
-Many of them have their operands as default values rather than as variables of a closure. That is faster, and makes two
-objects where a closure makes five: of a long program there are hundreds of thousands, and each is looked at whenever
-Python collects its garbage.
+Many functions have their operands as default values rather than as closure variables. That is faster, and makes two
+objects where a closure makes five: a long program has hundreds of thousands, and each garbage collection visits all.
 """
 
 from __future__ import annotations
@@ -51,12 +50,12 @@ Function = Callable[[Frame], Any]
 
 
 def _at(place: int, fault: Fault) -> Fault:
-    """The fault, which happened there if it does not know better."""
+    """The fault, at `place` unless it has a place."""
     return fault if fault.place is not None else Fault(str(fault), place)
 
 
 def placed(function: Function, place: int) -> Function:
-    """The same, but its faults say where they happened."""
+    """The same function, with a place in its faults."""
 
     def run(f: Frame) -> Any:
         try:
@@ -77,7 +76,7 @@ def failing(text: str) -> Function:
 
 
 def constant(value: Any) -> Function:
-    """Always the same."""
+    """A constant."""
 
     def run(f: Frame, value: Any = value) -> Any:
         return value
@@ -86,12 +85,12 @@ def constant(value: Any) -> Function:
 
 
 def temporary(slot: int) -> Function:
-    """The value that an earlier instruction left in a slot."""
+    """The value that an earlier instruction stored in a slot."""
     return itemgetter(slot)
 
 
 def local_variable(slot: int, name: str, place: int) -> Function:
-    """A variable of the function."""
+    """A local variable."""
 
     def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[slot]
@@ -103,7 +102,7 @@ def local_variable(slot: int, name: str, place: int) -> Function:
 
 
 def global_variable(slot: int, name: str, place: int) -> Function:
-    """A variable of the program."""
+    """A global variable."""
 
     def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[GLOBALS][slot]
@@ -165,7 +164,7 @@ def element(base: Function, index: Function, place: int) -> Function:
 
 
 def local_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
-    """`name[at]` of a variable of the function, which stands at `variable`."""
+    """`name[at]` of a local variable; `variable` is the place of its name."""
 
     def run(
         f: Frame, slot: int = slot, at: int = at, name: str = name, variable: int = variable, place: int = place
@@ -182,7 +181,7 @@ def local_element(slot: int, at: int, name: str, variable: int, place: int) -> F
 
 
 def global_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
-    """`name[at]` of a variable of the program, which stands at `variable`."""
+    """`name[at]` of a global variable; `variable` is the place of its name."""
 
     def run(
         f: Frame, slot: int = slot, at: int = at, name: str = name, variable: int = variable, place: int = place
@@ -214,17 +213,17 @@ def member(base: Function, name: str, place: int) -> Function:
 
 
 def truth(value: Any) -> bool:
-    """Of a condition."""
+    """The truth value of a condition."""
     return value if value is True or value is False else values.truth(value)
 
 
 def both(left: Function, right: Function, place: int) -> Function:
-    """`and`; the right side is worked out only if the left holds (a guess)."""
+    """`and`; the right operand is evaluated only if the left is true (a guess)."""
     return placed(lambda f: truth(left(f)) and truth(right(f)), place)
 
 
 def either(left: Function, right: Function, place: int) -> Function:
-    """`or`; the right side is worked out only if the left does not hold (a guess)."""
+    """`or`; the right operand is evaluated only if the left is false (a guess)."""
     return placed(lambda f: truth(left(f)) or truth(right(f)), place)
 
 
@@ -234,7 +233,7 @@ def inverted(operand: Function, place: int) -> Function:
 
 
 def checked_truth(operand: Function, place: int) -> Function:
-    """A truth value, or an error."""
+    """The truth value of the operand."""
     return placed(lambda f: truth(operand(f)), place)
 
 
@@ -249,8 +248,8 @@ def operation(sign: str, left: Function, right: Function, place: int) -> Functio
     return _OPERATIONS[sign](left, right, place)
 
 
-# A result between the two limits is a good integer and a good float alike; the comparison is false for NaN. Whatever
-# is not between them is looked at by the slow way.
+# A result between the two limits is a valid integer and a valid float; the comparison is false for NaN. Results outside
+# of them are handled by `_slow`.
 
 
 def _slow(function: Callable[[Any, Any, values.Charge], Any], a: Any, b: Any, f: Frame, place: int) -> Any:
@@ -386,7 +385,7 @@ _OPERATIONS: dict[str, Callable[[Function, Function, int], Function]] = {
 }
 
 
-# The same with a number on the right that is known: what programs do most.
+# The same with a constant number as right operand, the most common case.
 
 
 def _sum_with(left: Function, b: float, place: int) -> Function:
@@ -451,13 +450,13 @@ _OPERATIONS_BY: dict[str, Callable[[Function, float, int], Function]] = {
 
 
 def operation_by(sign: str, left: Function, right: float, place: int) -> Function:
-    """As `operation`, with a number on the right."""
+    """As `operation`, with a number as right operand."""
     by = _OPERATIONS_BY.get(sign)
     return operation(sign, left, constant(right), place) if by is None else by(left, right, place)
 
 
 def choice(condition: Function, then: Function, otherwise: Function, place: int) -> Function:
-    """One or the other, by a condition that stands at `place`."""
+    """One of two values, by a condition at `place`."""
 
     def run(f: Frame, condition: Function = condition, then: Function = then, otherwise: Function = otherwise) -> Any:
         value = condition(f)
@@ -475,7 +474,7 @@ def choice(condition: Function, then: Function, otherwise: Function, place: int)
 
 
 def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
-    """A function of the program that only works something out, of a frame with its arguments."""
+    """A call of a leaf function, in a frame with its arguments."""
 
     def run(f: Frame, function: Function = function, arguments: Sequence[Function] = arguments) -> Any:
         frame = [f[GLOBALS], f[THREAD]]
@@ -487,7 +486,7 @@ def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
 
 
 def call(function: Callable[..., Any], arguments: Sequence[Function], place: int) -> Function:
-    """A built-in function that takes no time."""
+    """A call of a built-in function that takes no time."""
 
     def run(
         f: Frame,

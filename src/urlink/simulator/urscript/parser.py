@@ -1,4 +1,4 @@
-"""From tokens to syntax, by recursive descent.
+"""Recursive-descent parser: tokens to a syntax tree.
 
     program    = { statement }
     statement  = definition | if | while | simple | "pass" | "$" number string
@@ -24,17 +24,17 @@
                | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
-Read off public programs that run on real controllers (docs/protocols/urscript.md, What public programs need): line ends
-mean nothing, so that two statements stand on one line and an expression goes on in the next; blocks may be empty;
-PolyScope writes `$ 1 "Robot Program"` before each node of a program, which does nothing here; `m[i, j]` is the element
-of a matrix, a list of lists; `p[i]` that of a variable that is called p; `s.a` is a member of `struct(a=1)`; and
-`handle.method(x)` calls a method of what a factory has made.
+From public programs that run on real controllers (docs/protocols/urscript.md, What public programs need): line ends
+are white space, so that two statements may share a line and an expression may continue on the next; blocks may be
+empty; PolyScope writes `$ 1 "Robot Program"` before each node of a program, which has no effect here; `m[i, j]` is an
+element of a matrix, a list of lists; `p[i]` is an element of a variable named p; `s.a` is a member of `struct(a=1)`;
+`handle.method(x)` calls a method of the result of a factory.
 
-Guesses: the precedence of `xor`; that the value of a `return` begins on its line, since the next statement would be
-taken for it; that a statement which is an expression begins with a name. `true` and `false` stand in users' programs
-and are taken as `True` and `False`.
+Guesses: the precedence of `xor`; that the value of a `return` begins on its line, else the next statement would be
+taken as the value; that an expression statement begins with a name. `true` and `false` occur in users' programs and
+mean `True` and `False`.
 
-Each token is looked at a bounded number of times, so the work is linear in the text.
+Each token is examined a bounded number of times, so the work is linear in the text.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ from .tokens import END, NAME, NUMBER, STRING, Source, tokens_of
 
 __all__ = ["parse"]
 
-# Tightest last.
+# Highest precedence last.
 _LEVELS: list[frozenset[str]] = [
     frozenset({"or"}),
     frozenset({"xor"}),
@@ -89,7 +89,7 @@ _LEVELS: list[frozenset[str]] = [
 ]
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators}
 _COMPARISON = 4
-#: What an expression goes on with when it is complete.
+#: Tokens that continue a primary expression.
 _POSTFIX = ("[", ".")
 
 
@@ -97,7 +97,7 @@ def parse(source: Source) -> Block:
     """The statements of a program.
 
     Raises:
-        ScriptError: it is no program, with the place and the controller's text.
+        ScriptError: a syntax error; has the place and the controller's text.
     """
     return _Parser(source).program()
 
@@ -129,7 +129,7 @@ class _Parser:
     # -- tokens ------------------------------------------------------------------------------------
 
     def _take(self) -> int:
-        """Take the token at hand, which is not the end; its place."""
+        """Consume the current token, which is not the end; returns its place."""
         self._at += 1
         return self._places[self._at - 1]
 
@@ -146,12 +146,12 @@ class _Parser:
         return False
 
     def _name(self) -> tuple[int, str]:
-        """Place and text of a name, which is taken."""
+        """Consume a name; returns its place and text."""
         place = self._expect(NAME)
         return place, self._texts[self._at - 1]
 
     def _begins_a_line(self) -> bool:
-        """Nothing stands before the token at hand on its line."""
+        """Whether the current token is the first on its line."""
         return "\n" in self._source.text[self._places[self._at - 1] : self._places[self._at]]
 
     def _unexpected(self) -> ScriptError:
@@ -167,7 +167,7 @@ class _Parser:
         return self._source.failure(place, f"nesting_too_deep_on_line:{line}:")
 
     def _depth(self, place: int, parts: Sequence[Expression]) -> int:
-        """Of an expression with these parts."""
+        """Nesting depth of an expression with these parts."""
         depth = 1 + max((part.depth for part in parts), default=0)
         if depth > MAX_NESTING:
             raise self._too_deep(place)
@@ -182,7 +182,7 @@ class _Parser:
         return block
 
     def _block(self, *ends: str) -> Block:
-        """Statements up to one of those keywords, which is left."""
+        """Statements up to one of these keywords, which is not consumed."""
         block: Block = []
         self._deeper()
         while self._kinds[self._at] not in ends:
@@ -292,7 +292,7 @@ class _Parser:
     # -- expressions -------------------------------------------------------------------------------
 
     def _expression(self, level: int = 1) -> Expression:
-        """An operation whose operators bind at `level` or tighter."""
+        """An expression with operators of precedence `level` or higher."""
         kinds = self._kinds
         self._deeper()
         if kinds[self._at] == "not" and level <= _COMPARISON:
@@ -341,7 +341,7 @@ class _Parser:
         return value
 
     def _member(self, base: Expression) -> Expression:
-        """The name after a dot, which may be a keyword too: `program.end()`."""
+        """A member or method; its name may be a keyword: `program.end()`."""
         name = self._texts[self._at]
         if not name.isidentifier():
             raise self._unexpected()
@@ -386,7 +386,7 @@ class _Parser:
         raise self._unexpected()
 
     def _pose(self, place: int) -> Expression:
-        """Six numbers are a pose; with one it is the element of a variable that is called p."""
+        """A pose of six numbers; with one it is an element of a variable named p."""
         self._at += 1
         items = self._items("]")
         depth, has_calls = self._depth(place, items), _have_calls(items)
@@ -397,7 +397,7 @@ class _Parser:
         return PoseDisplay(place, depth, has_calls, items)
 
     def _number(self, place: int, text: str) -> float | int:
-        """An integer, if it is one of 32 bits; that a longer one is a float is a guess."""
+        """An integer if it fits in 32 bits; that a longer one is a float is a guess."""
         if text.isdigit() and len(text) < 20:
             value: float | int = int(text)
         elif text[:2] in ("0x", "0X"):

@@ -1,12 +1,12 @@
-"""Which variable a name means.
+"""Scopes: which variable or function a name refers to.
 
-What the manuals say, as far as it is remembered: `global` and `local` settle it; a name with neither is the global of
-that name if there is one, and otherwise local to its function. What is assumed beyond that:
+By the manuals, as far as they are remembered: `global` and `local` decide; a name with neither is the global of that
+name if there is one, and otherwise local to its function. Assumed beyond that:
 
 - what the program's own body assigns without `local` is global, so that nested functions and threads see it;
-- it is settled for the whole text at once, whatever the order in which the program gets there;
-- a function does not see the local variables of the function it stands in;
-- functions are known in the function they stand in and in all that stands there, before they are defined too.
+- the scope of a name holds for the whole text, whatever the order of execution;
+- a function does not see the local variables of the enclosing function;
+- a function is known in the enclosing function and in all functions nested there, also before its definition.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ __all__ = ["Functions", "Names", "global_names"]
 
 @dataclass
 class Names:
-    """The names that a function mentions in its own body: nested functions have theirs.
+    """The names in a function's own body, without those of nested functions.
 
     Attributes:
-        local: called `local`.
-        global_: called `global`.
-        free: assigned without a word; assigning an element makes no variable.
-        definitions: the functions that stand in it.
+        local: declared `local`.
+        global_: declared `global`.
+        free: assigned without a declaration; assigning an element creates no variable.
+        definitions: nested functions.
     """
 
     local: dict[str, None] = field(default_factory=dict)
@@ -38,7 +38,7 @@ class Names:
 
     @classmethod
     def of(cls, body: Block) -> Names:
-        """Those of a function with this body. Each statement is looked at once."""
+        """The names of a function with this body. Each statement is visited once."""
         names = cls()
         blocks = [body]
         while blocks:
@@ -61,12 +61,12 @@ class Names:
 
 
 class Functions:
-    """The functions and threads that are known somewhere in a program.
+    """The functions and threads that are known in a scope.
 
     Args:
-        names: of the function they stand in.
+        names: of the function whose scope it is.
         source: the text.
-        outer: what is known around that.
+        outer: the enclosing scope.
     """
 
     def __init__(self, names: Names, source: Source, outer: Functions | None) -> None:
@@ -77,11 +77,11 @@ class Functions:
 
     @property
     def has_any(self) -> bool:
-        """Some stand in it, beside those around it."""
+        """Whether any is defined in this scope itself."""
         return bool(self._known)
 
     def find(self, name: str) -> tuple[Definition, Code] | None:
-        """The one of that name, the innermost if there are several."""
+        """The one of that name in the innermost scope that has one."""
         scope: Functions | None = self
         while scope is not None:
             if name in scope._known:

@@ -1,13 +1,12 @@
 """Interpreter mode: the statements that clients send to a program that waits for them, and the status of each.
 
-The main thread calls `interpreter_mode()` and stays there. What comes is compiled into the scope of the function that
-called it: it sees its variables and functions, and what it assigns is there for later statements. Statements run one
-after the other, each to its end. Source: docs/protocols/urscript.md, section Interpreter mode. Guesses:
+The main thread calls `interpreter_mode()` and stays there. Statements are compiled into the scope of the function that
+called it: they see its variables and functions, and what earlier statements assigned. They run one after the other,
+each to its end. Source: docs/protocols/urscript.md, section Interpreter mode. Guesses:
 
-- identifiers count from 1 in each program, and count the statements that are discarded too; outside of the mode they
-  are 0;
-- `MOST` statements are kept until they are cleared, and those beyond it discarded; so are longer ones than `LONGEST`;
-- `clear_interpreter()` clears those that were begun, and leaves what they have defined;
+- identifiers count from 1 in each program, discarded statements included; outside of the mode they are 0;
+- `MOST` statements are kept until they are cleared, further ones are discarded; so are those longer than `LONGEST`;
+- `clear_interpreter()` clears those that were begun, and keeps what they have defined;
 - `abort` ends every kind of motion that a program waits for.
 """
 
@@ -43,7 +42,7 @@ S = TypeVar("S")
 
 
 class StatementQueue(Generic[S]):
-    """The statements of one program, in the order in which they came, compiled.
+    """The compiled statements of one program, in the order of arrival.
 
     Attributes:
         is_on: whether the program is in interpreter mode.
@@ -98,7 +97,7 @@ class StatementQueue(Generic[S]):
     # -- for clients -----------------------------------------------------------------------------------
 
     def put(self, text: str) -> Reply:
-        """A statement."""
+        """Compile and queue a statement."""
         if not self.is_on or self._compile is None:
             return Reply("discard", 0)
         self._numbers += 1
@@ -114,7 +113,7 @@ class StatementQueue(Generic[S]):
         return Reply("ack", self._numbers)
 
     def obey(self, word: str) -> Reply | None:
-        """Execute one of the words that are not statements; None if it is none of them."""
+        """Execute a command that is not a statement; None if `word` is none."""
         if word == "skipbuffer":
             self._forget_waiting()
         elif word == "abort":

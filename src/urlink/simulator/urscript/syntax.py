@@ -46,7 +46,7 @@ class Node:
     """A part of a program.
 
     Attributes:
-        place: where it stands in the text; an operation where its operator stands.
+        place: character offset in the text; that of the operator for an operation.
     """
 
     place: int
@@ -54,11 +54,11 @@ class Node:
 
 @dataclass(slots=True)
 class Expression(Node):
-    """Something with a value.
+    """An expression.
 
     Attributes:
-        depth: how many expressions lie in one another here.
-        has_calls: a function is called in it.
+        depth: nesting depth; 1 without subexpressions.
+        has_calls: whether it contains a call.
     """
 
     depth: int
@@ -67,7 +67,7 @@ class Expression(Node):
 
 @dataclass(slots=True)
 class Constant(Expression):
-    """A number, a string, a truth value."""
+    """A number, string or truth value."""
 
     value: float | int | bool | str
 
@@ -147,7 +147,7 @@ class MethodCall(Expression):
 
 @dataclass(slots=True)
 class Statement(Node):
-    """Something that is done."""
+    """A statement."""
 
 
 Block = list[Statement]
@@ -173,7 +173,7 @@ class Assign(Statement):
 
 @dataclass(slots=True)
 class Evaluate(Statement):
-    """An expression on a line of its own: a call, or `enter_critical`."""
+    """An expression as a statement: a call, or `enter_critical`."""
 
     value: Expression
 
@@ -232,7 +232,7 @@ class Join(Statement):
 
 @dataclass(slots=True)
 class Parameter(Node):
-    """Of a function, with its default value where it has one."""
+    """A parameter of a function; `default` is None without a default."""
 
     name: str
     default: Expression | None
@@ -249,7 +249,7 @@ class Definition(Statement):
 
 
 def parts_of(node: Expression) -> Sequence[Expression]:
-    """The expressions that it is made of."""
+    """The direct subexpressions."""
     match node:
         case ListDisplay() | PoseDisplay():
             return node.items

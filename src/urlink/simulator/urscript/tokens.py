@@ -1,11 +1,10 @@
 """The tokens of a program, each with its place.
 
-One expression knows them all, with the blanks and comments before each. Line ends are white space like any other, as
-public programs have it that run on real controllers: two statements stand on one line, and an expression goes on after
-`=` on the next.
+One regular expression matches every token, with the blanks and comments before it. Line ends are ordinary white space:
+in public programs that run on real controllers, two statements share a line, and an expression continues after `=` on
+the next.
 
-Work is linear in the text: each character is looked at once, since some alternative always matches, if only the one for
-what is no token.
+Work is linear in the text: each character is examined once, since some alternative always matches, at worst `unknown`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from .limits import MAX_TEXT, MAX_TOKENS
 
 __all__ = ["END", "KEYWORDS", "NAME", "NUMBER", "STRING", "Source", "Tokens", "tokens_of"]
 
-#: Kinds of tokens; that of a keyword or mark is its text.
+#: Kinds of tokens; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
@@ -41,7 +40,7 @@ _OTHERS = {
 }
 KEYWORDS = frozenset(_STATEMENTS | _OTHERS)
 
-# That numbers may be hexadecimal is a guess. A mark or keyword is its own kind, so these two groups come last.
+# That numbers may be hexadecimal is a guess.
 _TOKEN = re.compile(
     r"""
     \s* (?: \#[^\n]* \s* )*
@@ -60,7 +59,7 @@ _NUMBER, _STRING, _NAME, _MARK, _END, _UNKNOWN = range(1, 7)
 
 
 class Source:
-    """A program's text, and the words in which a controller speaks of a place in it.
+    """A program's text, which gives errors their line and column.
 
     Attributes:
         text: the program.
@@ -76,18 +75,18 @@ class Source:
             raise ScriptError(1, 1, f"program_too_long:{len(text)}:")
 
     def line_and_column(self, place: int) -> tuple[int, int]:
-        """Where that is, counted from 1."""
+        """Line and column of a place, counted from 1."""
         if self._line_starts is None:
             self._line_starts = [0, *(match.end() for match in re.finditer("\n", self.text))]
         line = bisect_right(self._line_starts, place)
         return line, place - self._line_starts[line - 1] + 1
 
     def failure(self, place: int, text: str) -> ScriptError:
-        """An error there, in these words."""
+        """An error at a place, with this text."""
         return ScriptError(*self.line_and_column(place), text)
 
     def syntax_error(self, place: int) -> ScriptError:
-        """A syntax error there; the controller quotes the line."""
+        """A syntax error at a place; it quotes the line."""
         line, _ = self.line_and_column(place)
         begin = self.text.rfind("\n", 0, place) + 1
         end = self.text.find("\n", place)
@@ -101,7 +100,7 @@ class Tokens(NamedTuple):
     Attributes:
         kinds: of the tokens; the last is `END`.
         texts: as written.
-        places: where in the text each begins.
+        places: character offset of each.
     """
 
     kinds: list[str]
@@ -113,7 +112,7 @@ def tokens_of(source: Source) -> Tokens:
     """The tokens of a text.
 
     Raises:
-        ScriptError: there is something that is no token, or too many of them.
+        ScriptError: an unknown character, or too many tokens.
     """
     found = Tokens([], [], [])
     kinds, texts, places = found

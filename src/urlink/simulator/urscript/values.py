@@ -1,20 +1,20 @@
 """The values of variables, and the operators on them.
 
-A value is a Python number, truth value or string, a tuple for a list, a `Pose`, or the handle of a thread. All are
-immutable, so that passing one on costs nothing and shares no list; assigning an element makes a new one.
+A value is a Python number, truth value or string, a tuple for a list, a `Pose`, a `Struct`, or a handle. All are
+immutable, so that passing one needs no copy and shares no list; assigning an element makes a new value.
 
-Known: a number is a condition too (a driver's program has `if has_qnear:` of a quotient), which holds unless it is
-zero; numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces
-(a log of 5.x). Controllers of 5.9 to 5.14 refuse to give a variable a list of another length ("Resizing of 'List' is
-not supported", by a project's tests); here that is not looked at. Guesses:
+Known: a number is also a condition (a driver's program has `if has_qnear:` of a quotient), true unless it is zero;
+numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces (a log of 5.x).
+Controllers of 5.9 to 5.14 refuse to assign a list of another length to a variable ("Resizing of 'List' is not
+supported", by a project's tests); this is not checked here. Guesses:
 
-- `/` always gives a float; drivers divide integers from a socket by a million and get fractions, so it does not cut;
+- `/` always gives a float; drivers divide integers from a socket by a million and get fractions: it does not truncate;
 - `%` has the sign of its left operand, as in C;
-- an integer beyond 32 bits, and a result that is no finite number, are errors;
-- truth values are no numbers;
-- values of different types are unequal, but an integer equals its float;
-- arithmetic on lists goes element by element, also with one number on either side; poses have none;
-- a struct is copied where it is assigned, as a list is; it gets no members beyond those that it was made with.
+- an integer beyond 32 bits, and a result that is not finite, are errors;
+- truth values are not numbers;
+- values of different types are unequal, but an integer equals the same float;
+- arithmetic on lists is element-wise, also with a number as one operand; poses have none;
+- a struct is copied by assignment, as a list is; no members can be added to it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 NUMBERS: frozenset[Any] = frozenset({int, float})
-#: Called with the number of elements that are made.
+#: Called with the number of elements made.
 Charge = Callable[[int], None]
 
 
@@ -67,12 +67,12 @@ class Pose(tuple[float, ...]):
 
 
 class Struct:
-    """Named members, as `struct(a=1, b=2)` makes them. It is never changed.
+    """Named members, made by `struct(a=1, b=2)`; immutable.
 
     Attributes:
         members: name -> value.
-        weight: elements and characters that it holds.
-        depth: structs in one another.
+        weight: number of elements and characters in it.
+        depth: nesting depth of structs.
     """
 
     __slots__ = ("depth", "members", "weight")
@@ -118,12 +118,12 @@ _NAMES = {
 
 
 def type_name(value: object) -> str:
-    """For messages."""
+    """The type of a value, for messages."""
     return _NAMES.get(type(value), "thread handle")
 
 
 def to_str(value: object) -> str:
-    """As `textmsg` and `to_str` write it."""
+    """The text of a value in `textmsg` and `to_str`."""
     if value.__class__ is str:
         return str(value)
     if value.__class__ is float:
@@ -139,7 +139,7 @@ def to_str(value: object) -> str:
 
 
 def weight(value: Any) -> int:
-    """How many elements and characters it holds, those of inner lists included."""
+    """Number of elements and characters in a value, those of inner lists included."""
     if value.__class__ is str:
         return len(value)
     if value.__class__ is tuple:
@@ -154,7 +154,7 @@ def weight(value: Any) -> int:
 
 
 def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
-    """A list, if it may be made: no longer than allowed, and lists in it hold no lists. The latter is a guess."""
+    """A list of at most `MAX_ELEMENTS`, inner lists included, which hold no lists themselves (a guess)."""
     made = tuple(items)
     total = len(made)
     for item in made if not NUMBERS.issuperset(map(type, made)) else ():
@@ -173,7 +173,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
 
 
 def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
-    """A struct, if it may be made: no larger than a list, and no deeper than `MAX_STRUCTS`."""
+    """A struct, no larger than a list and no deeper than `MAX_STRUCTS`."""
     if None in members.values():
         raise type_error("none cannot be in a struct")
     made = Struct(members)
@@ -186,7 +186,7 @@ def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
 
 
 def checked(value: float | int) -> float | int:
-    """A number that a program may have: finite, and of 32 bits if it is an integer."""
+    """The number, if it is finite, and within 32 bits for an integer; else a fault."""
     if isinstance(value, int):
         if not MIN_INTEGER <= value <= MAX_INTEGER:
             raise Fault("Integer overflow")
@@ -224,7 +224,7 @@ def modulo(a: Any, b: Any, charge: Charge) -> Any:
 
 
 def signed(factor: int, a: Any, charge: Charge) -> Any:
-    """`-a` and `+a`, where the factor is -1 or 1."""
+    """`-a` and `+a`; the factor is -1 or 1."""
     if a.__class__ is tuple:
         return _arithmetic(operator.mul, "*", a, factor, charge)
     if a.__class__ not in NUMBERS:
@@ -287,14 +287,14 @@ def equal(a: Any, b: Any, charge: Charge) -> bool:
 
 
 def compare(sign: str, a: Any, b: Any) -> bool:
-    """`<`, `<=`, `>`, `>=` of what may not be numbers."""
+    """`<`, `<=`, `>`, `>=`, of numbers only."""
     if a.__class__ not in NUMBERS or b.__class__ not in NUMBERS:
         raise type_error(f"{type_name(a)} {sign} {type_name(b)}")
     return bool({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}[sign](a, b))
 
 
 def truth(value: Any) -> bool:
-    """Of a condition."""
+    """The truth value of a condition."""
     if value.__class__ in NUMBERS or value.__class__ is bool:
         return bool(value)
     raise type_error(f"a condition is a truth value or a number, not {type_name(value)}")
@@ -316,7 +316,7 @@ def _place(value: Any, index: Any) -> int:
 
 
 def element(value: Any, index: Any) -> Any:
-    """`value[index]`; a float that is whole is taken as an index (a guess)."""
+    """`value[index]`; a float may be an index if it is whole (a guess)."""
     return value[_place(value, index)]
 
 
@@ -328,7 +328,7 @@ def member(value: Any, name: str) -> Any:
 
 
 def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
-    """`value` after `value[i][j] = new`, where a text among the indices is the name of a member."""
+    """`value` after `value[i][j] = new`; a string among the indices is a member name."""
     if indices[0].__class__ is str:
         old = member(value, indices[0])
         changed = new if len(indices) == 1 else replaced(old, indices[1:], new, charge)
@@ -343,7 +343,7 @@ def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> An
     if value.__class__ is Pose:
         return Pose(items)
     if new.__class__ in NUMBERS or new.__class__ is bool:
-        # No longer than it was.
+        # Its length is unchanged.
         if len(items) > 32:
             charge(len(items) // 32)
         return tuple(items)

@@ -1,4 +1,4 @@
-"""The functions that a controller has, one module for each family of them."""
+"""The built-in functions of a controller, one module for each family."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ FAMILIES: tuple[Family, ...] = (
 
 
 def find(name: str, firmware: Firmware) -> Builtin | None:
-    """The function of that name on a controller of that firmware, or None if it has none."""
+    """The function of that name in a firmware; None if it has none."""
     for family in FAMILIES:
         for builtin in family.functions.get(name, ()):
             if builtin.is_in(firmware):

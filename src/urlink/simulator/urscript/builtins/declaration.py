@@ -1,8 +1,7 @@
-"""How a built-in function is declared, and how it checks its arguments: a Python function of the calling thread and of
-the parameters.
+"""Declaration of built-in functions, and checks of their arguments.
 
-Its parameters' names and defaults are those of the URScript function. One that takes time is a generator that yields
-once for every cycle that it waits.
+Each is a Python function of the calling thread and of the parameters, with the names and defaults of the URScript
+function. One that takes time is a generator that yields once for every cycle that it waits.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ __all__ = [
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: In place of a default value.
+#: The default value of a parameter that must be given.
 REQUIRED = inspect.Parameter.empty
 
 
@@ -48,11 +47,11 @@ class Builtin:
         name: in a program.
         function: called with the thread and every parameter, by position.
         parameters: names and default values.
-        takes_time: it is a generator.
-        in_secondary: a `sec` program may call it.
-        is_variadic: takes any arguments, named or not.
+        takes_time: whether it is a generator.
+        in_secondary: whether a `sec` program may call it.
+        is_variadic: whether it takes any arguments, named or not.
         since: the first firmware of each generation that has it.
-        until: the first firmware that has it no longer, or otherwise.
+        until: the first firmware without it, or with another form of it.
     """
 
     name: str
@@ -65,12 +64,12 @@ class Builtin:
     until: Since | None
 
     def is_in(self, firmware: Firmware) -> bool:
-        """That firmware has it."""
+        """Whether the firmware has it."""
         return firmware in self.since and (self.until is None or firmware not in self.until)
 
 
 class Family:
-    """A table of functions that belong together."""
+    """A table of related functions."""
 
     def __init__(self) -> None:
         self.functions: dict[str, list[Builtin]] = {}
@@ -84,7 +83,7 @@ class Family:
         since: str = "1.0",
         until: str | None = None,
     ) -> Callable[[F], F]:
-        """Enter a function into the table, under its own name or `name`, and under other names too."""
+        """Add a function to the table, under its own name or `name`, and under its aliases."""
 
         def enter(function: F) -> F:
             signature = list(inspect.signature(function).parameters.values())[1:]
@@ -105,7 +104,7 @@ class Family:
         return enter
 
 
-# -- what functions ask of their arguments --------------------------------------------------------------
+# -- checks of arguments --------------------------------------------------------------------------------
 
 
 def number(value: Any, what: str) -> float:
@@ -116,7 +115,7 @@ def number(value: Any, what: str) -> float:
 
 
 def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -> int:
-    """An integer, or a float that is one (a guess), of a range."""
+    """An integer within a range, or a float of such a value (a guess)."""
     if value.__class__ is float and value.is_integer():
         value = int(value)
     if value.__class__ is not int:
@@ -141,7 +140,7 @@ def string(value: Any, what: str) -> str:
 
 
 def is_list(value: Any) -> bool:
-    """A list, and no pose."""
+    """Whether it is a list and not a pose."""
     return value.__class__ is tuple
 
 
@@ -156,7 +155,7 @@ def numbers(value: Any, what: str) -> list[float]:
 
 
 def vector(value: Any, what: str, length: int) -> list[float]:
-    """A list of so many numbers."""
+    """The numbers of a list or pose of this length."""
     found = numbers(value, what)
     if len(found) != length:
         raise Fault(f"{what} is {length} numbers, not {len(found)}")
@@ -164,7 +163,7 @@ def vector(value: Any, what: str, length: int) -> list[float]:
 
 
 def joints(value: Any, what: str) -> list[float]:
-    """A list of six numbers that is no pose."""
+    """A list of six numbers that is not a pose."""
     if value.__class__ is Pose:
         raise type_error(f"{what} is a list, not a pose")
     return vector(value, what, 6)

@@ -1,8 +1,7 @@
-"""Direct torque, and functions of the arm's Jacobian and dynamics, with the payload that it carries, as the library
-computes them.
+"""Direct torque, and the Jacobian and dynamics of the arm with its payload, as the library computes them.
 
-ur_rtde uses them on 5.23 and later, all without arguments. Guesses: their arguments, of which the joint positions and
-speeds come first; that without them the actual ones count; that a matrix is a list of its rows.
+ur_rtde uses them on 5.23 and later, all without arguments. Guesses: their arguments, joint positions and speeds first;
+that the actual ones are the default; that a matrix is a list of its rows.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
-# What each costs, in elements of a list.
+# Work of each, in elements of a list.
 _COST = 400
-# s over which the Jacobian is compared with itself, to both sides: rounding and curvature cost about the same.
+# s, step of the central difference of the Jacobian: the errors of rounding and curvature are about equal.
 _MOMENT = 1e-5
 
 _Rows = tuple[tuple[float, ...], ...]
@@ -57,7 +56,7 @@ def _dynamics(thread: ScriptThread) -> Dynamics:
 
 @FAMILY.declare(since="5.23/10.11")
 def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
-    """Joint speeds to the velocity of the TCP in the base frame."""
+    """The matrix from joint speeds to the velocity of the TCP in the base frame."""
     thread.machine.spend(_COST)
     at, tool = _positions(thread, q, "get_jacobian"), _tool(thread, tcp, "get_jacobian")
     return _rows(thread.world.kinematics.jacobian(at, tool))
@@ -65,7 +64,7 @@ def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -
 
 @FAMILY.declare(since="5.23/10.11")
 def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
-    """How the Jacobian changes at these joint speeds, per second."""
+    """The time derivative of the Jacobian at these joint speeds, per second."""
     thread.machine.spend(2 * _COST)
     what = "get_jacobian_time_derivative"
     at, speeds, tool = _positions(thread, q, what), _speeds(thread, qd, what), _tool(thread, tcp, what)
@@ -78,14 +77,14 @@ def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = 
 
 @FAMILY.declare(since="5.23/10.11")
 def get_mass_matrix(thread: ScriptThread, q: Any = None) -> _Rows:
-    """Joint accelerations to the torques that they take, kg m²."""
+    """The matrix from joint accelerations to torques, kg m²."""
     thread.machine.spend(_COST)
     return _rows(_dynamics(thread).mass_matrix(_positions(thread, q, "get_mass_matrix")))
 
 
 @FAMILY.declare(since="5.23/10.11")
 def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
-    """What constant joint speeds take, weight left out, Nm."""
+    """Torques at constant joint speeds, without gravity, Nm."""
     thread.machine.spend(_COST)
     what = "get_coriolis_and_centrifugal_torques"
     at, speeds = _positions(thread, q, what), _speeds(thread, qd, what)
@@ -94,7 +93,7 @@ def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd
 
 @FAMILY.declare(since="5.23/10.11")
 def get_target_joint_torques(thread: ScriptThread) -> tuple[float, ...]:
-    """What the movement takes that the arm is led through, its weight included, Nm. That it is called so is a guess."""
+    """Torques of the target movement, gravity included, Nm. The name of the function is a guess."""
     return tuple(float(each) for each in thread.world.torques)
 
 
@@ -106,10 +105,10 @@ def direct_torque(
     viscous_scale: Any = (1, 1, 1, 1, 1, 1),
     coulomb_scale: Any = (1, 1, 1, 1, 1, 1),
 ) -> Waiting:
-    """Torques of the joints for one cycle, on top of what holds the arm up.
+    """Apply joint torques for one cycle, in addition to gravity compensation.
 
-    The two scales, which later firmware has, say how much of the friction is made up for; here the smaller of both
-    counts for each joint.
+    The two scales, which later firmware has, are the compensated fractions of friction; here the smaller of both is
+    used for each joint.
     """
     thread.machine.spend(_COST)
     wanted = joints(torque, "direct_torque: torque")
@@ -123,7 +122,7 @@ def direct_torque(
 
 @FAMILY.declare(since="5.23/10.11")
 def set_friction_compensation(thread: ScriptThread, enable: Any) -> None:
-    """Without effect: `direct_torque` says for itself whether friction is made up for."""
+    """Without effect: an argument of `direct_torque` turns friction compensation on."""
     boolean(enable, "set_friction_compensation: enable")
 
 

@@ -1,9 +1,9 @@
 """The force sensor, contacts, force mode and freedrive.
 
-How the arm yields is a model: see `urlink.simulator.robot.generator.compliance` and `free_joints`; what it touches is
-placed by tests (`urlink.simulator.robot.surroundings`). Known from the vendor's manual, as remembered: names, order and
-ranges of the arguments. Guesses: since which release a function is there where a driver does not tell, and that a
-number out of its range is an error.
+How the arm yields is a model: see `urlink.simulator.robot.generator.compliance` and `free_joints`; tests place the
+objects that it touches (`urlink.simulator.robot.surroundings`). Known from the vendor's manual, as remembered: names,
+order and ranges of the arguments. Guesses: the first release with a function where no driver shows it, and that a
+number out of range is an error.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ FAMILY = Family()
 
 _NOWHERE = (0.0, 0.0, 0.0)
 _BASE = (0.0,) * 6
-# What each costs that computes with the arm, in elements of a list.
+# Work of each function that computes with the arm, in elements of a list.
 _COST = 400
-# Of the square of the manipulability of the posture, m⁶: below them the arm is near a singularity, and too near.
+# Squared manipulability of the posture, m⁶, below which the arm is near a singularity, and too near.
 _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 
 
@@ -32,20 +32,20 @@ _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 
 @FAMILY.declare(since="3.0")
 def zero_ftsensor(thread: ScriptThread) -> None:
-    """What the sensor shows now is taken off from here on."""
+    """Make the present force the zero of the sensor."""
     thread.world.zero_force()
 
 
 @FAMILY.declare(since="5.4")
 def tool_contact(thread: ScriptThread, direction: Any = (0, 0, 0, 0, 0, 0)) -> int:
-    """Cycles since a contact in that direction of the tool began: 0 where there is none. Zeros ask for any direction.
+    """Cycles since a contact in that direction of the tool began; 0 without one. Zeros mean any direction.
 
-    The first three numbers count. What `get_actual_joint_positions_history` takes.
+    Only the first three numbers are used. The result is the argument of `get_actual_joint_positions_history`.
     """
     return thread.world.contact_steps(six(direction, "tool_contact: direction")[:3])
 
 
-# The older of the two names is said to have a defect in its signs on real controllers, which is not here.
+# The older of the two names is reported to have a sign error on real controllers; not modelled.
 @FAMILY.declare(name="enable_external_ft_sensor", since="3.0")
 @FAMILY.declare(since="3.14/5.9")
 def ft_rtde_input_enable(
@@ -55,7 +55,7 @@ def ft_rtde_input_enable(
     sensor_measuring_offset: Any = _NOWHERE,
     sensor_cog: Any = _NOWHERE,
 ) -> None:
-    """The force at the TCP is what RTDE clients send as `external_force_torque`; mass and places are not looked at."""
+    """Take the force at the TCP from the RTDE input `external_force_torque`; mass and places have no effect."""
     number(sensor_mass, "ft_rtde_input_enable: sensor_mass")
     vector(sensor_measuring_offset, "ft_rtde_input_enable: sensor_measuring_offset", 3)
     vector(sensor_cog, "ft_rtde_input_enable: sensor_cog", 3)
@@ -69,7 +69,7 @@ def ft_rtde_input_enable(
 def force_mode(
     thread: ScriptThread, task_frame: Any, selection_vector: Any, wrench: Any, type: Any, limits: Any
 ) -> None:
-    """The arm yields along the selected axes of the frame, from now until `end_force_mode`."""
+    """Let the arm yield along the selected axes of the frame until `end_force_mode`."""
     thread.machine.spend(_COST)
     most = six(limits, "force_mode: limits")
     if min(most) < 0.0:
@@ -123,7 +123,7 @@ def freedrive_mode_in_all_directions(thread: ScriptThread) -> None:
 
 @FAMILY.declare(in_secondary=False, since="5.10")
 def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = "base") -> None:
-    """By hand along and about these axes of a feature: a pose in the base frame, or "base" or "tool"."""
+    """Let the arm be moved by hand along and about axes of a feature: a pose in the base frame, "base" or "tool"."""
     thread.machine.spend(_COST)
     frames = {"base": _BASE, "tool": thread.world.pose_target}
     known = isinstance(feature, str) and feature in frames
@@ -144,7 +144,7 @@ def end_freedrive_mode(thread: ScriptThread) -> None:
 
 @FAMILY.declare(since="5.10")
 def get_freedrive_status(thread: ScriptThread) -> int:
-    """0; 1 near a singularity; 2 too near to one to be moved well. The distances are guesses."""
+    """0 normal, 1 near a singularity, 2 too near to be moved well. The distances are guesses."""
     thread.machine.spend(_COST)
     left = float(thread.world.kinematics.manipulability(list(thread.world.q_target))) ** 2
     return 2 if left < _TOO_CLOSE else 1 if left < _CLOSE else 0

@@ -98,7 +98,7 @@ def get_tool_digital_in(thread: ScriptThread, n: Any) -> bool:
 
 @FAMILY.declare()
 def get_analog_in(thread: ScriptThread, n: Any) -> float:
-    """A or V: 0 and 1 of the control box, 2 and 3 of the tool."""
+    """A or V; 0 and 1 are of the control box, 2 and 3 of the tool."""
     return thread.world.signals.analog_inputs[integer(n, "get_analog_in: n", 0, 3)]
 
 
@@ -147,7 +147,7 @@ def get_standard_analog_out(thread: ScriptThread, n: Any) -> float:
 
 @FAMILY.declare()
 def set_analog_outputdomain(thread: ScriptThread, port: Any, domain: Any) -> None:
-    """0 current, 1 voltage; the level that is set keeps its fraction of the range, a guess."""
+    """0 current, 1 voltage; the output keeps its fraction of the range (a guess)."""
     at = integer(port, "set_analog_outputdomain: port", 0, 1)
     level = _get_analog(thread, at, "set_analog_outputdomain")
     thread.world.signals.analog_output_domains[at] = integer(domain, "set_analog_outputdomain: domain", 0, 1)
@@ -202,7 +202,7 @@ def set_tool_communication(
     rx_idle_chars: Any,
     tx_idle_chars: Any,
 ) -> None:
-    """The serial line through the tool connector; it is shown, and nothing is connected to it."""
+    """The serial line of the tool connector; the settings are shown, and nothing is connected."""
     what = "set_tool_communication"
     thread.world.signals.tool_communication = ToolCommunication(
         boolean(enabled, f"{what}: enabled"),
@@ -214,13 +214,13 @@ def set_tool_communication(
     )
 
 
-# What inputs do to the program, and how quickly the arm changes between the limits of two safety modes. Checked, and
-# without effect: no input has an action here, and there is one set of limits.
+# Actions of inputs, and how fast the arm changes between the limits of two safety modes. Arguments are checked, without
+# effect: no input has an action here, and there is one set of limits.
 
 
 @FAMILY.declare()
 def set_analog_inputrange(thread: ScriptThread, port: Any, range: Any) -> None:
-    """Of the older controllers: 0 and 1 of the control box have four ranges; the values here are in V anyway."""
+    """Of older controllers: 0 and 1 of the control box have four ranges. Without effect: values here are in V."""
     integer(port, "set_analog_inputrange: port", 0, 3)
     integer(range, "set_analog_inputrange: range", 0, 3)
 

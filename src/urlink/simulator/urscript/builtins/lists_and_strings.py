@@ -1,4 +1,4 @@
-"""Functions of lists and strings, and from one to the other."""
+"""Functions of lists and strings, and conversions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?\
 
 
 def made(thread: ScriptThread, text: str) -> str:
-    """A new string, if it is not too long."""
+    """A new string of at most `MAX_STRING` characters."""
     if len(text) > MAX_STRING:
         raise Fault(f"String too long: {len(text)} characters")
     thread.machine.charge(len(text))
@@ -28,13 +28,13 @@ def made(thread: ScriptThread, text: str) -> str:
 
 @FAMILY.declare("get_list_length", "size")
 def length(thread: ScriptThread, v: Any) -> int:
-    """Of a list; of a string its characters."""
+    """The length of a list or string."""
     if is_list(v) or isinstance(v, (str, tuple)):
         return len(v)
     raise type_error(f"length of {type_name(v)}")
 
 
-# Named after what it is in a program, as all are; `to_str` of values is what does it.
+# `to_str` is the function of `values` here.
 @FAMILY.declare(name="to_str")
 def to_string(thread: ScriptThread, val: Any) -> str:
     return made(thread, to_str(val))
@@ -52,7 +52,7 @@ def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
 
 @FAMILY.declare()
 def str_cat(thread: ScriptThread, op1: Any, op2: Any) -> str:
-    """Of strings, or of what `to_str` makes of other values."""
+    """Two values, converted by `to_str`, in one string."""
     return made(thread, to_str(op1) + to_str(op2))
 
 
@@ -77,7 +77,7 @@ def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
 
 @FAMILY.declare()
 def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) -> str:
-    """The part from `index` on, `len` characters or as many as there are."""
+    """At most `len` characters from `index` on."""
     text = string(src, "str_sub: src")
     at, count = integer(index, "str_sub: index", 0), integer(len, "str_sub: len", 0)
     if at > text.__len__():
@@ -87,7 +87,7 @@ def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) ->
 
 @FAMILY.declare()
 def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -> int:
-    """Where `target` begins, or -1."""
+    """The index of `target`, or -1."""
     text, wanted = string(src, "str_find: src"), string(target, "str_find: target")
     thread.machine.charge(len(text) // 16 + len(wanted) // 16)
     return text.find(wanted, integer(start_from, "str_find: start_from", 0))
@@ -102,7 +102,7 @@ def integer_to_binary_list(thread: ScriptThread, x: Any) -> tuple[bool, ...]:
 
 @FAMILY.declare()
 def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
-    """Of up to 32 truth values, the lowest bit first; bit 31 is the sign."""
+    """From up to 32 truth values, the lowest bit first; bit 31 is the sign."""
     if not is_list(l) or len(l) > 32:
         raise type_error("binary_list_to_integer takes a list of up to 32 truth values")
     value = sum(boolean(bit, "binary_list_to_integer: l") << at for at, bit in enumerate(l))
@@ -111,6 +111,6 @@ def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
 
 @FAMILY.declare(since="3.15/5.10")
 def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
-    """A list of that many equal values. That its longest length makes no difference here is a simplification."""
+    """A list of `length` equal values. That `capacity` has no effect is a simplification."""
     count = integer(length, "make_list: length", 0, 10_000)
     return list_of([initial_value] * count, thread.machine.charge)

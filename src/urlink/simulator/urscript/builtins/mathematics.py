@@ -25,7 +25,7 @@ def sqrt(thread: ScriptThread, f: Any) -> float:
 
 @FAMILY.declare()
 def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
-    """Always a float, which is a guess."""
+    """Always a float (a guess)."""
     x, y = float(number(base, "pow: base")), float(number(exponent, "pow: exponent"))
     try:
         return checked(math.pow(x, y))
@@ -89,7 +89,7 @@ def atan(thread: ScriptThread, f: Any) -> float:
 
 @FAMILY.declare()
 def atan2(thread: ScriptThread, x: Any, y: Any) -> float:
-    """Of the sine x and the cosine y."""
+    """The angle of the sine x and the cosine y."""
     return math.atan2(number(x, "atan2: x"), number(y, "atan2: y"))
 
 
@@ -115,20 +115,20 @@ def ceil(thread: ScriptThread, f: Any) -> float | int:
 
 @FAMILY.declare()
 def round(thread: ScriptThread, f: Any) -> float | int:
-    """Halves away from zero, as in C: a guess, and so is the function."""
+    """Round halves away from zero, as in C. This and the function itself are guesses."""
     x = number(f, "round: f")
     return checked(math.floor(abs(x) + 0.5) * (-1 if x < 0 else 1))
 
 
 @FAMILY.declare()
 def random(thread: ScriptThread) -> float:
-    """From 0 to 1, the same numbers in every run of a program."""
+    """From 0 to 1; the same numbers in every run of a program."""
     return thread.machine.random.random()
 
 
 @FAMILY.declare()
 def norm(thread: ScriptThread, a: Any) -> float | int:
-    """The length of a vector, the magnitude of a number."""
+    """The length of a vector, or the magnitude of a number."""
     if a.__class__ is int or a.__class__ is float:
         return checked(-a if a < 0 else a)
     items = numbers(a, "norm: a")

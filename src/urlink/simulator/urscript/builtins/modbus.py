@@ -1,7 +1,7 @@
 """Modbus signals: named values that programs add, read and set. No device is connected to them; see `robot.modbus`.
 
-Parameters are those of the manual, as far as they are remembered; whether a secondary program asks makes no difference
-here. Arguments out of range, and a signal that was not added, end the program (a guess).
+Parameters are those of the manual, as far as they are remembered; `is_secondary_program` has no effect here. Arguments
+out of range, and a signal that was not added, end the program (a guess).
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ def modbus_add_signal(
 
 @FAMILY.declare(since="3.0")
 def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
-    """False if there is none."""
+    """Delete a signal; False if there is none."""
     return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
 
 
 @FAMILY.declare(since="3.0")
 def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
-    """True or False of a digital signal, the number of a register."""
+    """True or False for a digital signal, a number for a register."""
     signal = _signal(thread, signal_name, "modbus_get_signal_status")
     return bool(signal.value) if signal.is_digital else signal.value
 
@@ -94,14 +94,14 @@ def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, u
 
 @FAMILY.declare(since="3.0")
 def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
-    """Shown in the signal; a failure stops no program here."""
+    """Stored in the signal; a failure does not stop a program here."""
     what = "modbus_set_signal_watchdog"
     _signal(thread, signal_name, what).watchdog = boolean(is_watched, f"{what}: is_watched")
 
 
 @FAMILY.declare(since="3.0")
 def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
-    """Shown in the signal; outputs keep their values whatever runs here."""
+    """Stored in the signal; outputs keep their values here, whether a program runs or not."""
     what = "modbus_set_runstate_dependent_choice"
     _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
 
@@ -113,14 +113,14 @@ def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
 
 @FAMILY.declare(since="3.0")
 def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
-    """s; 0 where nothing is wrong with it."""
+    """s; 0 for a valid signal."""
     signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
     return thread.world.modbus.seconds_invalid(signal)
 
 
 @FAMILY.declare(since="3.0")
 def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
-    """Checked, and not sent."""
+    """The arguments are checked; nothing is sent."""
     what = "modbus_send_custom_command"
     string(IP, f"{what}: IP")
     integer(slave_number, f"{what}: slave_number", 0, 255)

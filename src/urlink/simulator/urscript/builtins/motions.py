@@ -85,7 +85,7 @@ def movec(
 
 @FAMILY.declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """As `movej`, with fractions of what the joints can do; no search for the fastest profile."""
+    """As `movej`, with fractions of the lowest limits of the joints; no search for the fastest profile."""
     model = thread.world.kinematics.model
     target = _joints(thread, q, "optimovej: q")
     acceleration = _fraction(a, "optimovej: a") * float(model.max_acceleration.min())
@@ -95,7 +95,7 @@ def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any =
 
 @FAMILY.declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """As `movel`, with fractions of 1 m/s and 2 m/s²; what a controller takes them of is not known."""
+    """As `movel`, with fractions of 1 m/s and 2 m/s²; the reference values of a controller are not known."""
     target = _pose(thread, pose, "optimovel: pose")
     acceleration, speed = 2.0 * _fraction(a, "optimovel: a"), _fraction(v, "optimovel: v")
     blend = _not_negative(r, "optimovel: r")
@@ -103,7 +103,7 @@ def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: An
 
 
 def _fraction(value: Any, what: str) -> float:
-    """Its range is a guess, as the default values are."""
+    """A fraction; its range and the default values are guesses."""
     part = _positive(value, what)
     if part > 1.0:
         raise Fault(f"{what} is at most 1, not {part:g}")
@@ -111,7 +111,7 @@ def _fraction(value: Any, what: str) -> float:
 
 
 def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
-    """A time overrides the acceleration and the speed, which may be zero then (a guess)."""
+    """Arguments of a path move. A time overrides acceleration and speed, which may be zero then (a guess)."""
     seconds, blend = _not_negative(t, f"{name}: t"), _not_negative(r, f"{name}: r")
     if seconds > 0:
         return _not_negative(a, f"{name}: a") or 1.0, _not_negative(v, f"{name}: v") or 1.0, seconds, blend
@@ -120,7 +120,7 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
 
 @FAMILY.declare(takes_time=True, in_secondary=False, until="3.0")
 def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
-    """Of CB2: how far it looks ahead and how hard it follows cannot be given, for which the drive takes zeros."""
+    """Of CB2, without lookahead time and gain; the drive gets zeros for them."""
     return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 
@@ -154,12 +154,12 @@ def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any 
 
 
 def _change(a: Any, what: str) -> float:
-    """A driver gives an acceleration of zero where the speed need not change; next to none takes its place."""
+    """An acceleration, at least 1e-6: a driver gives zero where the speed need not change."""
     return max(_not_negative(a, what), 1e-6)
 
 
 def _seconds(t: Any, what: str) -> float | None:
-    """Firmware before 3.3 wants the time (1.x) or has none (3.1, 3.2); all of them may leave it out or not here."""
+    """A time. Firmware before 3.3 requires it (1.x) or has none (3.1, 3.2); here it is always optional."""
     return None if t is None or (t.__class__ in NUMBERS and t == 0) else _not_negative(t, what)
 
 
@@ -202,5 +202,5 @@ def _turning(aRot: Any, a: float, what: str) -> float:
 
 @FAMILY.declare()
 def is_steady(thread: ScriptThread) -> bool:
-    """The arm stands; how long a real one must have stood is not modelled."""
+    """Whether the arm stands still; how long a real one must have done so is not modelled."""
     return thread.world.motion.is_standing

@@ -1,7 +1,7 @@
 """Functions of poses and of joint positions.
 
-Guesses: `pose_add` and `pose_sub` add and subtract positions and multiply rotations, both seen from the base;
-`pose_dist` is the root of the squares of the distance and of the angle.
+Guesses: `pose_add` and `pose_sub` add and subtract positions and multiply rotations, both in the base frame;
+`pose_dist` is the root of the sum of the squares of distance and angle.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
-# What they cost, in elements of a list.
+# Work of each, in elements of a list.
 _TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
 
 _NOWHERE = (0.0, 0.0, 0.0)
@@ -42,7 +42,7 @@ def pose_inv(thread: ScriptThread, p_from: Any) -> Pose:
 
 @FAMILY.declare(since="3.0")
 def inv(thread: ScriptThread, m: Any) -> Any:
-    """Of a pose, as `pose_inv`, or of a square matrix, a list of its rows."""
+    """The inverse of a pose, as `pose_inv`, or of a square matrix, a list of its rows."""
     if m.__class__ is Pose:
         return _inverse(thread, pose(m, "inv: m"))
     rows = [numbers(row, "inv: m") for row in m] if is_list(m) else []
@@ -58,7 +58,7 @@ def inv(thread: ScriptThread, m: Any) -> Any:
 
 @FAMILY.declare(since="3.0")
 def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[float, ...]:
-    """A wrench of the first frame, as it is felt in the second: the torque is about the origin of the second.
+    """A wrench of the first frame, expressed in the second: the torque is about the origin of the second.
 
     That a wrench is six numbers, force before torque, is a guess.
     """
@@ -105,7 +105,7 @@ def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -
 
 @FAMILY.declare()
 def rotvec2rpy(thread: ScriptThread, rotation_vector: Any) -> tuple[float, ...]:
-    """Roll, pitch and yaw about the fixed x, y and z, in that order, of a rotation vector; rad."""
+    """Roll, pitch and yaw of a rotation vector, about the fixed x, y and z axes in that order; rad."""
     return tuple(poses.rotvec_to_rpy(vector(rotation_vector, "rotvec2rpy: vector", 3)).tolist())
 
 
@@ -149,7 +149,7 @@ def _inverse_kin(thread: ScriptThread, x: Any, qnear: Any, tcp: Any) -> tuple[fl
     return tuple(found)
 
 
-# 5.9.4 has it and 5.8.2 has not, in one project's test matrix; that it came to CB3 with 3.14 is a guess.
+# By one project's test matrix, 5.9.4 has it and 5.8.2 does not; that CB3 has it from 3.14 on is a guess.
 @FAMILY.declare(since="3.14/5.9")
 def get_inverse_kin_has_solution(
     thread: ScriptThread,
@@ -167,7 +167,7 @@ _pose = pose
 
 @FAMILY.declare(since="3.0")
 def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
-    """Of joint positions or a pose, as far as the joints' limits go; the simulator has no safety planes."""
+    """Whether joint positions or a pose are within the joint limits; the simulator has no safety planes."""
     q: Sequence[float] | None
     if is_list(pose):
         q = joints(pose, "is_within_safety_limits: q")
@@ -177,7 +177,7 @@ def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
 
 
 def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tcp: Any) -> list[float] | None:
-    """The joint positions for a pose that are closest to others, or None if it is out of reach."""
+    """The joint positions for a pose that are closest to `near`; None if it is out of reach."""
     thread.machine.spend(_INVERSE)
     try:
         found: list[float] = thread.world.kinematics.inverse(x, near, _tool(thread, tcp), is_limited=False).tolist()

@@ -1,4 +1,4 @@
-"""Functions that are about the program itself: time, critical sections, messages."""
+"""Functions of the program itself: time, critical sections, messages."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ FAMILY = Family()
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def sync(thread: ScriptThread) -> Waiting:
-    """Uses up the cycle."""
+    """Wait for the next cycle."""
     yield
 
 
 @FAMILY.declare(takes_time=True, in_secondary=False)
 def sleep(thread: ScriptThread, t: Any) -> Waiting:
-    """In whole cycles, upwards, at least one (a guess)."""
+    """Wait `t` seconds, rounded up to whole cycles, at least one (a guess)."""
     seconds = number(t, "sleep: t")
     if seconds < 0:
         raise Fault("sleep: t is not negative")
-    # A millionth of a cycle is rounding.
+    # A millionth of a cycle is a rounding error.
     cycles = seconds / thread.world.period - 1e-6
     waited = 0
     while True:
@@ -39,12 +39,12 @@ def sleep(thread: ScriptThread, t: Any) -> Waiting:
 
 @FAMILY.declare("exit_critical")
 def enter_critical(thread: ScriptThread) -> None:
-    """Nothing comes in between anyway; see `machine`."""
+    """Without effect; see `machine`."""
 
 
 @FAMILY.declare()
 def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
-    """Both, one after the other, as `to_str` writes them."""
+    """Send both arguments, converted by `to_str`, as one text."""
     thread.world.text_message(made(thread, to_str(s1) + to_str(s2)))
 
 
@@ -52,7 +52,7 @@ def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
 def popup(
     thread: ScriptThread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
 ) -> Waiting:
-    """A blocking one waits until it is closed."""
+    """Show a popup; a blocking one waits until it is closed."""
     waits = boolean(blocking, "popup: blocking")
     thread.world.popup(
         made(thread, to_str(s)),
@@ -67,7 +67,7 @@ def popup(
 
 @FAMILY.declare(takes_time=True, in_secondary=False, since="3.8/5.0")
 def protective_stop(thread: ScriptThread) -> Waiting:
-    """Asked for by the program itself; it goes on when someone has unlocked the stop (a guess)."""
+    """Make a protective stop; the program continues when it is unlocked (a guess)."""
     thread.world.protective_stop("protective_stop() was called by the program")
     yield
 
@@ -77,17 +77,17 @@ def protective_stop(thread: ScriptThread) -> Waiting:
 
 @FAMILY.declare(takes_time=True, in_secondary=False, since="5.10")
 def interpreter_mode(thread: ScriptThread, clearQueueOnEnter: Any = True, clearOnEnd: Any = True) -> Waiting:
-    """Run what clients of port 30020 hand over. The compiler makes instructions of it, and never calls this."""
+    """Run statements from clients of port 30020. The compiler emits instructions instead; this is never called."""
     yield
 
 
 @FAMILY.declare(since="5.10")
 def end_interpreter(thread: ScriptThread) -> None:
-    """Leave interpreter mode, when this statement is over."""
+    """Leave interpreter mode after this statement."""
     thread.machine.statements.leave()
 
 
 @FAMILY.declare(since="5.10")
 def clear_interpreter(thread: ScriptThread) -> None:
-    """Forget the statements that were begun, which makes room for others."""
+    """Clear the statements that were begun, which makes room for others."""
     thread.machine.statements.clear()

@@ -1,4 +1,4 @@
-"""Queries of the arm's state and of its load."""
+"""The state of the arm, and its payload."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
-# What it costs to look at the arm anew, as with another tool, in elements of a list.
+# Work of recomputing the arm's state, as with another tool, in elements of a list.
 _LOOK = 400
 
 _List = tuple[float, ...]
@@ -24,7 +24,7 @@ def _floats(values: Sequence[float]) -> _List:
     return tuple([float(value) for value in values])
 
 
-# The name without "actual" stands in a driver's program; that it means the actual positions is a guess.
+# The name without "actual" occurs in a driver's program; that it means the actual positions is a guess.
 @FAMILY.declare("get_joint_positions")
 def get_actual_joint_positions(thread: ScriptThread) -> _List:
     return _floats(thread.world.q_actual)
@@ -52,7 +52,7 @@ def get_target_joint_accelerations(thread: ScriptThread) -> _List:
 
 @FAMILY.declare(since="3.0")
 def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> _List:
-    """Of `steps` cycles ago; no further back than the program's start, and 500 cycles (a guess)."""
+    """The joint positions of `steps` cycles ago; at most back to the program's start, and 500 cycles (a guess)."""
     past = thread.machine.history
     return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
 
@@ -84,7 +84,7 @@ def get_target_tcp_speed(thread: ScriptThread) -> _List:
 
 @FAMILY.declare(since="3.0")
 def get_target_waypoint(thread: ScriptThread) -> Pose:
-    """Where the present path move ends; without one, the target pose of the TCP (a guess)."""
+    """The end of the present path move; without one, the target pose of the TCP (a guess)."""
     waypoint = thread.world.motion.waypoint
     return Pose(_floats(thread.world.pose_target if waypoint is None else waypoint))
 
@@ -122,13 +122,13 @@ _pose = pose
 
 @FAMILY.declare()
 def set_payload(thread: ScriptThread, m: Any, cog: Any = None) -> None:
-    """Without a centre of mass it is the TCP's (CB) or the flange's; the controller sees to that."""
+    """Without a centre of mass the controller uses the TCP (CB) or the flange."""
     thread.world.set_payload(_mass(m, "set_payload: m"), _cog(cog, "set_payload: cog"), None)
 
 
 @FAMILY.declare(since="3.15/5.10")
 def set_target_payload(thread: ScriptThread, m: Any, cog: Any, inertia: Any = None, transition_time: Any = 0) -> None:
-    """At once; the transition time is not modelled."""
+    """Takes effect at once; the transition time is not modelled."""
     number(transition_time, "set_target_payload: transition_time")
     moments = None if inertia is None else vector(inertia, "set_target_payload: inertia", 6)
     thread.world.set_payload(_mass(m, "set_target_payload: m"), _cog(cog, "set_target_payload: cog"), moments)

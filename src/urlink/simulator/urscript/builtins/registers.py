@@ -1,8 +1,8 @@
-"""General-purpose registers, and the watchdog over RTDE inputs (docs/protocols/rtde.md, Releases).
+"""General-purpose registers, and the watchdog of RTDE inputs (docs/protocols/rtde.md, Releases).
 
-Known: which registers there are since when, and that the action of the watchdog is one of "ignore", "pause" and "stop"
-in any case of letters, "pause" where none is given. Guesses: that a register which the firmware does not have, and a
-variable that RTDE does not take, are run-time errors; that a frequency of zero ends the watchdog.
+Known: which firmware has which registers; the action of the watchdog is "ignore", "pause" or "stop", in upper or lower
+case, and "pause" by default. Guesses: that a register which the firmware lacks, and a variable that is not an RTDE
+input, are run-time errors; that a frequency of zero ends the watchdog.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "st
 
 
 def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
-    """The number of a register that the firmware has."""
+    """The number of a register, checked for the firmware."""
     count = BITS if kind == "boolean" else NUMBERS
     if thread.world.firmware not in _HAS_UPPER_RANGE:
         count //= 2
@@ -38,7 +38,7 @@ def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
 def _read(bank: Bank, kind: _Kind, at: int) -> bool | int | float:
     if kind == "boolean":
         return bool(bank.bits >> at & 1)
-    # Tests write numbers of numpy too, which the machine does not take for numbers.
+    # Tests write numpy numbers too, which the machine does not accept as numbers.
     return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
 
 
@@ -67,7 +67,7 @@ def _writer(name: str, kind: _Kind) -> Callable[..., None]:
 
 _KINDS: tuple[_Kind, ...] = ("boolean", "integer", "float")
 
-# RTDE has them from 3.4 on; that programs have them from 3.0 on is left open rather than refused.
+# RTDE has them from 3.4 on; whether programs have them from 3.0 on is not known, so they are allowed.
 for _kind in _KINDS:
     for _direction in ("input", "output"):
         _name = f"read_{_direction}_{_kind}_register"
@@ -78,7 +78,7 @@ for _kind in _KINDS:
 
 @FAMILY.declare(since="3.0")
 def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: Any, action: Any = "pause") -> None:
-    """From then on the variable has to come `min_frequency` times a second, or the action is taken."""
+    """Require the variable `min_frequency` times a second from now on, or take the action."""
     variable = string(variable_name, "rtde_set_watchdog: variable_name")
     frequency = float(number(min_frequency, "rtde_set_watchdog: min_frequency"))
     wanted = _ACTIONS.get(string(action, "rtde_set_watchdog: action").lower())

@@ -1,9 +1,9 @@
 """XML-RPC: `h = rpc_factory("xmlrpc", "http://127.0.0.1:40404/RPC2")`, and then `h.method(arguments)`.
 
 A call is an HTTP request over one of the program's connections, so it reaches what its sockets reach: this computer,
-and those that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz, as the manual has it.
-Guesses: that connecting happens at each call, that a call gives up after `TIMEOUT`, that a method of the server which
-fails, or none being there, ends the program, and that structs of other members are structs of URScript too.
+and those that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz, by the manual. Guesses:
+that each call opens a connection, that it fails after `TIMEOUT`, that a failing method, or a missing method or server,
+ends the program, and that structs with other members are structs of URScript too.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 @FAMILY.declare(since="3.0")
 def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
-    """A handle whose methods are those of the server; it is not connected to before the first call."""
+    """A handle with the methods of a server; no connection is opened before the first call."""
     if string(type, "rpc_factory: type") != "xmlrpc":
         raise Fault(f"rpc_factory: type is 'xmlrpc', not '{type}'")
     address = string(url, "rpc_factory: url")
@@ -51,7 +51,7 @@ def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[
         raise type_error(f"{type_name(base)} has no method '{name}'")
     if name == "closeXMLRPCClientConnection":
         return None
-    # Imported where it is used: it brings a good part of the standard library along.
+    # Imported where it is used: it loads a large part of the standard library.
     from xmlrpc.client import dumps
 
     body = dumps(tuple(map(_sent, arguments)), methodname=name).encode()
@@ -61,10 +61,10 @@ def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[
 
 
 def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -> Waiting:
-    """The body of the answer."""
+    """Send a request; returns the body of the response."""
     what, sockets = f"{name}: {handle.url}", thread.world.sockets
     thread.machine.remote_calls += 1
-    # A name that no program writes: its strings hold one kind of quote or the other.
+    # No literal of a program is such a name: it cannot contain both kinds of quotes.
     socket, left = f"rpc '{thread.machine.remote_calls}\"", TIMEOUT / thread.world.period
     sockets.open(socket, handle.host, handle.port)
     try:
@@ -103,7 +103,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
 
 
 def _sent(value: Any) -> Any:
-    """As it goes into a request."""
+    """The value as an argument of `dumps`."""
     if isinstance(value, Pose):
         return dict(zip(_POSE, map(float, value), strict=True))
     if value.__class__ is tuple:

@@ -1,13 +1,13 @@
 """Functions of the program's sockets; each has a name, "socket_0" if none is given.
 
-As drivers rely on it: integers are big endian, and the first element of a list that was read is the count of what
-was. Remembered from the manuals: at most 30 values are read at once; where the time runs out the count is 0 and the
-others are -1, or not a number for floats; a time of zero or less waits for ever; names and defaults of parameters.
+Drivers rely on this: integers are big endian, and the first element of a list that was read is the count of values
+read. Remembered from the manuals: at most 30 values are read at once; on a timeout the count is 0 and the values are
+-1, or NaN for floats; a timeout of zero or less waits forever; names and defaults of parameters.
 
-Guesses: connecting gives up after 2 s; a program reads 20 times in a cycle at most; where the time runs out, what has
-come is left for the next read; reading from a socket that is not open gives nothing after one cycle; numbers in ASCII
-are of the form `(1.0,2.0,3.0)`, and the text up to the closing bracket is used up whether it can be read or not. Text
-is bytes, one character each.
+Guesses: connecting times out after 2 s; a program reads at most 20 times in a cycle; on a timeout the received bytes
+are kept for the next read; reading from a socket that is not open returns nothing after one cycle; ASCII numbers have
+the form `(1.0,2.0,3.0)`, and the text up to the closing bracket is consumed even if it cannot be parsed. Text is bytes,
+one character each.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ FAMILY = Family()
 _NAME = "socket_0"
 _CONNECTING = 2.0
 _MOST = 30
-# Reads of all threads in a cycle; the next one waits for the next cycle. A loop that reads from a peer that sends
-# without end would otherwise be a loop in which no time passes.
+# Most reads of all threads in a cycle; further ones wait for the next. Otherwise no time would pass in a loop that
+# reads from a peer which sends without end.
 _READS = 20
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,5})?")
 
@@ -43,7 +43,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,
 
 @FAMILY.declare(takes_time=True)
 def socket_open(thread: ScriptThread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
-    """True if it is connected."""
+    """True once connected; False otherwise."""
     name, sockets = string(socket_name, "socket_open: socket_name"), thread.world.sockets
     host, number_ = string(address, "socket_open: address"), integer(port, "socket_open: port", 0, 65535)
     sockets.close(name)
@@ -105,7 +105,7 @@ def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any
 
 
 def _await(thread: ScriptThread, name: str, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
-    """What has come, once it is enough; None if it does not become so in time."""
+    """The receive buffer once `is_there` is true for it; None on a timeout, or if the socket is not open."""
     sockets = thread.world.sockets
     seconds = number(timeout, "timeout")
     if thread.machine.reads >= _READS:
@@ -168,13 +168,13 @@ def socket_read_ascii_float(thread: ScriptThread, number: Any, socket_name: Any 
             if not _NUMBER.fullmatch(part.strip()):
                 break
             found.append(float(part))
-    # What could not be read is not a number.
+    # Values that cannot be parsed are NaN.
     return (len(found), *found, *[math.nan] * (count - len(found)))
 
 
 @FAMILY.declare(takes_time=True)
 def socket_read_line(thread: ScriptThread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    """Up to a line feed, which is taken and left out with a carriage return before it; empty if none comes in time."""
+    """A line without its line feed and a carriage return before it, both consumed; empty on a timeout."""
     buffer = yield from _await(thread, string(socket_name, "socket_name"), timeout, lambda data: b"\n" in data)
     if buffer is None:
         return ""
@@ -192,7 +192,7 @@ def socket_read_string(
     interpret_escape: Any = False,
     timeout: Any = 2,
 ) -> Waiting:
-    """All that has come, or what stands between prefix and suffix where they are given."""
+    """All received text, or the text between prefix and suffix if they are given."""
     begin, end = string(prefix, "prefix"), string(suffix, "suffix")
     if boolean(interpret_escape, "interpret_escape"):
         begin, end = _unescaped(begin), _unescaped(end)
@@ -218,7 +218,7 @@ def _unescaped(text: str) -> str:
 
 @FAMILY.declare(takes_time=True)
 def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    """Asks `GET name`, and takes the integer of the reply `name value`; 0 if none comes (a guess)."""
+    """Send `GET name`; returns the integer of the reply `name value`, or 0 without a reply (a guess)."""
     what = string(name, "socket_get_var: name")
     if not _send(thread, socket_name, _bytes(f"GET {what}\n")):
         return 0

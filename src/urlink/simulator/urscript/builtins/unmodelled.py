@@ -1,7 +1,7 @@
-"""Functions that a controller has and this one does not act on: a program with them compiles, and stops there.
+"""Functions of a controller that are not modelled: a program with them compiles, and calling one is a run-time error.
 
-What is to be modelled moves from here into the family to which it belongs. Since when a controller has each is left
-open, save for what CB2 certainly has not.
+A function that becomes modelled moves to its family. Which firmware introduced each is left open, except that CB2
+certainly has none.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NETWORK = [
     "eip_reader_factory",
     "eip_writer_factory",
 ]
-#: In public programs, and in no manual as far as they are remembered.
+#: In public programs, but in no manual as far as they are remembered.
 _UNKNOWN = ["tool_pose"]
 _CONVEYOR = [
     "encoder_enable_pulse_decode",
