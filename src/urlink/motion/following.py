@@ -73,9 +73,8 @@ class ControllerClock:
 
     A state cannot come before its time. How long states take to arrive is not known, but the quickest of them gives a
     bound: a state that would be quicker by more than `_EARLIER` has a wrong time. So states that were delayed, or are
-        read
-    late, may come together, and the time of each counts. This also holds for a simulated controller that was delayed
-    and catches up faster than time passes.
+    read late, may come together, and the time of each counts. This also holds for a simulated controller that was
+    delayed and catches up faster than time passes.
 
     For a state with no time, or one in the past or too far in the future, this computer's clock counts, with one cycle
     at least. The states after it are compared with it.

@@ -74,7 +74,7 @@ from .syntax import (
     parts_of,
 )
 from .tokens import Source
-from .values import NUMBERS, UNSET
+from .values import NUMBERS, UNSET, MemberName
 
 __all__ = ["compile_script"]
 
@@ -341,7 +341,7 @@ class _Compiler:
 
     def _assign(self, s: Assign) -> None:
         is_known = s.name in self._slots or s.name in self._program.globals
-        if not is_known and s.name in _SETTERS and len(s.indices) == 1:
+        if not is_known and s.name in _SETTERS and len(s.indices) == 1 and not _is_member(s.indices[0]):
             setting = Call(s.place, 1, True, _SETTERS[s.name], [s.indices[0], s.value], [], False)
             value = self._call_builtin(setting)
             self._emit(s, lambda after: evaluate(value, after))
@@ -451,7 +451,7 @@ class _Compiler:
 
     def _index(self, node: Index) -> Function:
         at = node.index.value if isinstance(node.index, Constant) else None
-        if isinstance(node.base, Name) and at.__class__ is int:
+        if isinstance(node.base, Name) and at.__class__ is int and at >= 0:
             self._parts += 2
             name = node.base.name
             if name in self._slots:
@@ -604,3 +604,7 @@ class _Compiler:
             operations.constant(default) if function is None else function
             for function, (_, default) in zip(given, parameters, strict=True)
         ]
+
+
+def _is_member(index: Expression) -> bool:
+    return isinstance(index, Constant) and isinstance(index.value, MemberName)

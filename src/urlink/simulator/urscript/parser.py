@@ -75,6 +75,7 @@ from .syntax import (
     While,
 )
 from .tokens import END, NAME, NUMBER, STRING, Source, tokens_of
+from .values import MemberName
 
 __all__ = ["parse"]
 
@@ -279,7 +280,7 @@ class _Parser:
         target = value
         while isinstance(target, (Index, Member)):
             if isinstance(target, Member):
-                indices.append(Constant(target.place, 1, False, target.name))
+                indices.append(Constant(target.place, 1, False, MemberName(target.name)))
             else:
                 indices.append(target.index)
             target = target.base

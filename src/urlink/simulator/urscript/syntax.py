@@ -163,7 +163,7 @@ class Declare(Statement):
 
 @dataclass(slots=True)
 class Assign(Statement):
-    """`a = value`, `local a = value`, or `a[i].b = value`; the name of a member is a constant among the indices."""
+    """`a = value`, `local a = value`, or `a[i].b = value`; a member's name is a constant `MemberName`."""
 
     name: str
     scope: Scope

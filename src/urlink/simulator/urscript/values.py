@@ -31,6 +31,7 @@ __all__ = [
     "NUMBERS",
     "UNSET",
     "Charge",
+    "MemberName",
     "Pose",
     "RpcHandle",
     "Struct",
@@ -93,6 +94,12 @@ class RpcHandle:
         self.host = host
         self.port = port
         self.path = path
+
+
+class MemberName(str):
+    """The name of a struct's member among the indices of an assignment; a string is no index."""
+
+    __slots__ = ()
 
 
 class Unset:
@@ -328,8 +335,8 @@ def member(value: Any, name: str) -> Any:
 
 
 def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
-    """`value` after `value[i][j] = new`; a string among the indices is a member name."""
-    if indices[0].__class__ is str:
+    """`value` after `value[i][j] = new`; a `MemberName` among the indices is that of a struct."""
+    if indices[0].__class__ is MemberName:
         old = member(value, indices[0])
         changed = new if len(indices) == 1 else replaced(old, indices[1:], new, charge)
         return struct_of({**value.members, indices[0]: changed}, charge)

@@ -53,6 +53,7 @@ def test_a_script_says_what_it_is() -> None:
         ("a[] = 1", 1, 2, "syntax_error_on_line:1:a[] = 1:"),
         ("f() = 1", 1, 5, "syntax_error_on_line:1:f() = 1:"),
         ("$ 1\nx = 1", 2, 1, "syntax_error_on_line:2:x = 1:"),
+        ("digital_out.size = 1", 1, 1, "compile_error_name_not_found:digital_out:"),
         ("break", 1, 1, "not_in_a_loop_on_line:1:"),
         ("def f():\n  pass\nend\nx = run f()", 4, 9, "compile_error_not_a_thread:f:"),
         ("thread f():\n  pass\nend\nf()", 4, 1, "compile_error_not_a_function:f:"),
@@ -247,3 +248,26 @@ def test_a_function_that_returns_nothing() -> None:
     execution.advance()
     assert execution.error is not None
     assert "none cannot be in a list" in str(execution.error)
+
+
+@pytest.mark.parametrize(
+    ("statement", "error"),
+    [
+        ("textmsg(numbers[-1])", "Index out of range: -1 of 2"),
+        ("numbers[-1] = 0", "Index out of range: -1 of 2"),
+        ("at = -1\ntextmsg(numbers[at])", "Index out of range: -1 of 2"),
+        ('textmsg(box["size"])', "struct has no elements"),
+        ('box["size"] = 1', "struct has no elements"),
+        ('key = "size"\nbox[key] = 1', "struct has no elements"),
+        ('boxes = [box]\nboxes[0]["size"] = 1', "struct has no elements"),
+    ],
+)
+@pytest.mark.parametrize(
+    "where", ["{}", "def f():\n  local numbers = [1, 2]\n  local box = struct(size=1)\n  {}\nend\nf()"]
+)
+def test_an_index_that_is_none(where: str, statement: str, error: str) -> None:
+    text = where.format(statement.replace("\n", "\n  ") if "def" in where else statement)
+    text = f"numbers = [1, 2]\nbox = struct(size=1)\n{text}\n"
+    execution = start(text, StandIn())
+    execution.advance()
+    assert error in str(execution.error)

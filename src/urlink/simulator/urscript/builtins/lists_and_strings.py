@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from ..errors import Fault, type_error
-from ..limits import MAX_STRING
+from ..limits import MAX_ELEMENTS, MAX_STRING
 from ..machine import ScriptThread
 from ..values import checked, list_of, to_str, type_name
 from .declaration import Family, boolean, integer, is_list, string
@@ -112,5 +112,5 @@ def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
 @FAMILY.declare(since="3.15/5.10")
 def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
     """A list of `length` equal values. That `capacity` has no effect is a simplification."""
-    count = integer(length, "make_list: length", 0, 10_000)
+    count = integer(length, "make_list: length", 0, MAX_ELEMENTS)
     return list_of([initial_value] * count, thread.machine.charge)
