@@ -53,6 +53,7 @@ from .syntax import (
     Call,
     Constant,
     Continue,
+    Declare,
     Definition,
     Evaluate,
     Expression,
@@ -192,18 +193,6 @@ class _Compiler:
         self._makers: list[tuple[Callable[[int], Instruction], int]] = []
         self._loops: list[tuple[Label, Label]] = []
         self._taking: dict[int, bool] = {}
-        self._visitors: dict[type[Expression], Callable[[Any], Function]] = {
-            Constant: lambda node: operations.constant(node.value),
-            Name: self._variable,
-            ListDisplay: self._list,
-            PoseDisplay: lambda node: operations.pose_display(self._sequence(node.items), node.place),
-            Index: self._index,
-            Member: lambda node: operations.member(self._value(node.base), node.name, node.place),
-            MethodCall: self._method_call,
-            Unary: self._unary,
-            Binary: self._binary,
-            Call: self._call,
-        }
         # Number of parts of the expressions since the last instruction.
         self._parts = 0
 
@@ -297,39 +286,31 @@ class _Compiler:
     def _block(self, block: Block) -> None:
         for statement in block:
             used = self._used
-            self._statement(statement)
+            _STATEMENTS[statement.__class__](self, statement)
             self._used = used
 
-    def _statement(self, s: Statement) -> None:
-        match s:
-            case Assign():
-                self._assign(s)
-            case Evaluate():
-                self._evaluate(s)
-            case If():
-                self._if(s)
-            case While():
-                self._while(s)
-            case Return():
-                value = None if s.value is None else self._value(s.value)
-                self._emit(s, lambda after: leave(value))
-            case Break() | Continue():
-                if not self._loops:
-                    line, _ = self._program.source.line_and_column(s.place)
-                    raise self._program.error(s, f"not_in_a_loop_on_line:{line}:")
-                label = self._loops[-1][isinstance(s, Break)]
-                self._emit(s, lambda after: jump(label))
-            case Halt():
-                self._emit(s, lambda after: halt())
-            case Kill():
-                handle = self._value(s.handle)
-                self._emit(s, lambda after: kill(handle, after))
-            case Join():
-                self._takes_time(s, "join")
-                handle, slot = self._value(s.handle), self._slot()
-                self._emit(s, lambda after: join(handle, slot, after))
-            case Definition():
-                self._define(s)
+    def _return(self, s: Return) -> None:
+        value = None if s.value is None else self._value(s.value)
+        self._emit(s, lambda after: leave(value))
+
+    def _leave_loop(self, s: Break | Continue) -> None:
+        if not self._loops:
+            line, _ = self._program.source.line_and_column(s.place)
+            raise self._program.error(s, f"not_in_a_loop_on_line:{line}:")
+        label = self._loops[-1][isinstance(s, Break)]
+        self._emit(s, lambda after: jump(label))
+
+    def _halt(self, s: Halt) -> None:
+        self._emit(s, lambda after: halt())
+
+    def _kill(self, s: Kill) -> None:
+        handle = self._value(s.handle)
+        self._emit(s, lambda after: kill(handle, after))
+
+    def _join(self, s: Join) -> None:
+        self._takes_time(s, "join")
+        handle, slot = self._value(s.handle), self._slot()
+        self._emit(s, lambda after: join(handle, slot, after))
 
     def _define(self, s: Definition) -> None:
         found = self.functions.find(s.name)
@@ -442,7 +423,16 @@ class _Compiler:
     def _value(self, node: Expression) -> Function:
         """The Python function of an expression; emits the instructions in it."""
         self._parts += 1
-        return self._visitors[node.__class__](node)
+        return _EXPRESSIONS[node.__class__](self, node)
+
+    def _constant(self, node: Constant) -> Function:
+        return operations.constant(node.value)
+
+    def _pose(self, node: PoseDisplay) -> Function:
+        return operations.pose_display(self._sequence(node.items), node.place)
+
+    def _member(self, node: Member) -> Function:
+        return operations.member(self._value(node.base), node.name, node.place)
 
     def _list(self, node: ListDisplay) -> Function:
         if all(isinstance(item, Constant) for item in node.items) and len(node.items) < 32:
@@ -604,6 +594,38 @@ class _Compiler:
             operations.constant(default) if function is None else function
             for function, (_, default) in zip(given, parameters, strict=True)
         ]
+
+
+# Bound methods in the compiler would make it a cycle of references, and keep what a program was compiled from in memory
+# until the next collection of garbage.
+#: How each kind of statement is compiled.
+_STATEMENTS: dict[type[Statement], Callable[[_Compiler, Any], None]] = {
+    Assign: _Compiler._assign,
+    Evaluate: _Compiler._evaluate,
+    If: _Compiler._if,
+    While: _Compiler._while,
+    Return: _Compiler._return,
+    Break: _Compiler._leave_loop,
+    Continue: _Compiler._leave_loop,
+    Halt: _Compiler._halt,
+    Kill: _Compiler._kill,
+    Join: _Compiler._join,
+    Definition: _Compiler._define,
+    Declare: lambda compiler, s: None,
+}
+#: How each kind of expression is compiled.
+_EXPRESSIONS: dict[type[Expression], Callable[[_Compiler, Any], Function]] = {
+    Constant: _Compiler._constant,
+    Name: _Compiler._variable,
+    ListDisplay: _Compiler._list,
+    PoseDisplay: _Compiler._pose,
+    Index: _Compiler._index,
+    Member: _Compiler._member,
+    MethodCall: _Compiler._method_call,
+    Unary: _Compiler._unary,
+    Binary: _Compiler._binary,
+    Call: _Compiler._call,
+}
 
 
 def _is_member(index: Expression) -> bool:

@@ -92,6 +92,9 @@ _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for op
 _COMPARISON = 4
 #: Tokens that continue a primary expression.
 _POSTFIX = ("[", ".")
+#: Tokens that are an expression by themselves, unless one of the others follows.
+_LEAVES = frozenset({NAME, NUMBER, STRING, "True", "False", "true", "false"})
+_CONTINUATIONS = frozenset({*_BINDING, *_POSTFIX, "("})
 
 
 def parse(source: Source) -> Block:
@@ -109,23 +112,6 @@ class _Parser:
         self._kinds, self._texts, self._places = tokens_of(source)
         self._at = 0
         self._nesting = 0
-        self._readers: dict[str, Callable[[], Statement]] = {
-            "def": lambda: self._definition("def"),
-            "sec": lambda: self._definition("sec"),
-            "thread": lambda: self._definition("thread"),
-            "if": self._if,
-            "while": self._while,
-            "return": self._return,
-            "break": lambda: Break(self._take()),
-            "continue": lambda: Continue(self._take()),
-            "halt": self._halt,
-            "kill": lambda: Kill(self._take(), self._expression()),
-            "join": lambda: Join(self._take(), self._expression()),
-            "global": lambda: self._declaration("global"),
-            "local": lambda: self._declaration("local"),
-            "run": self._evaluate,
-            NAME: self._simple,
-        }
 
     # -- tokens ------------------------------------------------------------------------------------
 
@@ -193,9 +179,9 @@ class _Parser:
 
     def _statement(self, block: Block) -> None:
         kind = self._kinds[self._at]
-        reader = self._readers.get(kind)
+        reader = _READERS.get(kind)
         if reader is not None:
-            block.append(reader())
+            block.append(reader(self))
         elif kind == "$":
             self._at += 1
             self._expect(NUMBER)
@@ -295,6 +281,8 @@ class _Parser:
     def _expression(self, level: int = 1) -> Expression:
         """An expression with operators of precedence `level` or higher."""
         kinds = self._kinds
+        if kinds[self._at] in _LEAVES and kinds[self._at + 1] not in _CONTINUATIONS:
+            return self._primary(kinds[self._at])
         self._deeper()
         if kinds[self._at] == "not" and level <= _COMPARISON:
             place = self._take()
@@ -439,6 +427,26 @@ class _Parser:
         self._at += 1
         depth = self._depth(place, [*arguments, *(value for _, value in named)] if named else arguments)
         return Call(place, depth, True, name, arguments, named, is_run)
+
+
+#: How each kind of statement is read, by its first token.
+_READERS: dict[str, Callable[[_Parser], Statement]] = {
+    "def": lambda parser: parser._definition("def"),
+    "sec": lambda parser: parser._definition("sec"),
+    "thread": lambda parser: parser._definition("thread"),
+    "if": _Parser._if,
+    "while": _Parser._while,
+    "return": _Parser._return,
+    "break": lambda parser: Break(parser._take()),
+    "continue": lambda parser: Continue(parser._take()),
+    "halt": _Parser._halt,
+    "kill": lambda parser: Kill(parser._take(), parser._expression()),
+    "join": lambda parser: Join(parser._take(), parser._expression()),
+    "global": lambda parser: parser._declaration("global"),
+    "local": lambda parser: parser._declaration("local"),
+    "run": _Parser._evaluate,
+    NAME: _Parser._simple,
+}
 
 
 def _have_calls(items: Sequence[Expression]) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from .machine import Code
-from .syntax import Assign, Block, Declare, Definition, If, While
+from .syntax import Assign, Block, Declare, Definition, Evaluate, If, While
 from .tokens import Source
 
 __all__ = ["Functions", "Names", "global_names"]
@@ -43,6 +43,8 @@ class Names:
         blocks = [body]
         while blocks:
             for statement in blocks.pop():
+                if isinstance(statement, Evaluate):
+                    continue
                 if isinstance(statement, (Assign, Declare)):
                     if statement.scope == "local":
                         names.local[statement.name] = None
