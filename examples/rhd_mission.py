@@ -55,8 +55,10 @@ def through_the_port() -> str:
     world = new_world()
     robot = PluginLink([SmrTurtle(world)])
     with rhdlink.MissionServer(robot, port=0) as server:
-        with socket.create_connection(("127.0.0.1", server.port), timeout=60.0) as connection:
-            answers = connection.makefile("r", encoding="latin-1")
+        with (
+            socket.create_connection(("127.0.0.1", server.port), timeout=60.0) as connection,
+            connection.makefile("r", encoding="latin-1") as answers,
+        ):
 
             def ask(line: str) -> str:
                 connection.sendall(f"{line}\n".encode("latin-1"))

@@ -192,8 +192,7 @@ def test_where_there_is_no_interpreter_mode() -> None:
 def test_the_port_answers_each_line() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         where = (controller.host, controller.ports["interpreter"])
-        with socket.create_connection(where, TIMEOUT) as link:
-            lines = link.makefile("rw", newline="\n")
+        with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:
 
             def say(line: str) -> str:
                 lines.write(line + "\n")
@@ -228,8 +227,8 @@ def test_the_port_answers_each_line() -> None:
 def test_a_program_goes_on_when_the_mode_is_over() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller, urlink.connect(controller.address) as robot:
         program = robot.script.run('def main():\n  x = 1\n  interpreter_mode()\n  textmsg("x is ", x)\nend')
-        with socket.create_connection((controller.host, controller.ports["interpreter"]), TIMEOUT) as link:
-            lines = link.makefile("rw", newline="\n")
+        where = (controller.host, controller.ports["interpreter"])
+        with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:
             for line in ("x = x + 41", "end_interpreter()"):
                 reply = ""
                 end = time.monotonic() + TIMEOUT

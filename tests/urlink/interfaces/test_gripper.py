@@ -244,8 +244,8 @@ def answering() -> Iterator[Callable[[dict[str, bytes]], Gripper]]:
                     link, _ = listener.accept()
                 except OSError:
                     return
-                with link:
-                    for line in link.makefile("r"):
+                with link, link.makefile("r") as lines:
+                    for line in lines:
                         link.sendall(replies.get(line.strip(), b""))
 
         thread = threading.Thread(target=serve)
