@@ -281,6 +281,27 @@ def test_replies_without_an_end_and_replies_that_are_wrong(answering: Callable[[
     assert gripper.position() == 12
 
 
+class FingersThatComeToRest(dict[str, bytes]):
+    """Replies of fingers that rest after so many requests, at 75."""
+
+    def __init__(self, moving: int) -> None:
+        self._moving = moving
+
+    def get(self, line: str, default: bytes = b"") -> bytes:  # type: ignore[override]
+        is_moving, self._moving = self._moving > 0, self._moving - 1
+        values = {"STA": 3, "OBJ": 0 if is_moving else 3, "POS": 72 if is_moving else 75, "PRE": 75, "FLT": 0}
+        name = line.removeprefix("GET ")
+        return f"{name} {values[name]}\n".encode()
+
+
+@pytest.mark.parametrize("moving", range(12))
+def test_a_status_at_rest_has_the_position_of_rest(
+    answering: Callable[[dict[str, bytes]], Gripper], moving: int
+) -> None:
+    gripper = answering(FingersThatComeToRest(moving))
+    assert gripper.wait(timeout=5).position == 75
+
+
 def test_threads_take_turns(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
     gripper = answering({f"GET {name}": f"{name} {at}\n".encode() for at, name in enumerate(READABLE)})
     wrong: list[LinkError | str] = []

@@ -223,7 +223,8 @@ class Gripper:
 
     def status(self) -> GripperStatus:
         """What it shows now."""
-        state, position, requested, stopped, fault = map(self.get, ("STA", "POS", "PRE", "OBJ", "FLT"))
+        # Each is a request of its own. OBJ goes before POS: a status that says at rest has the position of rest.
+        state, stopped, position, requested, fault = map(self.get, ("STA", "OBJ", "POS", "PRE", "FLT"))
         return GripperStatus(state == 3, position, requested, ObjectStatus(stopped), fault)
 
     def position(self) -> int:
