@@ -218,8 +218,9 @@ class Controller:
 
     @property
     def is_up(self) -> bool:
-        """Whether it is up; False while it reboots."""
-        return self._state.is_up
+        """Whether it is up; False while it reboots, until its ports are open again."""
+        server = self._server
+        return self._state.is_up and (server is None or server.is_open)
 
     @property
     def arm(self) -> Arm:

@@ -133,8 +133,8 @@ class Server:
         self._epoch = 0.0
         self._first = state.cycle
         self._segments_seen = link.segments_changed
-        # Whether the ports were open when they were last looked at, and as many of them paused as there are stalls.
-        self._was_up = True
+        # Whether the ports were opened when they were last looked at, and whether any was paused.
+        self._is_open = True
         self._was_stalled = False
         self._listening: dict[str, ListeningPort] = {}
         try:
@@ -163,6 +163,11 @@ class Server:
     def numbers(self) -> dict[str, int]:
         """Name of each port -> its number."""
         return {name: port.number for name, port in self._listening.items()}
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the ports are open; after a reboot a moment later than the controller is up."""
+        return self._is_open
 
     @property
     def peers(self) -> set[str]:
@@ -365,9 +370,8 @@ class Server:
 
     def _open_or_refuse(self) -> None:
         is_up, is_stalled = self._state.is_up, self._link.is_any_stalled
-        if is_up and self._was_up and not is_stalled and not self._was_stalled:
+        if is_up and self._is_open and not is_stalled and not self._was_stalled:
             return  # the usual case, in nearly every cycle
-        self._was_up, self._was_stalled = is_up, is_stalled
         if not is_up:
             self._loader.clear()
         for name, port in self._listening.items():
@@ -381,6 +385,7 @@ class Server:
             elif port.is_listening:
                 port.refuse()
                 self._reset({name})
+        self._is_open, self._was_stalled = is_up, is_stalled
 
     def _segment_anew(self) -> None:
         for client in [client for clients in self._clients.values() for client in clients]:
