@@ -233,14 +233,15 @@ class Feed(Generic[T]):
         end = time.monotonic() + seconds
         try:
             with self.history(window) as history:
-                while (now := time.monotonic()) < end:
+                while time.monotonic() < end:
                     states = history.array(*fields)
+                    now = time.monotonic()  # after the last state has been received
                     if len(states):
                         when = states["received"] - now
                         curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
                         live.update(Plot(curves, self._connection.name), period)
                     else:
-                        self.wait(end - now)
+                        self.wait(max(end - now, 0.0))
                 if not len(history):
                     raise self._why_nothing(seconds)
         finally:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import urlink
 import urlink.cli
@@ -14,6 +15,8 @@ from linkcore import plotting
 from linkcore.cli.progress_bar import ProgressBar
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
+from linkcore.streaming.history import History
+from tests.waiting import until
 from urlink import RealtimeState, Stamp
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -93,7 +96,16 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Plot] = []
+    array = History.array
+
+    def slow(history: History, *fields: str) -> NDArray[np.void]:
+        """Of a computer that is busy: a state comes meanwhile."""
+        before = len(history)
+        until(lambda: len(history) > before)
+        return array(history, *fields)
+
     monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append(plot))
+    monkeypatch.setattr(History, "array", slow)
     with urlink.connect(f"replay://{CAPTURE}") as robot:
         robot.realtime.plot("q_actual", "speed_scaling", seconds=0.3, period=0.05)
         with pytest.raises(urlink.BadValue, match="no field"):
