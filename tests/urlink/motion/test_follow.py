@@ -209,6 +209,13 @@ def test_a_cb2_cannot_interpolate(rehearsal: Callable[..., Rehearsal]) -> None:
     assert robot.sent == []
 
 
+def test_points_that_are_requested_take_the_connection(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(link="rtde")
+    with pytest.raises(LocalError, match="needs link='reverse'"):
+        robot.motion.follow(PATH, low_bandwidth=True, link="rtde")
+    assert robot.sent == []
+
+
 def test_an_arm_that_is_nobody_knows_which(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(model="UR9000")
     begun(robot).cancel()
