@@ -65,8 +65,10 @@ class TestWhatIsSaid:
             assert robot.time - moved > 0.1 - robot.cycle
             jog.move([0, 0.3, 0, 0, 0, 0])
             assert next(each for each in told if each != _REST) == pytest.approx([0, 0.3, 0, 0, 0, 0])
+            stopped = robot.time
             jog.stop()
             assert next(each for each in told if each[1] != pytest.approx(0.3)) == _REST
+            assert robot.time - stopped < 0.05  # before the speed would have lapsed
         assert jog.phase is Phase.CANCELLED
         while (word := robot.word()) is not None and word[1] != STOP:
             pass
