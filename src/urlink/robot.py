@@ -294,8 +294,9 @@ class Robot:
         self._who = KnownIdentity(source.ask, known)
         #: changed in single steps, so that a signal handler finds it whole
         self._streams: dict[str, Stream[Any]] = {}
-        self._rtde: Rtde | None = None
-        self._registers: Registers | None = None
+        #: each under the one key "one"
+        self._rtdes: dict[str, Rtde] = {}
+        self._registers: dict[str, Registers] = {}
         self._is_closed = False
 
     # -- what it says ------------------------------------------------------------------------------
@@ -318,18 +319,21 @@ class Robot:
     @property
     def rtde(self) -> Rtde:
         """Variables of the controller by name, up to 500 times a second, read and written (port 30004)."""
-        if self._rtde is None:
+        rtde = self._rtdes.get("one")
+        if rtde is None:
             from .rtde import Rtde
 
-            self._rtde = Rtde(self.address, self._source, lambda: self.firmware, refusal=self._refusal)
-        return self._rtde
+            made = Rtde(self.address, self._source, lambda: self.firmware, refusal=self._refusal)
+            rtde = self._rtdes.setdefault("one", made)
+        return rtde
 
     @property
     def registers(self) -> Registers:
         """General-purpose registers by number, shared with the program on the controller."""
-        if self._registers is None:
-            self._registers = self.rtde.registers()
-        return self._registers
+        registers = self._registers.get("one")
+        if registers is None:
+            registers = self._registers.setdefault("one", self.rtde.registers())
+        return registers
 
     @property
     def firmware(self) -> Firmware:
@@ -625,8 +629,8 @@ class Robot:
         self._is_closed = True
         for control in tuple(self._controls.values()):
             control.close(timeout)
-        if self._rtde is not None:
-            self._rtde.close(max(until - time.monotonic(), 0.0))
+        for rtde in tuple(self._rtdes.values()):
+            rtde.close(max(until - time.monotonic(), 0.0))
         for stream in tuple(self._streams.values()):
             stream.close(max(until - time.monotonic(), 0.0))
         if self._controller is not None:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -425,3 +426,22 @@ def test_twenty_robots_lose_nothing() -> None:
             robot.close()
         for controller in controllers:
             controller.close()
+
+
+def test_two_threads_that_are_the_first_have_the_same_rtde(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, barrier = urlink.rtde.Rtde, threading.Barrier(2)
+
+    def slow(*arguments: Any, **options: Any) -> urlink.rtde.Rtde:
+        barrier.wait(10)
+        return made(*arguments, **options)
+
+    monkeypatch.setattr(urlink.rtde, "Rtde", slow)
+    found: list[object] = []
+    with urlink.connect("sim://") as robot:
+        threads = [threading.Thread(target=lambda: found.append(robot.rtde)) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(20)
+        assert found == [robot.rtde] * 2
+        assert robot.registers is robot.registers

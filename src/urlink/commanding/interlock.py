@@ -157,14 +157,18 @@ class Interlock:
 
     # -- what follows from it ----------------------------------------------------------------------
 
+    def is_expected(self, source: str) -> bool:
+        """The source has to be heard, or was heard already."""
+        return source in self._sources
+
     def has_word(self, source: str) -> bool:
         """The source has said something, or its connection is lost."""
         heard = self._sources.get(source)
         return heard is not None and (heard.status is not None or heard.absence is not None)
 
     def has_heard_since(self, since: float) -> bool:
-        """Every source has said something after that time."""
-        return all(heard.heard > since for heard in self._sources.values())
+        """Every source has said something after that time, and there is one."""
+        return bool(self._sources) and all(heard.heard > since for heard in self._sources.values())
 
     @property
     def statuses(self) -> list[Status]:

@@ -146,8 +146,11 @@ class Interpreter(Program):
     @property
     def state(self) -> InterpreterState:
         """How far the controller is."""
-        words = ("statelastinterpreted", "statelastexecuted", "statelastcleared", "stateunexecuted")
-        return InterpreterState(*map(self._ask, words))
+        # One request after the other, and statements go on meanwhile. In this order no statement is missing from all:
+        # what has left the unexecuted is among the executed.
+        words = ("stateunexecuted", "statelastcleared", "statelastexecuted", "statelastinterpreted")
+        unexecuted, cleared, executed, interpreted = map(self._ask, words)
+        return InterpreterState(interpreted, executed, cleared, unexecuted)
 
     def end(self, timeout: float | None = None) -> None:
         """End the mode once everything is executed, and wait for the end of its program. Without effect if it is over.

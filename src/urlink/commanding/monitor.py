@@ -132,6 +132,13 @@ class SafetyMonitor:
         for name in ("primary", "realtime") if closely else ("primary",):
             if name not in self._listening:
                 self._begin_to_listen(name)
+            elif self._section.may_wait and not self._is_expected(name, self._interlock):
+                # Another thread has begun to listen just now, and waits for the first word too.
+                self.wait_for(partial(self._is_expected, name), _FIRST_WORD)
+
+    def _is_expected(self, name: str, interlock: Interlock) -> bool:
+        with self._section:
+            return interlock.is_expected(name)
 
     def _begin_to_listen(self, name: str) -> None:
         self._subscribe(name)
@@ -140,6 +147,7 @@ class SafetyMonitor:
         with self._section:
             # Only now: an interface without a first state must not close an interlock that was open.
             self._interlock.expect(name)
+        self._wake()
 
     def await_news(self, moves: bool) -> None:
         """Where something is in the way, wait for the next word of every source: the last one may be overtaken.

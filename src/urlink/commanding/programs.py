@@ -18,6 +18,8 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
@@ -139,7 +141,8 @@ class Programs:
         self._numbers = itertools.count(1)
         #: by name, in the order in which they leave; each change is one step, for signal handlers too
         self._runs: dict[str, _Run] = {}
-        self._subscriptions: tuple[Subscription, ...] = ()
+        #: under the one key "one", since `setdefault` is one step
+        self._subscriptions: dict[str, list[Subscription]] = {}
         self._mode: RobotModeData | None = None
         self._has_keys = False  # this controller sends key messages
         self._is_closed = False
@@ -256,9 +259,7 @@ class Programs:
         newest = self._newest()
         if newest is not None and newest.is_motion:
             newest.life.cancel("cancelled, since the robot was closed", brake=True)
-        subscriptions, self._subscriptions = self._subscriptions, ()
-        for subscription in subscriptions:
-            subscription.close(0)
+        _close(self._subscriptions.pop("one", []))
         for run in self._pending():
             run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
 
@@ -268,14 +269,20 @@ class Programs:
         if self._subscriptions:
             return
         subscriptions: list[Subscription] = []
+
+        def only_once(hear: Callable[[Any], None], packet: Any) -> None:
+            """Another thread, or a signal handler of this one, may subscribe at the same time."""
+            if self._subscriptions.get("one") is subscriptions:
+                hear(packet)
+
         try:
-            subscriptions.append(self._primary.subscribe_inline(State, self.hear))
-            subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, self.hear_event))
+            subscriptions.append(self._primary.subscribe_inline(State, partial(only_once, self.hear)))
+            subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, partial(only_once, self.hear_event)))
         except BaseException:
-            for subscription in subscriptions:
-                subscription.close(0)
+            _close(subscriptions)
             raise
-        self._subscriptions = tuple(subscriptions)
+        if self._subscriptions.setdefault("one", subscriptions) is not subscriptions:
+            _close(subscriptions)
 
     def hear_event(self, event: ConnectionEvent) -> None:
         """Something has happened to the connection."""
@@ -288,7 +295,7 @@ class Programs:
                 # A motion ends as by the interlock, which hears of it too, a moment before or after this.
                 run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
-            self._subscriptions = ()
+            self._subscriptions.pop("one", None)
 
     def hear(self, packet: State) -> None:
         """The primary interface has said something."""
@@ -462,3 +469,8 @@ class Programs:
         if run.begun is not None:
             return run.left_alone
         return f"if it begins later, {run.left_alone}" if run.moves_late else "it moves nothing if it begins later"
+
+
+def _close(subscriptions: Sequence[Subscription]) -> None:
+    for subscription in subscriptions:
+        subscription.close(0)

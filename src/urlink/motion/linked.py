@@ -161,6 +161,8 @@ class LinkedProgram:
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
+        if self._concluded is not None and data != self._dialogue.farewell:
+            return  # composed before another thread ended the program: a register holds its newest word only
         assert self._link is not None
         self._link.send(data)
 

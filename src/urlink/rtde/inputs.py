@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from linkcore.errors import BadValue, ConnectionLost
+from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionState
 
@@ -112,6 +113,7 @@ class Inputs:
         self._transport = transport
         self._timeout = timeout
         self._last: dict[str, Any] = {}
+        self._sending = threading.Lock()
         connection.start()
 
     @property
@@ -139,10 +141,17 @@ class Inputs:
         unknown = values.keys() - set(self.names)
         if unknown or not values:
             raise BadValue(f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; there is {', '.join(self.names)}")
-        recipe = self._recipe()
-        package = self._package(recipe, values)
-        self._connection.send(recipe.encode(package), self._timeout)
-        self._last |= {name: value for name, value in package.items() if name not in _MASKS}
+        # In turn: a package made beside another one would put back what that one changes. With a deadline: a signal
+        # handler may come here while the main thread, which it keeps, sends.
+        if not self._sending.acquire(timeout=self._timeout):
+            raise LinkTimeout(f"{self._connection.name}: another package was not sent within {self._timeout:g} s")
+        try:
+            recipe = self._recipe()
+            package = self._package(recipe, values)
+            self._connection.send(recipe.encode(package), self._timeout)
+            self._last |= {name: value for name, value in package.items() if name not in _MASKS}
+        finally:
+            self._sending.release()
 
     def _write(self, values: Mapping[str, Any]) -> None:
         """Write every variable of the recipe, masks included, without waiting and unchecked: for set-points.

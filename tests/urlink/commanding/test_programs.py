@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -48,6 +49,26 @@ def ends(robot: StandIn, program: Handle) -> None:
         return program.done
 
     until(is_over)
+
+
+def test_two_threads_begin_their_first_program(robot: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    subscribe = robot.programs._primary.subscribe_inline
+
+    def beside(*arguments: Any, **options: Any) -> Any:
+        monkeypatch.setattr(robot.programs._primary, "subscribe_inline", subscribe)
+        robot.programs._listen()  # as another thread would
+        return subscribe(*arguments, **options)
+
+    monkeypatch.setattr(robot.programs._primary, "subscribe_inline", beside)
+    texts: list[str] = []
+    robot.clear()
+    program = robot.script.run("movej(q)", on_text=texts.append)
+    robot.begins(program)
+    robot.text("said once")
+    until(lambda: texts)
+    assert list(program.texts) == ["said once"]
+    assert texts == ["said once"]
+    program.cancel()
 
 
 def test_sent_running_finished(robot: StandIn) -> None:

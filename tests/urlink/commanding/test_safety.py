@@ -55,6 +55,27 @@ def test_the_first_question_listens(robot: StandIn, ask: Callable[[StandIn], str
     assert ask(robot) == "protective stop"
 
 
+def test_two_threads_wait_for_the_first_word(robot: StandIn) -> None:
+    failures: list[LinkError] = []
+
+    def command() -> None:
+        try:
+            robot.channel.command("set_tool_voltage(0)")
+        except LinkError as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=command) for _ in range(2)]
+    threads[0].start()
+    until(lambda: len(robot.monitor._waiting) == 1)
+    threads[1].start()
+    until(lambda: len(robot.monitor._waiting) == 2 or failures)
+    robot.state(fast=False)
+    for thread in threads:
+        thread.join(10)
+    assert failures == []
+    assert robot.sent == ["set_tool_voltage(0)\n"] * 2
+
+
 def test_what_is_asked_before_a_motion_listens_to_both(robot: StandIn) -> None:
     """The real-time interface tells of a stop up to 0.1 s before the primary one."""
     robot.state()

@@ -219,9 +219,10 @@ def test_clearing_is_a_statement_with_a_number(mode: Mode) -> None:
 
 
 def test_how_far_it_is(mode: Mode) -> None:
-    mode.peer.answers += [f"state: {number}: x" for number in (9, 7, 5, 3)]
+    mode.peer.answers += [f"state: {number}: x" for number in (3, 5, 7, 9)]
     assert mode.interpreter.state == InterpreterState(9, 7, 5, 3)
-    assert mode.peer.asked == ["statelastinterpreted", EXECUTED, "statelastcleared", "stateunexecuted"]
+    # Statements go on between the questions: the later an answer, the further it is.
+    assert mode.peer.asked == ["stateunexecuted", "statelastcleared", EXECUTED, "statelastinterpreted"]
 
 
 # -- its end -------------------------------------------------------------------------------------------------

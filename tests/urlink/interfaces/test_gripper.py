@@ -281,25 +281,34 @@ def test_replies_without_an_end_and_replies_that_are_wrong(answering: Callable[[
     assert gripper.position() == 12
 
 
-class FingersThatComeToRest(dict[str, bytes]):
-    """Replies of fingers that rest after so many requests, at 75."""
+class FingersThatMove(dict[str, bytes]):
+    """Replies of fingers that rest at 0, take over a request for 75, and rest there, each after so many requests."""
 
-    def __init__(self, moving: int) -> None:
-        self._moving = moving
+    def __init__(self, told: int, arrived: int) -> None:
+        self._told = told
+        self._arrived = arrived
+        self._asked = 0
 
     def get(self, line: str, default: bytes = b"") -> bytes:  # type: ignore[override]
-        is_moving, self._moving = self._moving > 0, self._moving - 1
-        values = {"STA": 3, "OBJ": 0 if is_moving else 3, "POS": 72 if is_moving else 75, "PRE": 75, "FLT": 0}
+        requested = 0 if self._asked < self._told else 75
+        is_moving = self._told <= self._asked < self._arrived
+        self._asked += 1
+        position = 72 if is_moving else requested
+        values = {"STA": 3, "OBJ": 0 if is_moving else 3, "POS": position, "PRE": requested, "FLT": 0}
         name = line.removeprefix("GET ")
         return f"{name} {values[name]}\n".encode()
 
 
-@pytest.mark.parametrize("moving", range(12))
+@pytest.mark.parametrize(("told", "arrived"), [(told, told + way) for told in range(6) for way in (1, 2, 4, 5, 20)])
 def test_a_status_at_rest_has_the_position_of_rest(
-    answering: Callable[[dict[str, bytes]], Gripper], moving: int
+    answering: Callable[[dict[str, bytes]], Gripper], told: int, arrived: int
 ) -> None:
-    gripper = answering(FingersThatComeToRest(moving))
-    assert gripper.wait(timeout=5).position == 75
+    gripper = answering(FingersThatMove(told, arrived))
+    for _ in range(6):
+        status = gripper.status()
+        if not status.is_moving and status.requested == 75:
+            assert status.position == 75
+    assert status.position == 75
 
 
 def test_threads_take_turns(answering: Callable[[dict[str, bytes]], Gripper]) -> None:

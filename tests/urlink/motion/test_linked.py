@@ -182,6 +182,16 @@ def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> N
     assert talk.closed == [True]
 
 
+def test_the_farewell_is_the_last_word(talk: Talk) -> None:
+    """Of two threads one may have composed a word while the other ends the program."""
+    talk.begin()
+    talk.program.finish()
+    talk.program.say(b"composed before")
+    assert talk.said[-1] == b"bye"
+    talk.robot.finish()
+    talk.motion.wait(TIMEOUT)
+
+
 def test_what_it_says_at_its_end_does_not_count(talk: Talk) -> None:
     talk.begin()
     talk.program.finish()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -224,6 +225,24 @@ def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
         inputs.send(input_int_register_24=1, input_double_register_24=0.5)
         inputs.send(input_int_register_24=2)
         assert desk.written == {"input_int_register_24": 2, "input_double_register_24": 0.5}
+
+
+def test_what_two_threads_send_is_sent_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk()
+    with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_int_register_25") as inputs:
+        inputs.send(input_int_register_24=0, input_int_register_25=0)
+        send, other = inputs._connection.send, threading.Thread(target=inputs.send, kwargs={"input_int_register_25": 2})
+
+        def slow(*arguments: Any) -> None:
+            monkeypatch.setattr(inputs._connection, "send", send)
+            other.start()
+            other.join(0.05)  # before, it would have sent its package meanwhile
+            send(*arguments)
+
+        monkeypatch.setattr(inputs._connection, "send", slow)
+        inputs.send(input_int_register_24=1)
+        other.join(10)
+        assert desk.written == {"input_int_register_24": 1, "input_int_register_25": 2}
 
 
 @pytest.mark.parametrize(

@@ -223,8 +223,9 @@ class Gripper:
 
     def status(self) -> GripperStatus:
         """What it shows now."""
-        # Each is a request of its own. OBJ goes before POS: a status that says at rest has the position of rest.
-        state, stopped, position, requested, fault = map(self.get, ("STA", "OBJ", "POS", "PRE", "FLT"))
+        # Each is a request of its own, and the fingers move on meanwhile. In this order a status at rest is that of the
+        # request that it names, and has the position of that rest.
+        state, requested, stopped, position, fault = map(self.get, ("STA", "PRE", "OBJ", "POS", "FLT"))
         return GripperStatus(state == 3, position, requested, ObjectStatus(stopped), fault)
 
     def position(self) -> int:
