@@ -495,9 +495,7 @@ class Variables(Declarations):
                 raise Closed(f"{self._address} was closed") from error
             if isinstance(error, LinkTimeout) and self._connection is not None:
                 raise  # the robot still has its master, and is sent with the next sync what it could not be sent now
-            if self._connection is not None:
-                self._lose(self._connection, error)
-            replica.give_up()
+            self._lose(replica, error)
             raise
 
     def _open(self, until: float) -> Connection:
@@ -506,20 +504,15 @@ class Variables(Declarations):
             raise Closed(f"{self._address} was closed")
         self._tell(ConnectionState.CONNECTING)
         replica = self._replica
-        try:
-            connection = Connection(self._transport, until=until, deliver=replica.apply, **self._options)
-        except RemoteError as error:
-            self._tell(ConnectionState.LOST, error)
-            raise
+        connection = Connection(self._transport, until=until, deliver=replica.apply, **self._options)
         # Found anew by name: a robot that was started again may have other variables, in another order.
         database = database_of(connection.handshake)
         try:
             with replica.lock:
                 bind(self, database, replica.lock)
                 replica.adopt(database)
-        except RemoteError as error:
+        except RemoteError:
             connection.abort()
-            self._tell(ConnectionState.LOST, error)
             raise
         if self._closing.is_set():  # closed while connecting: `close` could not see this connection
             connection.abort()
@@ -530,12 +523,17 @@ class Variables(Declarations):
         self._tell(ConnectionState.CONNECTED)
         return connection
 
-    def _lose(self, connection: Connection, error: RemoteError) -> None:
-        self._connection = None
-        connection.abort()
-        _log.info("%s: connection lost: %s", self._address, error)
+    def _lose(self, replica: Replica, error: RemoteError) -> None:
+        """The connection is lost, or could not be made."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.abort()
+            _log.info("%s: connection lost: %s", self._address, error)
+        replica.give_up()  # before anybody hears of it: what is set then is sent
         self._tell(ConnectionState.LOST, error)
 
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
+        if self._closing.is_set() and state is not ConnectionState.CLOSED:
+            return  # a sync that `close` has interrupted
         self._state = state
         self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))

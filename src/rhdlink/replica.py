@@ -53,6 +53,7 @@ class Replica:
         self.period: float | None = None
         self._robot = robot
         self._unsent = unsent
+        self._is_new_round = False
         self._has_warned = False
         self._unanswered: Ids = _NONE  # variables in a request that has not been answered
         self.database = Database()
@@ -192,11 +193,8 @@ class Replica:
             _log.warning("%s: lost what was set of %s, %s", self._robot, ", ".join(map(repr, names)), reason)
 
     def begin_round(self) -> None:
-        """Clear the flags of the batch before."""
-        with self.lock:
-            self.database.read.begin_round()
-            # `updated` of a write variable says that it waits to be sent, which a batch does not change.
-            self.database.write.begin_round(updates=False)
+        """Let the next batch clear the flags: until it has come, they are those of the last one."""
+        self._is_new_round = True
 
     def outgoing(self, access: str, width: int) -> bytes:
         """The data package of a request; a reader's request has none."""
@@ -219,7 +217,11 @@ class Replica:
     def apply(self, batch: Batch) -> None:
         """Take what the robot says."""
         with self.lock:
-            # `updated` of a write variable says that this program has set it, which nothing that comes changes.
+            # `updated` of a write variable says that it was set here and waits to be sent, which no batch changes.
+            if self._is_new_round:
+                self._is_new_round = False
+                self.database.read.begin_round()
+                self.database.write.begin_round(updates=False)
             for data in batch.data:
                 self.database.table(data.direction).receive(data, updates=data.direction == "r")
             if self.period is None:

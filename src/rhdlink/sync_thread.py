@@ -56,7 +56,7 @@ class SyncThread:
     @property
     def is_running(self) -> bool:
         """Whether it goes on."""
-        return self._thread.is_alive()
+        return self.failure is None and self._thread.is_alive()
 
     def close(self, timeout: float = 2.0) -> None:
         """Sync no more; waits up to `timeout` seconds for a sync that is under way. Idempotent."""
@@ -78,8 +78,8 @@ class SyncThread:
         try:
             self._sync_until_closed()
         except BaseException as error:  # SystemExit too: nobody but this thread would ever know of it
-            self.failure = error
             _log.exception("%s ended", self._thread.name)
+            self.failure = error
 
     def _sync_until_closed(self) -> None:
         waits = self._backoff.waits()

@@ -27,6 +27,7 @@ from linkcore.errors import (
     PacketError,
     WrongPeer,
 )
+from linkcore.streaming.events import ConnectionEvent
 from rhdlink import (
     AccessDenied,
     ConnectionState,
@@ -309,6 +310,81 @@ def test_a_server_that_sends_nothing_unasked_is_asked_once_for_each_sync() -> No
         for tick in range(1, 6):
             robot.sync()
             assert robot.tick == tick
+
+
+def test_a_batch_is_the_last_until_the_next_has_come() -> None:
+    """A sync takes a tick, in which the flags can be asked."""
+    side = Robot()
+    is_asked, may_answer = threading.Event(), threading.Event()
+
+    def script(peer: Peer) -> None:
+        side.greet(peer)
+        peer.hear(b"rree")
+        peer.say(side.batch(1, encl=5))
+        peer.hear(b"rree")
+        is_asked.set()
+        assert may_answer.wait(10)
+        peer.say(side.batch(2))
+        assert peer.is_left()
+
+    with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
+        robot.sync()
+        thread = threading.Thread(target=robot.sync)
+        thread.start()
+        assert is_asked.wait(10)
+        flags = [ask("encl") for ask in (robot.fresh, robot.updated, robot.changed)]
+        may_answer.set()
+        thread.join(10)
+        assert flags == [True] * 3
+        assert not robot.fresh("encl")
+
+
+def test_what_is_set_on_hearing_that_the_connection_is_lost_is_sent() -> None:
+    with (
+        ScriptedServer(lambda peer: Robot().greet(peer, "w")) as server,
+        rhdlink.connect(server.address, Smr, access="w") as robot,
+    ):
+        tell = robot._subscribers.tell
+
+        def stop(event: ConnectionEvent) -> None:
+            if event.state is ConnectionState.LOST:
+                robot.speedl = 0
+            tell(event)
+
+        robot._subscribers.tell = stop  # type: ignore[method-assign,assignment]
+        robot.speedl = 1
+        with pytest.raises(ConnectionLost):
+            robot.sync()
+        assert robot.updated("speedl")  # it waits to be sent
+
+
+def test_closed_is_the_last_word() -> None:
+    """Also where another thread is about to connect again."""
+    is_greeted, failures = threading.Event(), list[Exception]()
+
+    def second(peer: Peer) -> None:
+        peer.hear(b"ar")
+        is_greeted.set()
+        assert peer.is_left()
+
+    with ScriptedServer(lambda peer: Robot().greet(peer), second) as server:
+        robot = rhdlink.connect(server.address, Smr)
+        with pytest.raises(ConnectionLost):
+            robot.sync()
+
+        def sync() -> None:
+            try:
+                robot.sync()
+            except Closed as error:
+                failures.append(error)
+
+        thread = threading.Thread(target=sync)
+        thread.start()
+        assert is_greeted.wait(10)
+        robot.close()
+        thread.join(10)
+        assert len(failures) == 1
+        assert robot.connection is ConnectionState.CLOSED
 
 
 def test_what_came_in_all_batches_of_a_sync_is_fresh() -> None:

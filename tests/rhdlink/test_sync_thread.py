@@ -125,9 +125,10 @@ def test_whatever_ends_it_is_its_failure(error: BaseException, caplog: pytest.Lo
 
     with ScriptedServer(lambda peer: Robot().greet(peer)) as server, rhdlink.connect(server.address, Broken) as robot:
         sync_thread = robot.background()
-        until(lambda: not sync_thread.is_running)
-        assert sync_thread.failure is error
+        until(lambda: sync_thread.failure is error)
+        assert not sync_thread.is_running
         assert repr(error) in repr(sync_thread)
+        robot.background()
     assert "sync ended" in caplog.text
 
 

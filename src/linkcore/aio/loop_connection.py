@@ -92,7 +92,7 @@ class LoopConnection(Connection):
 
     def start(self, add: Callable[[], object] | None = None) -> None:
         """As `Connection.start`, in any thread but that of the loop; there only once it is connected."""
-        if not (self._is_launched and self._is_settled):
+        if not (self._is_launched and self._attempt.is_settled):
             self.refuse_to_wait("connecting")
         super().start(add)
 
@@ -107,14 +107,16 @@ class LoopConnection(Connection):
             raise Closed(f"{self.name} was closed")
         if add is not None:
             add()
-        self._begin(is_patient=False)
-        if not self._is_settled:
+        with self._changed:
+            self._begin(is_patient=False)
+            attempt, settled = self._attempt, self._settled
+        if not attempt.is_settled:
             try:
-                await asyncio.wait_for(self._settled.wait(), self._timeout + 1.0)
+                await asyncio.wait_for(settled.wait(), self._timeout + 1.0)
             except asyncio.TimeoutError:
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s") from None
-        if not self._has_opened and self.failure is not None:
-            raise self.failure
+        if attempt.failure is not None:
+            raise attempt.failure
 
     async def disconnected(self) -> None:
         """Disconnect and end every queue, as `close`, for tasks of the loop. Idempotent."""
@@ -133,7 +135,7 @@ class LoopConnection(Connection):
 
     def _launch(self) -> None:
         self._has_ended.clear()
-        self._settled.clear()
+        self._settled = asyncio.Event()
         self.call(self._start_reading)
 
     def _start_reading(self) -> None:

@@ -37,6 +37,20 @@ __all__ = ["Connection"]
 _log = logging.getLogger(__name__)
 
 
+class _Attempt:
+    """How the first connection of a reader goes. Each has its own: as soon as one has failed, another may begin.
+
+    Attributes:
+        is_settled: it was made, or could not be.
+        has_opened: it was made.
+        failure: why it could not be made.
+    """
+
+    def __init__(self) -> None:
+        self.is_settled = self.has_opened = False
+        self.failure: Exception | None = None
+
+
 class Connection:
     """A connection, its reader, and its subscribers. Connects when first used.
 
@@ -86,8 +100,7 @@ class Connection:
         self._retry = self._backoff.waits()
         self._received_before = 0  # packets, at the try before this one
         self._is_launched = False  # something reads, or is about to
-        self._is_settled = False  # the first connection was made, or could not be
-        self._has_opened = False
+        self._attempt = _Attempt()
         self._is_patient = False  # started without waiting for the first connection: failures are retried
         self._is_closing = False
         self._is_finishing = False  # the reader is about to end
@@ -134,7 +147,7 @@ class Connection:
             Closed: it was closed.
         """
         with self._changed:
-            if self._is_finishing or not self._is_settled:
+            if self._is_finishing or not self._attempt.is_settled:
                 self.refuse_to_wait("connecting")
             # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
             self._changed.wait_for(lambda: not self._is_finishing, self._timeout)
@@ -143,10 +156,11 @@ class Connection:
             if add is not None:
                 add()
             self._begin(is_patient=False)
-            if not self._changed.wait_for(lambda: self._is_settled, self._timeout + 1.0):
+            attempt = self._attempt
+            if not self._changed.wait_for(lambda: attempt.is_settled, self._timeout + 1.0):
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
-        if not self._has_opened and self.failure is not None:
-            raise self.failure
+        if attempt.failure is not None:
+            raise attempt.failure
 
     def start_quietly(self) -> None:
         """Begin to connect, if nothing has yet, without waiting; failures are retried by the back-off."""
@@ -159,7 +173,7 @@ class Connection:
             return
         self.failure = self.error = None
         self._is_patient = is_patient
-        self._has_opened = self._is_settled = False
+        self._attempt = _Attempt()
         self._retry = self._backoff.waits()
         self._received_before = self.counters.received
         self._is_launched = True
@@ -222,7 +236,7 @@ class Connection:
 
     def _stop(self) -> None:
         with self._changed:
-            self._is_closing = self._is_settled = True
+            self._is_closing = self._attempt.is_settled = True
             self._changed.notify_all()
 
     # -- sending ---------------------------------------------------------------------------------
@@ -346,6 +360,12 @@ class Connection:
             callback, self.counters, self.reads_here, **self._options(kind, deadline, on_deadline)
         )
         self._join(delivery, kind)
+        try:
+            delivery.begin()
+        except LocalError:
+            self.fan_out.remove(delivery)
+            delivery.close()
+            raise
         self.fan_out.add_delivery(delivery)
         return Subscription(delivery, self.fan_out.remove_delivery, owner)
 
@@ -388,14 +408,14 @@ class Connection:
         """The transport is open: publish the event, and receive until the connection is lost."""
         protocol = self._protocol()
         self.counters.connected(protocol)
-        self._has_opened = True
+        self._attempt.has_opened = True
         self._tell(ConnectionState.CONNECTED)
         self._settle()
         return Receiver(self.name, protocol, self.counters)
 
     def _settle(self) -> None:
         with self._changed:
-            self._is_settled = True
+            self._attempt.is_settled = True
             self._changed.notify_all()
 
     def _next_try(self, error: Exception | None) -> float | None:
@@ -421,7 +441,7 @@ class Connection:
             self._finish(None)
             return None
         self.error = error
-        if not self._has_opened and not self._is_patient:
+        if not self._attempt.has_opened and not self._is_patient:
             self._finish(error)
             return None
         if self.counters.received > self._received_before:
@@ -475,12 +495,14 @@ class Connection:
         with self._changed:
             self._is_finishing = True
             self.failure = failure
+            if not self._attempt.has_opened:
+                self._attempt.failure = failure
             self._is_over = failure is None
         self._transport.abort()
         self.counters.disconnected()
         if failure is not None or self._is_closing:
             self.fan_out.forget()  # the last of a recording stays: it is no older than the others
-        if failure is not None and self._has_opened:
+        if failure is not None and self._attempt.has_opened:
             _log.warning(
                 "%s: given up: %s", self.name, printable(failure)
             )  # for a callback without an error handler, the log is the only report

@@ -157,7 +157,10 @@ class StreamCounters:
         return snapshot(self._look)
 
     def _look(self) -> StreamStatistics:
-        now = time.monotonic()
+        # The reader goes on meanwhile. Times before the present, and what past connections have counted before what the
+        # present one has: an age is never negative, and nothing counts twice.
+        arrived, now = self.arrived, time.monotonic()
+        skipped, resyncs, unknown, tails = self._skipped, self._resyncs, self._unknown, self._tails
         protocol, rate, elapsed = self._protocol, self._rate, now - self._window_began
         if elapsed > 2.0 or (not rate and elapsed > 0.5):
             # The last whole window is too old, or there was none.
@@ -170,9 +173,9 @@ class StreamCounters:
             reconnects=max(self.connections - 1, 0),
             rate=rate,
             bytes=self.bytes,
-            skipped=self._skipped + (protocol.framer.skipped if protocol is not None else 0),
-            resyncs=self._resyncs + (protocol.framer.resyncs if protocol is not None else 0),
-            unknown=self._unknown + (protocol.unknown if protocol is not None else 0),
-            tails=self._tails + (protocol.tails if protocol is not None else 0),
-            age=None if self.arrived is None else now - self.arrived,
+            skipped=skipped + (protocol.framer.skipped if protocol is not None else 0),
+            resyncs=resyncs + (protocol.framer.resyncs if protocol is not None else 0),
+            unknown=unknown + (protocol.unknown if protocol is not None else 0),
+            tails=tails + (protocol.tails if protocol is not None else 0),
+            age=None if arrived is None else now - arrived,
         )

@@ -214,9 +214,6 @@ class InlineDelivery(Delivery):
     Args:
         counters: of the stream, where slow calls are counted.
         reads_here: whether the current thread is the one that reads.
-
-    Raises:
-        LocalError: a deadline, and the system has no thread left.
     """
 
     #: After the queues, so that a slow inline callback does not delay subscribers with threads of their own.
@@ -239,7 +236,15 @@ class InlineDelivery(Delivery):
         self._is_closed = False
         self._reads_here = reads_here
         self._closing = threading.Condition()
+
+    def begin(self) -> None:
+        """Watch the deadline, if there is one: from the first connection on, which may take longer to make.
+
+        Raises:
+            LocalError: the system has no thread left.
+        """
         if self._deadline is not None:
+            self._last = monotonic()
             started(threading.Thread(target=self._watch, name=f"{self.name} deadline", daemon=True))
 
     @property

@@ -16,11 +16,28 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from linkcore.errors import ConnectionLost
 from linkcore.net.transport import Finished
 from linkcore.streaming.policy import Policy, block, drop_oldest, latest
-from linkcore.streaming.statistics import SubscriptionStatistics
+from linkcore.streaming.statistics import StreamCounters, SubscriptionStatistics
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
+
+
+def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    counters, clock = StreamCounters(), time.monotonic
+    counters.arrived = clock()
+
+    def late() -> float:
+        now = clock()
+        while (arrived := clock()) == now:
+            pass
+        counters.arrived = arrived  # by the reader, before this thread goes on
+        return now
+
+    monkeypatch.setattr(time, "monotonic", late)
+    age = counters.statistics.age
+    assert age is not None
+    assert age >= 0
 
 
 def test_each_counter_of_a_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:

@@ -267,3 +267,21 @@ def test_a_deadline_is_watched_beside(stream: Stream[Count], transport: Scripted
     assert all(age >= 0.02 for age in ages)
     subscription.close()
     until(lambda: not any(thread.name == "script Count deadline" for thread in threading.enumerate()))
+
+
+def test_a_deadline_begins_with_the_connection(
+    stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Making it may take longer than the deadline."""
+    watching: list[list[str]] = []
+    connect = transport.open
+
+    def watched(timeout: float) -> None:
+        watching.append([thread.name for thread in threading.enumerate() if "deadline" in thread.name])
+        connect(timeout)
+
+    monkeypatch.setattr(transport, "open", watched)
+    ages: list[float] = []
+    stream.subscribe(lambda count: None, deadline=0.02, on_deadline=ages.append, inline=True)
+    assert watching == [[]]
+    until(lambda: ages)

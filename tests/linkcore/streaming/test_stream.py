@@ -346,6 +346,24 @@ def test_a_deadline_callback_that_raises_is_only_logged(
     assert "on_deadline" in caplog.text
 
 
+def test_who_waits_for_a_connection_that_fails_hears_of_it_whoever_tries_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    transport = ScriptedTransport(ConnectFailed("refused"), None)
+    stream = scripted(transport)
+    connection = stream._connection
+    settle = connection._settle
+
+    def with_another_try() -> None:
+        settle()
+        monkeypatch.setattr(connection, "_settle", settle)
+        connection._begin(is_patient=True)  # as `latest` of another thread, before the one that waits is awake
+
+    monkeypatch.setattr(connection, "_settle", with_another_try)
+    with pytest.raises(ConnectFailed, match="refused"):
+        stream.subscribe(lambda count: None)
+    until(lambda: stream.connection is ConnectionState.CONNECTED)
+    stream.close()
+
+
 def test_a_missed_deadline_without_a_callback_is_logged(
     stream: Stream[Count], caplog: pytest.LogCaptureFixture
 ) -> None:
