@@ -233,9 +233,16 @@ class Programs:
         newest = self._newest()
         if newest is None or newest.life is not life:
             return
+
+        def claim() -> None:
+            """The channel may wait for news first, and another thread send what comes after."""
+            newest = self._newest()
+            if newest is not None and newest.life is not life:
+                raise Cancelled(f"{newest.life.name} was sent meanwhile, which stops it anyway")
+
         name = self._name("urlink_stop")
         body = programs.stop(_DECELERATION)
-        self._channel.motion(wrapping.program(name, body).text, is_stop=True)
+        self._channel.motion(wrapping.program(name, body).text, is_stop=True, claim=claim)
 
     @property
     def current(self) -> Lifecycle | None:

@@ -427,6 +427,25 @@ def test_only_the_newest_is_stopped(desk: Programming) -> None:
     assert desk.stops == 2  # nobody has to enable an arm that is to stop
 
 
+def test_what_is_sent_while_a_stop_waits_for_news_is_not_stopped(
+    desk: Programming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, others = desk.motion(), list[Any]()
+    prepare = desk.channel._prepare
+
+    def prepare_beside() -> None:
+        prepare()
+        monkeypatch.setattr(desk.channel, "_prepare", prepare)
+        others.append(desk.motion())  # of another thread
+
+    monkeypatch.setattr(desk.channel, "_prepare", prepare_beside)
+    one.cancel()
+    assert len(others) == 1
+    assert desk.stops == 0
+    others[0].cancel()
+    assert desk.stops == 1
+
+
 # -- the connection ----------------------------------------------------------------------------------------
 
 
