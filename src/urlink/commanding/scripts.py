@@ -59,8 +59,9 @@ class Scripts:
                 statements. Where the last thing at the top is a ``def``, which may take no arguments, it is called
                 after what stands above it.
             wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
-            on_text: called with each line of its `textmsg`, in the robot's thread for callbacks. Not for a `sec`: a
-                message does not say which program it is of, and the program beside which it runs may say something too.
+            on_text: called with each line of its `textmsg`, in the robot's thread for callbacks, so for the last lines
+                perhaps after `wait` has returned; `texts` has them by then. Not for a `sec`: a message does not say
+                which program it is of, and the program beside which it runs may say something too.
 
         Returns:
             the handle. Lines in its errors are those of `source`.

@@ -187,7 +187,9 @@ class Registers:
     # -- what a program on the controller writes -------------------------------------------------------
 
     def read_bit(self, number: int) -> bool:
-        """The newest value of an output bit.
+        """The value of an output bit in the newest package, which is up to a cycle old.
+
+        That a program is over comes on another connection: what it writes at its end may be in the next package only.
 
         Raises:
             BadValue: no such register.
