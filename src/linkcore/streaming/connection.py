@@ -433,6 +433,7 @@ class Connection:
             _log.error("%s: the reader failed", self.name, exc_info=error)
             self._finish(error)
             return None
+        self.error = error  # before `LOST` is told: whoever hears of it may ask why
         self._disconnected(error)
         if is_hopeless:
             self._finish(error)
@@ -440,7 +441,6 @@ class Connection:
         if self._is_closing:
             self._finish(None)
             return None
-        self.error = error
         if not self._attempt.has_opened and not self._is_patient:
             self._finish(error)
             return None

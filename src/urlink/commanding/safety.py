@@ -109,9 +109,16 @@ class Safety:
         """
         timeout = checked(timeout, "timeout", 0.0)
         self._monitor.listen()
-        self._monitor.wait_for(lambda interlock: interlock.blocked(self._monitor.clock()), timeout)
-        with self._monitor.decision() as interlock:
-            return interlock.blocked(self._monitor.clock())
+        seen: list[LinkError] = []  # since it may be over before this thread asks again
+
+        def is_stopped(interlock: Interlock) -> bool:
+            stop = interlock.blocked(self._monitor.clock())
+            if stop is not None:
+                seen.append(stop)
+            return stop is not None
+
+        self._monitor.wait_for(is_stopped, timeout)
+        return seen[0] if seen else None
 
     def on_stop(self, callback: Callable[[LinkError], object]) -> Callable[[], None]:
         """Call back when a stop arrives, with the error that motions end with.

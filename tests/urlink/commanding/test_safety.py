@@ -76,6 +76,24 @@ def test_two_threads_wait_for_the_first_word(robot: StandIn) -> None:
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
+def test_a_stop_that_is_over_at_once(robot: StandIn) -> None:
+    robot.state(fast=False)
+    robot.monitor.listen()
+    waits = robot.monitor.wait_for
+
+    def over(*arguments: Any) -> bool:
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
+        came = waits(*arguments)
+        robot.state(fast=False)
+        until(lambda: robot.safety.cause is None)
+        return came
+
+    robot.monitor.wait_for = over  # type: ignore[method-assign,assignment]
+    stop = robot.safety.wait_for_stop(5)
+    assert stop is not None
+    assert "protective stop" in str(stop)
+
+
 def test_what_is_asked_before_a_motion_listens_to_both(robot: StandIn) -> None:
     """The real-time interface tells of a stop up to 0.1 s before the primary one."""
     robot.state()
