@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -64,3 +65,15 @@ def leaves_nothing_that_keeps_the_interpreter() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
     until(lambda: all(thread.daemon for thread in set(threading.enumerate()) - before))
+
+
+@pytest.fixture
+def own_port() -> Iterator[int]:
+    """A port for what stops and starts again: meanwhile no other program gets it, and connections to it are refused.
+
+    A socket that is bound and does not listen keeps it. As both have SO_REUSEADDR, another one can listen there.
+    """
+    with socket.socket() as keeper:
+        keeper.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        keeper.bind(("127.0.0.1", 0))
+        yield keeper.getsockname()[1]

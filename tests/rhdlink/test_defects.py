@@ -277,18 +277,17 @@ def test_11_an_index_equal_to_the_length_reaches_no_neighbour(robot: Robot) -> N
         witness(host, 1)
 
 
-def test_12_the_port_is_free_again_at_once_and_of_this_machine_only(robot: Robot) -> None:
-    with Host([robot], period=0.002, port=0) as host:
-        port = host.port
-        client = RawClient(port)
+def test_12_the_port_is_free_again_at_once_and_of_this_machine_only(robot: Robot, own_port: int) -> None:
+    with Host([robot], period=0.002, port=own_port):
+        client = RawClient(own_port)
         client.greeting()
     # The host closed first, so that its end of the connection lingers.
-    with Host([Robot()], period=0.002, port=port) as host:
-        assert host.port == port
+    with Host([Robot()], period=0.002, port=own_port) as host:
+        assert host.port == own_port
         witness(host, 1)
         # Another address of this machine, which a server that listens everywhere would answer on.
         with pytest.raises(OSError):  # noqa: PT011  (refused, or no such address)
-            socket.create_connection(("127.0.0.2", port), timeout=1.0)
+            socket.create_connection(("127.0.0.2", own_port), timeout=1.0)
     client.close()
 
 

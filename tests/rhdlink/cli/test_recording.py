@@ -171,15 +171,14 @@ def test_a_signal_ends_it_in_order(spawn: Spawn, address: str, tmp_path: Path, n
     assert Recording(path).is_complete
 
 
-def test_a_lost_connection_is_in_the_recording(tmp_path: Path) -> None:
+def test_a_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) -> None:
     path = tmp_path / "drive.urlog"
-    with Host([Turtle()], port=0, pacing="lockstep") as host:
-        port = host.port
-        robot = rhdlink.connect(f"127.0.0.1:{port}", record=path)
+    with Host([Turtle()], port=own_port, pacing="lockstep"):
+        robot = rhdlink.connect(f"127.0.0.1:{own_port}", record=path)
         robot.sync()
     with pytest.raises(rhdlink.ConnectionLost):
         robot.sync()
-    with Host([Turtle()], port=port, pacing="lockstep"):
+    with Host([Turtle()], port=own_port, pacing="lockstep"):
         robot.sync()
         robot.close()
     moments = [(moment.connection, moment.is_handshake) for moment in play(Recording(path))]

@@ -54,16 +54,15 @@ def test_a_variable_that_is_not_there(run: Run, address: str) -> None:
     assert "no variable 'nope'" in err
 
 
-def test_a_robot_that_goes_and_comes_back(spawn: Spawn) -> None:
-    with Host([Turtle()], period=0.002, port=0) as host:
-        port = host.port
-        process = spawn("watch", f"127.0.0.1:{port}", "tick", "--plain", "-vv")
+def test_a_robot_that_goes_and_comes_back(spawn: Spawn, own_port: int) -> None:
+    with Host([Turtle()], period=0.002, port=own_port):
+        process = spawn("watch", f"127.0.0.1:{own_port}", "tick", "--plain", "-vv")
         assert process.stdout is not None
         lines = iter(process.stdout.readline, "")
         assert any(" CONNECTED " in each for each in lines)
     lost = next(each for each in lines if " CONNECTED " not in each)
     assert "OLD DATA" in lost
-    with Host([Turtle()], period=0.002, port=port):
+    with Host([Turtle()], period=0.002, port=own_port):
         assert any(" CONNECTED " in each for each in lines)
         process.terminate()
         assert process.wait(20) == 143

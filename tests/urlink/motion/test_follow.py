@@ -370,26 +370,20 @@ def test_a_port_that_is_taken(rehearsal: Callable[..., Rehearsal], robot: Rehear
     assert other.motion.current is None
 
 
-def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
-    robot.motion.follow(PATH)
-    port = robot.port
-    robot.programs.close()
-    fixed = rehearsal(port=port)
+def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
+    fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
     connected = begun(fixed)
     after = begun(fixed)
-    assert fixed.port == port
+    assert fixed.port == own_port
     for each in (waiting, connected):
         with pytest.raises(Cancelled, match="preempted by follow"):
             each.wait(TIMEOUT)
     after.cancel()
 
 
-def test_a_port_is_kept_where_the_next_motion_is_refused(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
-    robot.motion.follow(PATH)
-    port = robot.port
-    robot.programs.close()
-    fixed = rehearsal(port=port)
+def test_a_port_is_kept_where_the_next_motion_is_refused(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
+    fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
     fixed.safety.policy = "always"
     with pytest.raises(NotEnabled):

@@ -282,14 +282,11 @@ def test_an_address_that_something_translates() -> None:
     link.close()
 
 
-def test_a_fixed_port_waits_for_the_newest_program() -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    where = ReversePort("127.0.0.1", port=port)
+def test_a_fixed_port_waits_for_the_newest_program(own_port: int) -> None:
+    where = ReversePort("127.0.0.1", port=own_port)
     first = where.open()
     second = where.open()
-    assert first.endpoint[:2] == second.endpoint[:2] == ("127.0.0.1", port)
+    assert first.endpoint[:2] == second.endpoint[:2] == ("127.0.0.1", own_port)
     # The program of the first, which the controller begins late, is not taken for that of the second.
     with socket.create_connection(second.endpoint[:2], TIMEOUT) as late:
         late.sendall(token(first))
