@@ -358,9 +358,28 @@ def test_what_is_set_on_hearing_that_the_connection_is_lost_is_sent() -> None:
         assert robot.updated("speedl")  # it waits to be sent
 
 
+def closed_while_it_syncs(robot: Smr, has_begun: threading.Event) -> BaseException:
+    """What `sync` raises in a thread of its own when the robot is closed after it has begun."""
+    raised: list[BaseException] = []
+
+    def sync() -> None:
+        try:
+            robot.sync()
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=sync)
+    thread.start()
+    assert has_begun.wait(10)
+    robot.close()
+    thread.join(10)
+    (error,) = raised
+    return error
+
+
 def test_closed_is_the_last_word() -> None:
     """Also where another thread is about to connect again."""
-    is_greeted, failures = threading.Event(), list[Exception]()
+    is_greeted = threading.Event()
 
     def second(peer: Peer) -> None:
         peer.hear(b"ar")
@@ -371,19 +390,7 @@ def test_closed_is_the_last_word() -> None:
         robot = rhdlink.connect(server.address, Smr)
         with pytest.raises(ConnectionLost):
             robot.sync()
-
-        def sync() -> None:
-            try:
-                robot.sync()
-            except Closed as error:
-                failures.append(error)
-
-        thread = threading.Thread(target=sync)
-        thread.start()
-        assert is_greeted.wait(10)
-        robot.close()
-        thread.join(10)
-        assert len(failures) == 1
+        assert type(closed_while_it_syncs(robot, is_greeted)) is Closed
         assert robot.connection is ConnectionState.CLOSED
 
 
@@ -876,20 +883,7 @@ def test_close_wakes_who_syncs() -> None:
 
     with ScriptedServer(script) as server:
         robot = rhdlink.connect(server.address, Smr)
-        raised: list[BaseException] = []
-
-        def sync() -> None:
-            try:
-                robot.sync()
-            except BaseException as error:
-                raised.append(error)
-
-        thread = threading.Thread(target=sync)
-        thread.start()
-        assert is_asked.wait(10)
-        robot.close()
-        thread.join(10)
-        assert [type(each) for each in raised] == [Closed]
+        assert type(closed_while_it_syncs(robot, is_asked)) is Closed
         robot.close()
         assert robot.connection is ConnectionState.CLOSED
         for use in (robot.sync, robot.background, lambda: robot.subscribe(print)):

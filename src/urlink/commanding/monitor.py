@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from operator import methodcaller
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -92,7 +93,7 @@ class SafetyMonitor:
 
     @contextlib.contextmanager
     def decision(self) -> Iterator[Interlock]:
-        """The interlock, to be asked or changed by a person; whoever waits for news is told afterwards."""
+        """The interlock, to be asked or changed; whoever waits for news is told afterwards."""
         with self._section:
             yield self._interlock
         self._wake()
@@ -130,24 +131,20 @@ class SafetyMonitor:
             Closed: the robot was closed.
         """
         for name in ("primary", "realtime") if closely else ("primary",):
+            is_expected = methodcaller("is_expected", name)
             if name not in self._listening:
                 self._begin_to_listen(name)
-            elif self._section.may_wait and not self._is_expected(name, self._interlock):
+            elif self._section.may_wait and not self._is(is_expected):
                 # Another thread has begun to listen just now, and waits for the first word too.
-                self.wait_for(partial(self._is_expected, name), _FIRST_WORD)
-
-    def _is_expected(self, name: str, interlock: Interlock) -> bool:
-        with self._section:
-            return interlock.is_expected(name)
+                self.wait_for(is_expected, _FIRST_WORD)
 
     def _begin_to_listen(self, name: str) -> None:
         self._subscribe(name)
         if self._section.may_wait:
             self.wait_for(lambda interlock: interlock.has_word(name), _FIRST_WORD)
-        with self._section:
+        with self.decision() as interlock:
             # Only now: an interface without a first state must not close an interlock that was open.
-            self._interlock.expect(name)
-        self._wake()
+            interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
         """Where something is in the way, wait for the next word of every source: the last one may be overtaken.

@@ -76,6 +76,19 @@ def test_two_threads_wait_for_the_first_word(robot: StandIn) -> None:
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
+def test_who_asks_while_another_thread_waits_for_the_first_word_waits_too(robot: StandIn) -> None:
+    modes: list[SafetyMode | None] = []
+    threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
+    threads[0].start()
+    until(lambda: len(robot.monitor._waiting) == 1)
+    threads[1].start()
+    until(lambda: len(robot.monitor._waiting) == 2 or modes)
+    robot.state(fast=False)
+    for thread in threads:
+        thread.join(10)
+    assert modes == [SafetyMode.NORMAL] * 2
+
+
 def test_a_stop_that_is_over_at_once(robot: StandIn) -> None:
     robot.state(fast=False)
     robot.monitor.listen()
