@@ -100,6 +100,19 @@ def test_the_demonstration_is_gentle(name: str) -> None:
         assert Arm(model).frames(row)[1:, 2, 3].min() > 0.05
 
 
+@pytest.mark.parametrize("name", ["UR5", "UR5e", "UR10e", "UR16e"])
+@pytest.mark.parametrize(("sideways", "across"), [(0.25, 0), (-0.25, 0), (0.25, 2), (-0.25, 2)])
+def test_a_large_circle_from_the_home_posture_passes_no_singular_one(name: str, sideways: float, across: int) -> None:
+    arm = Arm(MODELS[name])
+    begin, q = arm.forward(HOME), list(HOME)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 121):
+        pose = begin.copy()
+        pose[1] += sideways * (1.0 - np.cos(angle))
+        pose[across] += 0.25 * np.sin(angle)
+        q = arm.inverse(pose, q, is_limited=False).tolist()
+        assert np.linalg.svd(arm.jacobian(q))[1].min() > 0.05
+
+
 def test_the_demonstration_comes_from_wherever_the_arm_stands() -> None:
     motion = Demonstration()
     start = [1.0, -1.0, 1.0, -2.0, -1.0, 3.0]

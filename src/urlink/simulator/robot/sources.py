@@ -11,8 +11,10 @@ from typing import NamedTuple, Protocol
 
 __all__ = ["BRAKING", "HOME", "Demonstration", "Setpoint", "SetpointSource", "Still"]
 
-#: rad. Elbow up, tool pointing down: far from the joint limits and from every singular posture of every model.
-HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
+#: rad. Elbow up, tool pointing down, in the middle of the workspace: far from the joint limits and from every singular
+#: posture of every model. On a UR5e or a larger arm, circles of 0.25 m radius that begin here to either side,
+#: horizontal or upright, pass none either.
+HOME = (0.0, -1.5, 2.0, -0.5 - math.pi / 2, -math.pi / 2, 0.0)
 
 #: Fraction of the largest joint acceleration with which an arm brakes if no program commands it. How hard a controller
 #: brakes is not published; this is a cautious guess.

@@ -1,7 +1,7 @@
 """Recursive-descent parser: tokens to a syntax tree.
 
     program    = { statement }
-    statement  = definition | if | while | simple | "pass" | "$" number string
+    statement  = definition | if | while | simple | "pass" | "$" number string [ string ]
     definition = ( "def" | "sec" | "thread" ) name "(" [ parameter { "," parameter } ] ")" ":" block "end"
     parameter  = name [ "=" expression ]
     block      = { statement }
@@ -26,7 +26,8 @@
 
 From public programs that run on real controllers (docs/protocols/urscript.md, What public programs need): line ends
 are white space, so that two statements may share a line and an expression may continue on the next; blocks may be
-empty; PolyScope writes `$ 1 "Robot Program"` before each node of a program, which has no effect here; `m[i, j]` is an
+empty; PolyScope writes `$ 1 "Robot Program"` or `$ 3 "home" "breakAfter"` before each node of a program, which has no
+effect but as a target of `jump_to_label`; `m[i, j]` is an
 element of a matrix, a list of lists; `p[i]` is an element of a variable named p; `s.a` is a member of `struct(a=1)`;
 `handle.method(x)` calls a method of the result of a factory.
 
@@ -186,6 +187,7 @@ class _Parser:
             self._at += 1
             self._expect(NUMBER)
             self._expect(STRING)
+            self._accept(STRING)
         elif kind == "pass":
             self._at += 1
         else:
