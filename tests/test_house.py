@@ -18,6 +18,9 @@ SOCKETS = {
     "linkcore.net.loop",
     "linkcore.net.polled",
     "linkcore.net.awaited",
+    # Puts others in the place of the standard library's.
+    "linkcore.simulated.sockets",
+    "linkcore.simulated.takeover",
 }
 
 #: The only modules that may import `asyncio`.
@@ -42,6 +45,7 @@ THREADS = {
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
     "linkcore.recording.side_by_side",  # some, for as long as a long recording is checked
+    "linkcore.simulated.primitives",  # what a program starts while time is simulated
     "linkcore.aio.workers",  # makes the calls that wait, for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between the motions that are asked for
     "rhdlink.smrcl.mission",  # for a mission that is started rather than run

@@ -1,0 +1,7 @@
+"""A program and everything it talks to on a clock of their own: see `simulated_time`."""
+
+from .network import Computer, Network, Route
+from .scheduler import Deadlock, TimeLimit
+from .takeover import Simulation, simulated_time
+
+__all__ = ["Computer", "Deadlock", "Network", "Route", "Simulation", "TimeLimit", "simulated_time"]

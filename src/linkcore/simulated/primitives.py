@@ -1,0 +1,263 @@
+"""Locks, simple queues and threads of the standard library, on a scheduler.
+
+Condition, Event, Semaphore, Barrier, Queue and futures are Python on top of these, so they need no counterpart here. A
+thread that takes no part, such as pytest's own, may use what is made here as well; it waits in real time.
+"""
+
+from __future__ import annotations
+
+import _thread
+import queue
+import sys
+import threading
+import time
+from collections import deque
+from types import GenericAlias
+from typing import Any
+
+from .scheduler import Ended, Scheduler, Task, current
+
+__all__ = ["Lock", "RLock", "SimpleQueue", "is_alive", "join", "start"]
+
+#: Seconds between two looks of a thread that takes no part.
+_LOOK = 0.001
+
+
+_real_sleep = time.sleep
+_real_monotonic = time.monotonic
+
+
+class Lock:
+    """`threading.Lock`."""
+
+    def __init__(self) -> None:
+        self._is_locked = False
+        self._waiters: deque[Task] = deque()
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        scheduler = current()
+        if scheduler is None:
+            return _from_outside(self._take, blocking, timeout)
+        scheduler.step()
+        if self._take():
+            return True
+        if not blocking:
+            return False
+        deadline = None if timeout < 0 else scheduler.deadline(timeout)
+        while not self._take():
+            if not scheduler.wait(deadline, self._waiters):
+                return False
+        return True
+
+    def release(self) -> None:
+        if not self._is_locked:
+            raise RuntimeError("release unlocked lock")
+        self._is_locked = False
+        scheduler = current()
+        if scheduler is not None:
+            if self._waiters:
+                scheduler.wake_one(self._waiters)
+            scheduler.step()
+
+    def locked(self) -> bool:
+        return self._is_locked
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exc: object) -> None:
+        self.release()
+
+    def _take(self) -> bool:
+        if self._is_locked:
+            return False
+        self._is_locked = True
+        return True
+
+    def _at_fork_reinit(self) -> None:
+        self.__init__()  # type: ignore[misc]
+
+
+class RLock:
+    """`threading.RLock`, with the methods that `threading.Condition` asks for."""
+
+    def __init__(self) -> None:
+        self._owner = 0
+        self._count = 0
+        self._waiters: deque[Task] = deque()
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        mine = _thread.get_ident()
+        if self._owner == mine:
+            self._count += 1
+            return True
+        scheduler = current()
+        if scheduler is None:
+            return _from_outside(self._take, blocking, timeout)
+        scheduler.step()
+        if self._owner:
+            if not blocking:
+                return False
+            deadline = None if timeout < 0 else scheduler.deadline(timeout)
+            while self._owner:
+                if not scheduler.wait(deadline, self._waiters):
+                    return False
+        self._owner, self._count = mine, 1
+        return True
+
+    def release(self) -> None:
+        if self._owner != _thread.get_ident():
+            raise RuntimeError("cannot release un-acquired lock")
+        self._count -= 1
+        if not self._count:
+            self._free()
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exc: object) -> None:
+        self.release()
+
+    def _free(self) -> None:
+        self._owner = 0
+        scheduler = current()
+        if scheduler is not None:
+            if self._waiters:
+                scheduler.wake_one(self._waiters)
+            scheduler.step()
+
+    def _take(self) -> bool:
+        if self._owner:
+            return False
+        self._owner, self._count = _thread.get_ident(), 1
+        return True
+
+    def _is_owned(self) -> bool:
+        return self._owner == _thread.get_ident()
+
+    def _release_save(self) -> int:
+        count, self._count = self._count, 0
+        self._free()
+        return count
+
+    def _acquire_restore(self, count: int) -> None:
+        self.acquire()
+        self._count = count
+
+    def _recursion_count(self) -> int:
+        return self._count if self._is_owned() else 0
+
+    def _at_fork_reinit(self) -> None:
+        self.__init__()  # type: ignore[misc]
+
+
+def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
+    """Take a lock in a thread that takes no part, or when the simulation is over."""
+    until = None if timeout < 0 else _real_monotonic() + timeout
+    while not take():
+        if not blocking or (until is not None and _real_monotonic() >= until):
+            return False
+        _real_sleep(_LOOK)
+    return True
+
+
+class SimpleQueue:
+    """`queue.SimpleQueue`, in a step for each call."""
+
+    __class_getitem__: Any = classmethod(GenericAlias)
+
+    def __init__(self) -> None:
+        self._items: deque[Any] = deque()
+        self._waiters: deque[Task] = deque()
+
+    def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
+        self._items.append(item)
+        scheduler = current()
+        if scheduler is not None:
+            if self._waiters:
+                scheduler.wake_one(self._waiters)
+            scheduler.step()
+
+    put_nowait = put
+
+    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+        if timeout is not None and timeout < 0:
+            raise ValueError("'timeout' must be a non-negative number")
+        scheduler = current()
+        if scheduler is None:
+            if not _from_outside(lambda: bool(self._items), block, -1 if timeout is None else timeout):
+                raise queue.Empty
+            return self._items.popleft()
+        scheduler.step()
+        if not self._items and block:
+            deadline = scheduler.deadline(timeout)
+            while not self._items and scheduler.wait(deadline, self._waiters):
+                pass
+        if not self._items:
+            raise queue.Empty
+        return self._items.popleft()
+
+    def get_nowait(self) -> Any:
+        return self.get(block=False)
+
+    def empty(self) -> bool:
+        return not self._items
+
+    def qsize(self) -> int:
+        return len(self._items)
+
+
+_start, _join, _is_alive = threading.Thread.start, threading.Thread.join, threading.Thread.is_alive
+
+
+def _task(thread: threading.Thread) -> Task | None:
+    """The task of a thread that takes part."""
+    return getattr(thread, "_simulated", None)
+
+
+def start(thread: threading.Thread) -> None:
+    """`Thread.start`: it takes part, if it is started by one that does."""
+    scheduler = current()
+    if scheduler is None:
+        _start(thread)
+        return
+    if _task(thread) is not None or thread.ident is not None:
+        raise RuntimeError("threads can only be started once")
+    assert scheduler.running is not None
+    task = scheduler.spawn(thread.name, scheduler.running.process)
+    thread._simulated = task  # type: ignore[attr-defined]
+    # What `_bootstrap_inner` takes out again.
+    threading._limbo[thread] = thread  # type: ignore[attr-defined]
+    task.ident = _thread.start_new_thread(_take_part, (scheduler, task, thread))
+    scheduler.step()
+
+
+def _take_part(scheduler: Scheduler, task: Task, thread: threading.Thread) -> None:
+    report = thread._invoke_excepthook  # type: ignore[attr-defined]
+    thread._invoke_excepthook = lambda *args: isinstance(sys.exc_info()[1], Ended) or report(*args)  # type: ignore[attr-defined]
+    try:
+        scheduler.begin(task)
+        thread._bootstrap_inner()  # type: ignore[attr-defined]
+    except Ended:
+        threading._limbo.pop(thread, None)  # type: ignore[attr-defined]
+    finally:
+        scheduler.finish(task)
+
+
+def join(thread: threading.Thread, timeout: float | None = None) -> None:
+    """`Thread.join`."""
+    task, scheduler = _task(thread), current()
+    if task is None:
+        _join(thread, timeout)
+    elif scheduler is not None:
+        if task is scheduler.running:
+            raise RuntimeError("cannot join current thread")
+        scheduler.step()
+        if not task.is_over:
+            scheduler.wait(scheduler.deadline(timeout), task.joiners)
+
+
+def is_alive(thread: threading.Thread) -> bool:
+    """`Thread.is_alive`."""
+    task = _task(thread)
+    return _is_alive(thread) if task is None else not task.is_over

@@ -1,0 +1,381 @@
+"""Real threads, run one at a time on a clock of their own, in an order that a seed decides.
+
+A thread that takes part is a `Task`. It runs until it waits, or until it passes a lock, a queue or a socket at a moment
+that the seed has drawn; then it hands over to the next one. When all wait, the clock jumps to the earliest deadline. So
+the same program with the same seed takes the same steps, however fast or busy the computer is, and an hour in which
+nothing happens costs nothing.
+
+A change of threads between two other steps of Python is not tried.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+import sys
+import traceback
+import zlib
+from _thread import allocate_lock, get_ident
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+__all__ = ["Deadlock", "Ended", "Process", "Scheduler", "Task", "TimeLimit", "current"]
+
+#: Seconds that each step costs. Without it a program that looks at the clock until it is late enough would not end.
+STEP = 1e-7
+#: Bounds of the mean number of steps after which a running task has to make way for another one; the seed draws the
+#: mean once, so that some runs change threads at nearly every step and others hardly ever.
+SWITCHES = (2.0, 500.0)
+#: Real seconds that a thread has to end in when the simulation ends, and how often it may catch `Ended`.
+_TO_END = 5.0
+_ENDINGS = 100
+
+
+class Deadlock(Exception):
+    """Every thread waits for another one, without a deadline. The message has all their stacks."""
+
+
+class TimeLimit(Exception):
+    """The simulated time has passed the limit that was set for it."""
+
+
+class Ended(SystemExit):
+    """Raised in a task that still waits when the simulation ends, so that its thread ends too."""
+
+
+class Process(Protocol):
+    """What tasks belong to: it can be suspended, and has a clock of its own."""
+
+    #: seconds of its clock for one of the simulation
+    rate: float
+    #: seconds that its clock had when the simulation began
+    offset: float
+    is_running: bool
+    #: tasks that could run if it did
+    held: list[Task]
+
+
+class Task:
+    """A thread that takes part."""
+
+    __slots__ = (
+        "baton",
+        "endings",
+        "error",
+        "ident",
+        "is_over",
+        "is_ready",
+        "joiners",
+        "name",
+        "number",
+        "process",
+        "waits",
+    )
+
+    def __init__(self, name: str, number: int, process: Process) -> None:
+        self.name = name
+        self.number = number
+        self.process = process
+        #: held while it does not run
+        self.baton = allocate_lock()
+        self.baton.acquire()
+        self.ident = 0
+        self.is_ready = False
+        self.is_over = False
+        #: how often it has waited: tells a deadline that is over from that of the wait that goes on
+        self.waits = 0
+        #: raised when it runs next
+        self.error: BaseException | None = None
+        #: how often it has gone on after `Ended`
+        self.endings = 0
+        self.joiners: deque[Task] = deque()
+
+
+class Scheduler:
+    """Runs tasks one at a time.
+
+    Args:
+        seed: decides who runs when.
+        limit: seconds of simulated time after which the first task gets `TimeLimit`.
+
+    Attributes:
+        now: seconds since the beginning.
+        trace: checksum of every step that was decided so far.
+        steps: how often the tasks passed the seam.
+    """
+
+    def __init__(self, seed: int, limit: float) -> None:
+        self.random = random.Random(seed)
+        self.now = 0.0
+        self.trace = 0
+        self.steps = 0
+        self.limit = limit
+        self.is_ending = False
+        self.tasks: list[Task] = []
+        self._ready: list[Task] = []
+        # When, a number that keeps what is due together in order, and what to do: a call, or the task and its wait.
+        self._due: list[tuple[float, int, Callable[[], object] | None, Task | None, int]] = []
+        self._numbers = 0
+        low, high = SWITCHES
+        self._mean = low * (high / low) ** self.random.random()
+        self._left = self._draw()
+        # Whether what is called is due, rather than a step of the running task.
+        self._is_choosing = False
+        # Released by a thread that `end` has ended.
+        self._ended = allocate_lock()
+        self.running: Task | None = None
+        #: of the thread that runs
+        self.ident = 0
+
+    # -- tasks -----------------------------------------------------------------------------------------
+
+    def adopt(self, name: str, process: Process) -> Task:
+        """Make the calling thread the first task. It runs."""
+        task = self.spawn(name, process, is_ready=False)
+        task.ident = self.ident = get_ident()
+        self.running = task
+        return task
+
+    def spawn(self, name: str, process: Process, *, is_ready: bool = True) -> Task:
+        """A task whose thread waits for its baton."""
+        task = Task(name, len(self.tasks), process)
+        self.tasks.append(task)
+        if is_ready:
+            self.make_ready(task)
+        return task
+
+    def begin(self, task: Task) -> None:
+        """The first thing that the thread of a task does: wait until it is to run."""
+        task.baton.acquire()
+        task.ident = self.ident = get_ident()
+        if self.is_ending:
+            raise Ended
+
+    def finish(self, task: Task) -> None:
+        """The last thing that the thread of a task does."""
+        task.is_over = True
+        for joiner in task.joiners:
+            self.make_ready(joiner)
+        task.joiners.clear()
+        if self.is_ending:
+            self._ended.release()
+        else:
+            self._hand_over(self._next())
+
+    # -- what a running task does ------------------------------------------------------------------------
+
+    def is_mine(self) -> bool:
+        """Whether the calling thread is the task that runs; others take no part."""
+        return self.ident == get_ident()
+
+    def step(self) -> None:
+        """Pass the seam: time goes on by a little, and another task may be let in."""
+        self.now += STEP
+        self.steps += 1
+        self._left -= 1
+        if self._left <= 0:
+            self._left = self._draw()
+            if not self.is_ending:
+                self.make_way()
+
+    def make_way(self) -> None:
+        """Let the others run, if there are any that can."""
+        task = self.running
+        assert task is not None
+        self.make_ready(task)
+        self._change(task)
+
+    def wait(self, deadline: float | None, waiters: deque[Task] | None = None) -> bool:
+        """Wait until somebody makes this task ready; False if the deadline came first.
+
+        Args:
+            deadline: simulated time; None for none.
+            waiters: where the task is found by who is to make it ready; it is taken out at the deadline.
+        """
+        task = self.running
+        assert task is not None
+        task.is_ready = False
+        task.waits += 1
+        if waiters is not None:
+            waiters.append(task)
+        if deadline is not None:
+            self._numbers += 1
+            heapq.heappush(self._due, (deadline, self._numbers, None, task, task.waits))
+        waits = task.waits
+        self._change(task)
+        if task.waits == waits:
+            return True
+        if waiters is not None and task in waiters:
+            waiters.remove(task)
+        return False
+
+    def deadline(self, seconds: float | None) -> float | None:
+        """When so many seconds of the running task's computer are over."""
+        if seconds is None:
+            return None
+        assert self.running is not None
+        return self.now + max(seconds, 0.0) / self.running.process.rate
+
+    # -- what anybody does while a task runs -------------------------------------------------------------
+
+    def make_ready(self, task: Task) -> None:
+        """Have a task run when it is its turn."""
+        if task.is_ready or task.is_over:
+            return
+        task.is_ready = True
+        (self._ready if task.process.is_running else task.process.held).append(task)
+
+    def wake_one(self, waiters: deque[Task]) -> None:
+        """Make one of those that wait ready, which the seed chooses."""
+        if waiters:
+            number = 0 if len(waiters) == 1 else self.random.randrange(len(waiters))
+            task = waiters[number]
+            del waiters[number]
+            self.make_ready(task)
+
+    def wake_all(self, waiters: deque[Task]) -> None:
+        """Make all that wait ready."""
+        while waiters:
+            self.make_ready(waiters.popleft())
+
+    def call_at(self, when: float, call: Callable[[], object]) -> None:
+        """Call something at a simulated time, between two steps of the tasks. It must not wait."""
+        self._numbers += 1
+        heapq.heappush(self._due, (when, self._numbers, call, None, 0))
+
+    def note(self, data: bytes) -> None:
+        """Add what has happened to the trace."""
+        self.trace = zlib.crc32(data, self.trace)
+
+    def suspend(self, process: Process) -> None:
+        """No task of it runs until `resume`."""
+        process.is_running = False
+        process.held += [task for task in self._ready if task.process is process]
+        self._ready = [task for task in self._ready if task.process is not process]
+        if not self._is_choosing and self.running is not None and self.running.process is process:
+            self.make_way()
+
+    def resume(self, process: Process) -> None:
+        """Its tasks run again."""
+        process.is_running = True
+        self._ready += process.held
+        process.held.clear()
+
+    def end(self) -> None:
+        """End every other task, one after the other: who waits gets `Ended`."""
+        self.is_ending = True
+        mine = get_ident()
+        for task in self.tasks:
+            if not task.is_over and task.ident != mine:
+                self.running, self.ident = task, task.ident
+                self._ended.acquire(blocking=False)
+                task.baton.release()
+                self._ended.acquire(timeout=_TO_END)
+        self.ident = mine
+
+    # -- inside ----------------------------------------------------------------------------------------
+
+    def _draw(self) -> int:
+        return 1 + int(self.random.expovariate(1.0 / self._mean))
+
+    def _change(self, task: Task) -> None:
+        """Hand over from the running task, and return when it runs again."""
+        if not self.is_ending:
+            chosen = self._next()
+            if chosen is not task:
+                self._hand_over(chosen)
+                self._take(task)
+        if self.is_ending:
+            task.endings += 1
+            if task.endings > _ENDINGS:  # it goes on whatever is raised: leave it here
+                self._ended.release()
+                allocate_lock().acquire()
+                task.baton.acquire()
+            raise Ended
+        if task.error is not None:
+            error, task.error = task.error, None
+            raise error
+
+    def _take(self, task: Task) -> None:
+        """Wait for the baton. Ctrl-C meanwhile is raised when it has come."""
+        while True:
+            try:
+                task.baton.acquire()
+            except KeyboardInterrupt as error:
+                task.error = error
+                self.make_ready(task)
+            else:
+                break
+        self.ident = task.ident
+
+    def _hand_over(self, task: Task) -> None:
+        self.running = task
+        self.ident = task.ident
+        task.baton.release()
+
+    def _next(self) -> Task:
+        """The task that runs next. Time goes on until there is one."""
+        while True:
+            due = self._due
+            while due and due[0][0] <= self.now:
+                _, _, call, task, waits = heapq.heappop(due)
+                if call is not None:
+                    self._is_choosing = True
+                    call()
+                    self._is_choosing = False
+                elif task is not None and task.waits == waits and not task.is_ready and not task.is_over:
+                    task.waits += 1
+                    self.make_ready(task)
+            ready = self._ready
+            if ready:
+                if len(ready) == 1:
+                    task = ready.pop()
+                else:
+                    number = self.random.randrange(len(ready))
+                    task = ready[number]
+                    ready[number] = ready[-1]
+                    ready.pop()
+                task.is_ready = False
+                self.trace = zlib.crc32(b"%d %d" % (task.number, int(self.now * 1e9)), self.trace)
+                return task
+            first = self.tasks[0]
+            if not due:
+                self._interrupt(first, Deadlock(f"at {self.now:.6f} s every thread waits\n{self.stacks()}"))
+            elif due[0][0] > self.limit:
+                error = TimeLimit(f"{self.limit:g} s of simulated time are over\n{self.stacks()}")
+                self.limit = float("inf")
+                self._interrupt(first, error)
+            else:
+                self.now = due[0][0]
+
+    def _interrupt(self, task: Task, error: BaseException) -> None:
+        task.error = error
+        task.process.is_running = True
+        task.waits += 1
+        task.is_ready = False
+        self.make_ready(task)
+
+    def stacks(self) -> str:
+        """What every task is doing."""
+        frames = sys._current_frames()
+        text = []
+        for task in self.tasks:
+            if not task.is_over and task.ident in frames:
+                text.append(f"-- {task.name}\n{''.join(traceback.format_stack(frames[task.ident]))}")
+        return "\n".join(text)
+
+
+#: The scheduler of the simulation that goes on, in a list of one.
+_current: list[Scheduler | None] = [None]
+
+
+def current() -> Scheduler | None:
+    """The scheduler, if the calling thread is the task that runs."""
+    scheduler = _current[0]
+    return scheduler if scheduler is not None and scheduler.ident == get_ident() else None
+
+
+def install(scheduler: Scheduler | None) -> None:
+    """Make this the scheduler of the process."""
+    _current[0] = scheduler

@@ -1,0 +1,510 @@
+"""Sockets, `poll`, `select` and selectors over simulated connections, with the names of the standard library."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select as _select
+import selectors
+import socket as _socket
+import struct
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from .network import BUFFER, Computer, End, Listener, Network
+from .scheduler import Scheduler, Task, current
+
+__all__ = ["Poll", "Selector", "Socket", "Sockets"]
+
+#: The first descriptor: above those that a process usually has, and with room below 1024, where `select` ends.
+_FIRST = 400
+
+_RealSocket = _socket.socket
+
+
+class Socket:
+    """What `socket.socket` makes while time is simulated: TCP, and as much of UDP as shows a route."""
+
+    makefile = _RealSocket.makefile
+    _io_refs = 0
+    _closed = False
+
+    def __init__(self, sockets: Sockets, family: int, kind: int, proto: int, end: End | None = None) -> None:
+        self.family = _socket.AddressFamily(family if family >= 0 else _socket.AF_INET)
+        self.type = _socket.SocketKind(kind if kind >= 0 else _socket.SOCK_STREAM)
+        self.proto = max(proto, 0)
+        self._sockets = sockets
+        self._computer = sockets.computer()
+        self._timeout: float | None = _socket.getdefaulttimeout()
+        self._receive_timeout = 0.0
+        self._options: dict[tuple[int, int], bytes | int] = {}
+        self._bound: tuple[str, int] | None = None
+        self._listener: Listener | None = None
+        self._end = end
+        #: None, -1 while it connects, or the outcome
+        self._connecting: int | None = None
+        self._waiters: deque[Task] = deque()
+        self._number = sockets.open(self)
+        if end is not None:
+            end.owner = self
+
+    # -- names -------------------------------------------------------------------------------------------
+
+    def fileno(self) -> int:
+        return self._number
+
+    def getsockname(self) -> tuple[str, int]:
+        if self._end is not None:
+            return self._end.address, self._end.port
+        return self._bound or ("0.0.0.0", 0)
+
+    def getpeername(self) -> tuple[str, int]:
+        if self._end is None or self._end.peer is None:
+            raise OSError(errno.ENOTCONN, "Transport endpoint is not connected")
+        return self._end.peer_name
+
+    def gettimeout(self) -> float | None:
+        return self._timeout
+
+    def settimeout(self, timeout: float | None) -> None:
+        if timeout is not None and timeout < 0:
+            raise ValueError("Timeout value out of range")
+        self._timeout = timeout
+
+    def setblocking(self, flag: bool) -> None:
+        self._timeout = None if flag else 0.0
+
+    def getblocking(self) -> bool:
+        return self._timeout != 0.0
+
+    def setsockopt(self, level: int, option: int, value: bytes | int) -> None:
+        self._alive()
+        self._options[level, option] = value
+        if level == _socket.SOL_SOCKET and option == _socket.SO_RCVTIMEO and isinstance(value, bytes):
+            seconds, microseconds = struct.unpack("qq" if len(value) == 16 else "ii", value)
+            self._receive_timeout = seconds + microseconds * 1e-6
+        self._apply()
+
+    def _apply(self) -> None:
+        end = self._end
+        if end is None:
+            return
+        linger = self._options.get((_socket.SOL_SOCKET, _socket.SO_LINGER))
+        if isinstance(linger, bytes):
+            is_on, seconds = struct.unpack("ii", linger)
+            end.linger = float(seconds) if is_on else None
+        limit = self._options.get((_socket.IPPROTO_TCP, _socket.TCP_USER_TIMEOUT))
+        end.user_timeout = limit * 1e-3 if isinstance(limit, int) else 0.0
+        size = self._options.get((_socket.SOL_SOCKET, _socket.SO_SNDBUF))
+        end.send_buffer = 2 * size if isinstance(size, int) else BUFFER  # Linux doubles it
+
+    def getsockopt(self, level: int, option: int, size: int = 0) -> Any:
+        self._alive()
+        if level == _socket.SOL_SOCKET and option == _socket.SO_ERROR:
+            return self._take_error()
+        if option == _socket.SO_RCVTIMEO and size:
+            return bytes(16)
+        value = self._options.get((level, option), 0)
+        return value if not size or isinstance(value, bytes) else struct.pack("i", value)
+
+    # -- servers -----------------------------------------------------------------------------------------
+
+    def bind(self, address: Any) -> None:
+        host, port = address[:2]
+        if self._sockets.network.find(host, self._computer) is not self._computer:
+            raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
+        port = port or self._computer.port()
+        if port in self._computer.listeners:
+            raise OSError(errno.EADDRINUSE, "Address already in use")
+        self._bound = (host or "0.0.0.0", port)
+
+    def listen(self, backlog: int = 128) -> None:
+        self._alive()
+        if self._bound is None:
+            self._bound = ("0.0.0.0", self._computer.port())
+        if self._listener is None:
+            if self._bound[1] in self._computer.listeners:
+                raise OSError(errno.EADDRINUSE, "Address already in use")
+            self._listener = Listener(self._computer, self._bound[1], max(backlog, 1), self)
+            self._computer.listeners[self._bound[1]] = self._listener
+
+    def accept(self) -> tuple[Socket, tuple[str, int]]:
+        self._step()
+        listener = self._listener
+        if listener is None:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        self._wait(lambda: bool(listener.accepted), self._timeout)
+        if self._listener is None:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        end = listener.accepted.popleft()
+        return Socket(self._sockets, self.family, self.type, self.proto, end), end.peer_name
+
+    # -- connections -------------------------------------------------------------------------------------
+
+    def connect_ex(self, address: Any) -> int:
+        try:
+            self.connect(address)
+        except OSError as error:
+            return error.errno or errno.EIO
+        return 0
+
+    def connect(self, address: Any) -> None:
+        self._alive()
+        self._step()
+        host, port = address[:2]
+        if self.type == _socket.SOCK_DGRAM:
+            here = "127.0.0.1" if host.startswith("127.") else self._computer.address
+            self._bound = (here, self._computer.port())
+            return
+        if self._end is not None and self._end.is_connected:
+            raise OSError(errno.EISCONN, "Transport endpoint is already connected")
+        if self._connecting is None:
+            self._connecting = -1
+            self._end = end = End(self._sockets.network, self._computer, self._computer.port())
+            end.owner = self
+            end.peer_name = (host, port)
+            self._apply()
+            self._sockets.network.connect(end, host, port, self._finished)
+        elif self._timeout == 0.0 and self._connecting == -1:
+            raise BlockingIOError(errno.EALREADY, "Operation already in progress")
+        if self._timeout == 0.0 and self._connecting == -1:
+            raise BlockingIOError(errno.EINPROGRESS, "Operation now in progress")
+        self._wait(lambda: self._connecting != -1, self._timeout)
+        outcome, self._connecting = self._connecting, None
+        if outcome:
+            raise OSError(outcome, os.strerror(outcome))
+
+    def _finished(self, outcome: int) -> None:
+        self._connecting = outcome
+        if outcome and self._end is not None:
+            self._end.error = outcome
+            self._end.is_open = False
+        self.changed()
+
+    def recv(self, size: int, flags: int = 0) -> bytes:
+        end = self._connected()
+        self._step()
+        if not (end.received or end.is_ended or end.error or not end.is_open or self._is_shut_for_reading):
+            if flags & _socket.MSG_DONTWAIT:
+                raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+            timeout = self._timeout
+            if timeout is None and self._receive_timeout:
+                self._wait(self._is_readable, self._receive_timeout, BlockingIOError)
+            else:
+                self._wait(self._is_readable, timeout)
+        if end.received:
+            if flags & _socket.MSG_PEEK:
+                return bytes(end.received[:size])
+            return end.take(size)
+        self._raise_error(end)
+        if self._number < 0 and not self._is_shut_for_reading:
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        return b""
+
+    def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
+        view = memoryview(buffer).cast("B")
+        data = self.recv(nbytes or len(view), flags)
+        view[: len(data)] = data
+        return len(data)
+
+    def send(self, data: Any, flags: int = 0) -> int:
+        end = self._connected()
+        self._step()
+        data = bytes(data)
+        if end.is_open and not end.is_shut and not end.room:
+            if flags & _socket.MSG_DONTWAIT:
+                raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+            self._wait(lambda: bool(end.room) or not end.is_open, self._timeout)
+        self._raise_error(end)
+        if not end.is_open or end.is_shut:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+        return end.send(data)
+
+    def sendall(self, data: Any, flags: int = 0) -> None:
+        rest = memoryview(data).cast("B")
+        while rest:
+            rest = rest[self.send(rest, flags) :]
+
+    def shutdown(self, how: int) -> None:
+        self._step()
+        if self._listener is not None:
+            self._close_listener()
+            return
+        end = self._connected()
+        if not end.is_open:
+            raise OSError(errno.ENOTCONN, "Transport endpoint is not connected")
+        if how in (_socket.SHUT_RD, _socket.SHUT_RDWR):
+            self._is_shut_for_reading = True
+        if how in (_socket.SHUT_WR, _socket.SHUT_RDWR):
+            end.shut()
+        self.changed()
+
+    _is_shut_for_reading = False
+
+    def close(self) -> None:
+        self._closed = True
+        if self._io_refs <= 0:
+            self._real_close()
+
+    def _decref_socketios(self) -> None:
+        if self._io_refs > 0:
+            self._io_refs -= 1
+        if self._closed:
+            self.close()
+
+    def _real_close(self) -> None:
+        number, self._number = self._number, -1
+        if number < 0:
+            return
+        self._sockets.forget(number)
+        self._close_listener()
+        if self._end is not None:
+            self._end.close()
+        self.changed()
+
+    def _close_listener(self) -> None:
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.close()
+            self.changed()
+
+    def detach(self) -> int:
+        raise OSError(errno.EOPNOTSUPP, "a simulated socket has no descriptor of its own")
+
+    def __enter__(self) -> Socket:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):
+            self._real_close()
+
+    # -- waiting -----------------------------------------------------------------------------------------
+
+    def events(self) -> int:
+        """What `poll` reports."""
+        end, found = self._end, 0
+        if self._number < 0:
+            return _select.POLLNVAL
+        if self._listener is not None:
+            return _select.POLLIN if self._listener.accepted else 0
+        if end is None:
+            return _select.POLLHUP | _select.POLLOUT
+        if self._connecting == -1:
+            return 0
+        if end.error:
+            found |= _select.POLLERR | _select.POLLHUP | _select.POLLIN | _select.POLLOUT
+        if not end.is_open:
+            found |= _select.POLLHUP | _select.POLLIN | _select.POLLOUT
+        if end.received or end.is_ended or self._is_shut_for_reading:
+            found |= _select.POLLIN
+        if end.is_ended or self._is_shut_for_reading:
+            found |= _select.POLLRDHUP
+        if end.is_open and end.room >= end.send_buffer // 3:  # Linux reports room when a third is free
+            found |= _select.POLLOUT
+        return found
+
+    def changed(self) -> None:
+        """Have those who wait look again."""
+        self._sockets.scheduler.wake_all(self._waiters)
+
+    def _is_readable(self) -> bool:
+        return bool(self.events() & (_select.POLLIN | _select.POLLNVAL))
+
+    def _wait(self, is_over: Any, timeout: float | None, late: type[OSError] = TimeoutError) -> None:
+        if is_over():
+            return
+        scheduler = self._scheduler()
+        if timeout == 0.0:
+            raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+        deadline = scheduler.deadline(timeout)
+        while not is_over():
+            if self._number < 0:
+                raise OSError(errno.EBADF, "Bad file descriptor")
+            if not scheduler.wait(deadline, self._waiters):
+                raise late(errno.EAGAIN, "timed out") if late is BlockingIOError else late("timed out")
+
+    def _scheduler(self) -> Scheduler:
+        scheduler = current()
+        if scheduler is None:
+            raise OSError(errno.EBADF, "the simulated network is used by threads that take part only")
+        return scheduler
+
+    def _step(self) -> None:
+        self._scheduler().step()
+        self._alive()
+
+    def _alive(self) -> None:
+        if self._number < 0:
+            raise OSError(errno.EBADF, "Bad file descriptor")
+
+    def _connected(self) -> End:
+        self._alive()
+        if self._end is None or not (self._end.is_connected or self._end.error):
+            raise OSError(errno.ENOTCONN, "Transport endpoint is not connected")
+        return self._end
+
+    def _take_error(self) -> int:
+        if self._connecting not in (None, -1):
+            outcome, self._connecting = self._connecting, None
+            if self._end is not None and outcome:
+                self._end.error = 0
+            return outcome or 0
+        end = self._end
+        if end is None:
+            return 0
+        error, end.error = end.error, 0
+        return error
+
+    def _raise_error(self, end: End) -> None:
+        error, end.error = end.error, 0
+        if error:
+            raise OSError(error, os.strerror(error))
+
+
+class Sockets:
+    """The sockets of a simulation, by their descriptors."""
+
+    def __init__(self, scheduler: Scheduler, network: Network) -> None:
+        self.scheduler = scheduler
+        self.network = network
+        self._open: dict[int, Socket] = {}
+
+    def computer(self) -> Computer:
+        """That of the task that runs."""
+        assert self.scheduler.running is not None
+        process = self.scheduler.running.process
+        assert isinstance(process, Computer)
+        return process
+
+    def open(self, socket: Socket) -> int:
+        number = _FIRST
+        while number in self._open:
+            number += 1
+        self._open[number] = socket
+        return number
+
+    def forget(self, number: int) -> None:
+        self._open.pop(number, None)
+
+    def find(self, which: Any) -> Socket | Selector | None:
+        """The socket with a descriptor, or None if that is none of the simulation."""
+        number = which if isinstance(which, int) else which.fileno()
+        return self._open.get(number)
+
+    @property
+    def count(self) -> int:
+        """How many are open."""
+        return len(self._open)
+
+    def pair(self) -> tuple[Socket, Socket]:
+        """`socket.socketpair`."""
+        computer = self.computer()
+        ends = End(self.network, computer, 0), End(self.network, computer, 0)
+        for one, other in (ends, ends[::-1]):
+            one.peer, one.is_connected = other, True
+        here, there = (Socket(self, _socket.AF_UNIX, _socket.SOCK_STREAM, 0, end) for end in ends)
+        return here, there
+
+    def addresses(self, host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0) -> Any:
+        """`socket.getaddrinfo`."""
+        name = (
+            host.decode()
+            if isinstance(host, bytes)
+            else host or ("0.0.0.0" if flags & _socket.AI_PASSIVE else "127.0.0.1")
+        )
+        found = self.network.find(name, self.computer())
+        is_numeric = name.replace(".", "").isdigit()
+        if not is_numeric and (found is None or flags & _socket.AI_NUMERICHOST):
+            raise _socket.gaierror(_socket.EAI_NONAME, "Name or service not known")
+        address = name if is_numeric else "127.0.0.1" if found is self.computer() else found.address if found else name
+        kind = _socket.SocketKind(type or _socket.SOCK_STREAM)
+        return [(_socket.AF_INET, kind, proto or 6, "", (address, int(port or 0)))]
+
+    def select(self, r: Iterable[Any], w: Iterable[Any], x: Iterable[Any], timeout: float | None = None) -> Any:
+        """`select.select`."""
+        wanted = [(each, _select.POLLIN) for each in r] + [(each, _select.POLLOUT) for each in w]
+        found = self.wait({self._number(each): mask for each, mask in wanted}, timeout)
+        ready = [(each, mask) for each, mask in wanted if found.get(self._number(each), 0) & mask]
+        return [e for e, m in ready if m == _select.POLLIN], [e for e, m in ready if m == _select.POLLOUT], []
+
+    def _number(self, which: Any) -> int:
+        return which if isinstance(which, int) else which.fileno()
+
+    def wait(self, wanted: Mapping[int, int], timeout: float | None) -> dict[int, int]:
+        """Wait for events of descriptors; {descriptor: mask}, empty when time is up."""
+        scheduler = self.scheduler
+        scheduler.step()
+        deadline = scheduler.deadline(timeout)
+        while True:
+            found = {}
+            watched = []
+            for number, mask in wanted.items():
+                socket = self._open.get(number)
+                events = _select.POLLNVAL if socket is None else socket.events()
+                if hit := events & (mask | _select.POLLERR | _select.POLLHUP | _select.POLLNVAL):
+                    found[number] = hit
+                elif socket is not None:
+                    watched.append(socket)
+            if found or timeout == 0 or (timeout is not None and timeout < 0):
+                return found
+            task = scheduler.running
+            assert task is not None
+            for socket in watched:
+                socket._waiters.append(task)
+            in_time = scheduler.wait(deadline)
+            for socket in watched:
+                if task in socket._waiters:
+                    socket._waiters.remove(task)
+            if not in_time:
+                timeout = 0
+
+
+class Poll:
+    """`select.poll`."""
+
+    def __init__(self, sockets: Sockets) -> None:
+        self._sockets = sockets
+        self._wanted: dict[int, int] = {}
+
+    def register(self, fd: Any, eventmask: int = _select.POLLIN | _select.POLLPRI | _select.POLLOUT) -> None:
+        self._wanted[fd if isinstance(fd, int) else fd.fileno()] = eventmask
+
+    modify = register
+
+    def unregister(self, fd: Any) -> None:
+        del self._wanted[fd if isinstance(fd, int) else fd.fileno()]
+
+    def poll(self, timeout: float | None = None) -> list[tuple[int, int]]:
+        seconds = None if timeout is None or timeout < 0 else timeout * 1e-3
+        return list(self._sockets.wait(self._wanted, seconds).items())
+
+
+class Selector(selectors._BaseSelectorImpl):
+    """`selectors.DefaultSelector`, with deadlines as fine as the clock."""
+
+    def __init__(self, sockets: Sockets) -> None:
+        super().__init__()
+        self._sockets = sockets
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        wanted = {
+            number: (_select.POLLIN if key.events & selectors.EVENT_READ else 0)
+            | (_select.POLLOUT if key.events & selectors.EVENT_WRITE else 0)
+            for number, key in self._fd_to_key.items()  # type: ignore[attr-defined]
+        }
+        ready = []
+        for number, events in self._sockets.wait(wanted, timeout).items():
+            key = self._fd_to_key[number]  # type: ignore[attr-defined]
+            mask = 0
+            if events & ~_select.POLLOUT:
+                mask |= selectors.EVENT_READ
+            if events & ~_select.POLLIN:
+                mask |= selectors.EVENT_WRITE
+            if mask & key.events:
+                ready.append((key, mask & key.events))
+        return ready

@@ -1,0 +1,252 @@
+"""`simulated_time`: a block in which time, threads and sockets are simulated, for everything that is called in it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import gc
+import os
+import queue
+import random
+import select
+import selectors
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import thread as _pool
+from types import ModuleType
+from typing import Any
+
+from . import primitives
+from .network import Computer, Network, Route
+from .scheduler import STEP, Scheduler, current, install
+from .sockets import Poll, Selector, Socket, Sockets
+
+__all__ = ["Simulation", "simulated_time"]
+
+#: Seconds since 1970 at which a simulation begins: 2026-01-01.
+_EPOCH = 1767225600.0
+
+#: Modules that keep what they have: those that this is made of, and the interpreter's own.
+_KEPT = (
+    "_thread",
+    "importlib",
+    "_frozen_importlib",
+    "linkcore.simulated",
+    "_pytest.timing",
+    "pytest_timeout",
+    "xdist",
+    "execnet",
+)
+
+#: Methods of `threading.Thread` that are replaced.
+_METHODS = ("start", "join", "is_alive")
+
+
+class Simulation:
+    """What goes on in a `simulated_time` block.
+
+    Attributes:
+        network: the computers and what is between them.
+        here: the computer on which the block runs.
+    """
+
+    def __init__(self, scheduler: Scheduler, network: Network, here: Computer, sockets: Sockets) -> None:
+        self.network = network
+        self.here = here
+        self._scheduler = scheduler
+        self._sockets = sockets
+
+    @property
+    def now(self) -> float:
+        """Seconds since the block began."""
+        return self._scheduler.now
+
+    @property
+    def trace(self) -> int:
+        """Checksum of every step so far: equal for two runs that did the same."""
+        return self._scheduler.trace
+
+    @property
+    def steps(self) -> int:
+        """How often a thread has passed a lock, a queue, a socket or a clock."""
+        return self._scheduler.steps
+
+    @property
+    def random(self) -> random.Random:
+        """Numbers that follow from the seed."""
+        return self._scheduler.random
+
+    @property
+    def open_sockets(self) -> int:
+        """How many sockets are open, on all computers."""
+        return self._sockets.count
+
+    @property
+    def threads(self) -> list[str]:
+        """Names of the threads that have not ended, beside the one of the block."""
+        return [task.name for task in self._scheduler.tasks[1:] if not task.is_over]
+
+    def computer(self, name: str, address: str) -> Computer:
+        """One more computer, with a name and an IPv4 address of its own."""
+        return self.network.add(name, address)
+
+    @contextlib.contextmanager
+    def on(self, computer: Computer) -> Iterator[None]:
+        """Run the block as a program of another computer: its sockets and threads are there."""
+        task = self._scheduler.running
+        assert task is not None
+        before, task.process = task.process, computer
+        try:
+            yield
+        finally:
+            task.process = before
+
+    def at(self, seconds: float, call: Callable[[], object]) -> None:
+        """Call something at a time of the simulation, such as `computer.suspend`. It must not wait."""
+        self._scheduler.call_at(seconds, call)
+
+    def stacks(self) -> str:
+        """What every thread is doing."""
+        return self._scheduler.stacks()
+
+
+@contextlib.contextmanager
+def simulated_time(
+    seed: int = 0, *, limit: float = 86400.0, latency: float = 1e-4, jitter: float = 5e-5
+) -> Iterator[Simulation]:
+    """Run a block on a clock that jumps from one event to the next, with threads in an order that `seed` decides.
+
+    In the block `time`, `threading`, `queue`, `concurrent.futures`, `socket`, `select`, `selectors` and asyncio are
+    simulated, for every module that uses them. Threads that were running before take no part and see real time.
+
+    Args:
+        seed: the same seed gives the same run.
+        limit: seconds of simulated time after which the block gets `TimeLimit`.
+        latency: seconds that a packet takes between two computers.
+        jitter: up to so many seconds more.
+
+    Raises:
+        Deadlock: every thread waits for another one, without a deadline.
+        TimeLimit: see `limit`.
+        RuntimeError: a simulation goes on already.
+    """
+    if current() is not None:
+        raise RuntimeError("time is simulated already")
+    scheduler = Scheduler(seed, limit)
+    network = Network(scheduler, Route(latency, jitter))
+    here = network.add("here", "192.168.0.1")
+    sockets = Sockets(scheduler, network)
+    numbers = random.getstate()
+    collects = gc.isenabled()
+    gc.disable()  # what it calls would be called at other steps in every run
+    scheduler.adopt("main", here)
+    put_back = _take_over(_replacements(sockets))
+    install(scheduler)
+    random.seed(seed)
+    try:
+        yield Simulation(scheduler, network, here, sockets)
+    finally:
+        scheduler.end()
+        install(None)
+        put_back()
+        random.setstate(numbers)
+        if collects:
+            gc.enable()
+
+
+def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
+    """What of the standard library is replaced, by what."""
+    scheduler = sockets.scheduler
+    sleep, select_, ioctl, getaddrinfo, urandom = time.sleep, select.select, fcntl.ioctl, socket.getaddrinfo, os.urandom
+
+    def clock(real: Callable[[], Any], epoch: float, scale: int) -> Callable[[], Any]:
+        def read() -> Any:
+            if current() is None:
+                return real()
+            scheduler.now += STEP
+            process = scheduler.running.process  # type: ignore[union-attr]
+            seconds = epoch + process.offset + scheduler.now * process.rate
+            return int(seconds * scale) if scale else seconds
+
+        return read
+
+    def sleep_(seconds: float) -> None:
+        if current() is None:
+            sleep(seconds)
+        elif seconds < 0:
+            raise ValueError("sleep length must be non-negative")
+        elif seconds == 0:
+            scheduler.make_way()
+        else:
+            scheduler.wait(scheduler.deadline(seconds))
+
+    def choose(simulated: Callable[..., Any], real: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda *args, **named: (real if current() is None else simulated)(*args, **named)
+
+    def new_socket(family: int = -1, type: int = -1, proto: int = -1, fileno: int | None = None) -> Any:
+        return Socket(sockets, family, type, proto)
+
+    def ioctl_(fd: Any, request: int, arg: Any = 0, mutate: bool = True) -> Any:
+        found = sockets.find(fd)
+        if isinstance(found, Socket) and found._end is not None:
+            return found._end.unacknowledged.to_bytes(4, sys.byteorder)
+        return ioctl(fd, request, arg, mutate)
+
+    return [
+        (time.monotonic, clock(time.monotonic, 0.0, 0)),
+        (time.perf_counter, clock(time.perf_counter, 0.0, 0)),
+        (time.time, clock(time.time, _EPOCH, 0)),
+        (time.monotonic_ns, clock(time.monotonic_ns, 0.0, 10**9)),
+        (time.perf_counter_ns, clock(time.perf_counter_ns, 0.0, 10**9)),
+        (time.time_ns, clock(time.time_ns, _EPOCH, 10**9)),
+        (sleep, sleep_),
+        (threading.Lock, choose(primitives.Lock, threading.Lock)),
+        (threading._allocate_lock, choose(primitives.Lock, threading._allocate_lock)),  # type: ignore[attr-defined]
+        (threading.RLock, choose(primitives.RLock, threading.RLock)),
+        (queue.SimpleQueue, primitives.SimpleQueue),
+        (_pool._global_shutdown_lock, primitives.Lock()),
+        (socket.socket, choose(new_socket, socket.socket)),
+        (socket.socketpair, choose(sockets.pair, socket.socketpair)),
+        (getaddrinfo, choose(sockets.addresses, getaddrinfo)),
+        (select_, choose(sockets.select, select_)),
+        (select.poll, choose(lambda: Poll(sockets), select.poll)),
+        (selectors.DefaultSelector, choose(lambda: Selector(sockets), selectors.DefaultSelector)),
+        (ioctl, choose(ioctl_, ioctl)),
+        (urandom, choose(lambda size: scheduler.random.randbytes(size), urandom)),
+    ]
+
+
+def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
+    """Replace objects wherever a module has them by a name; how to put them back."""
+    by_identity = {id(real): simulated for real, simulated in replacements}
+    done: list[tuple[ModuleType, str, object]] = []
+    for name, module in list(sys.modules.items()):
+        if not isinstance(module, ModuleType) or name.startswith(_KEPT):
+            continue
+        for attribute, value in list(vars(module).items()):
+            simulated = by_identity.get(id(value))
+            if simulated is not None:
+                done.append((module, attribute, value))
+                setattr(module, attribute, simulated)
+    # Methods of the class itself, for the sake of what is derived from it.
+    kept = {name: getattr(threading.Thread, name) for name in _METHODS}
+    for name in _METHODS:
+        setattr(threading.Thread, name, getattr(primitives, name))
+
+    def put_back() -> None:
+        for name, method in kept.items():
+            setattr(threading.Thread, name, method)
+        replaced: Mapping[int, object] = {id(simulated): real for real, simulated in replacements}
+        for module, attribute, value in done:
+            setattr(module, attribute, value)
+        # Modules that were imported meanwhile have the simulated ones.
+        for module in list(sys.modules.values()):
+            if isinstance(module, ModuleType):
+                for attribute, value in list(vars(module).items()):
+                    if id(value) in replaced and not module.__name__.startswith("linkcore.simulated"):
+                        setattr(module, attribute, replaced[id(value)])
+
+    return put_back

@@ -1,0 +1,319 @@
+"""Connections between simulated computers, and what cables and kernels do to them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import select
+import selectors
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.transport import TcpTransport
+from linkcore.simulated import Computer, Simulation, simulated_time
+
+PORT = 30001
+RESET = struct.pack("ii", 1, 0)
+
+
+@pytest.fixture
+def sim() -> Iterator[Simulation]:
+    with simulated_time(1, latency=0.001, jitter=0.0, limit=1000.0) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def robot(sim: Simulation) -> Computer:
+    return sim.computer("robot", "192.168.0.2")
+
+
+def serve(sim: Simulation, computer: Computer, talk: Callable[[socket.socket], object]) -> threading.Thread:
+    """A server on a computer, for one client."""
+    with sim.on(computer):
+        listener = socket.socket()
+        listener.bind(("", PORT))
+        listener.listen()
+
+        def run() -> None:
+            with listener, listener.accept()[0] as link:
+                talk(link)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+    return thread
+
+
+def echo(link: socket.socket) -> None:
+    while data := link.recv(4096):
+        link.sendall(data)
+
+
+def test_bytes_there_and_back(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, echo)
+    with socket.create_connection(("robot", PORT), timeout=1.0) as link:
+        assert link.getpeername() == ("192.168.0.2", PORT)
+        assert link.getsockname()[0] == "192.168.0.1"
+        begun = sim.now
+        link.sendall(b"hello")
+        assert link.recv(100) == b"hello"
+        assert sim.now - begun == pytest.approx(0.002, abs=1e-4)
+        link.shutdown(socket.SHUT_WR)
+        assert link.recv(100) == b""
+
+
+def test_nothing_listens(sim: Simulation, robot: Computer) -> None:
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((robot.address, PORT), timeout=1.0)
+    with pytest.raises(socket.gaierror):
+        socket.create_connection(("nowhere", PORT))
+    robot.power_off()
+    with pytest.raises(TimeoutError):
+        socket.create_connection((robot.address, PORT), timeout=5.0)
+    assert sim.now == pytest.approx(5.0, abs=0.1)
+    transport = TcpTransport("robot", PORT, silence=1.0)
+    robot.power_on()
+    with pytest.raises(ConnectFailed, match="refused"):
+        transport.open(1.0)
+    assert sim.open_sockets == 0
+
+
+def test_silence_and_late_delivery(sim: Simulation, robot: Computer) -> None:
+    """What is not reset is delivered when the network is back, as TCP does."""
+    came: list[tuple[float, bytes]] = []
+
+    def take(link: socket.socket) -> None:
+        while data := link.recv(4096):
+            came.append((sim.now, data))
+
+    thread = serve(sim, robot, take)
+    link = socket.create_connection(("robot", PORT))
+    link.sendall(b"before")
+    time.sleep(0.1)
+    sim.network.cut(sim.here, robot)
+    link.sendall(b"meanwhile")
+    time.sleep(3.0)
+    assert [data for _, data in came] == [b"before"]
+    sim.network.mend(sim.here, robot)
+    link.close()
+    thread.join(60.0)
+    assert [data for _, data in came] == [b"before", b"meanwhile"]
+    assert came[1][0] > 3.1
+
+
+def test_what_is_reset_is_not_delivered(sim: Simulation, robot: Computer) -> None:
+    came: list[bytes] = []
+
+    def take(link: socket.socket) -> None:
+        came.append(link.recv(4096))
+
+    serve(sim, robot, take)
+    transport = TcpTransport("robot", PORT, silence=1.0)
+    transport.open(1.0)
+    sim.network.cut(sim.here, robot)
+    transport.send(b"move", 1.0)
+    time.sleep(0.5)
+    transport.abort()
+    time.sleep(0.5)
+    sim.network.mend(sim.here, robot)
+    time.sleep(100.0)
+    # The reset was lost too, so the other end does not know: half open.
+    assert came == []
+    assert len(robot.ends) == 1
+
+
+def test_one_way_silence_ends_by_the_user_timeout(sim: Simulation, robot: Computer) -> None:
+    """The data arrives, its acknowledgement does not."""
+    came: list[bytes] = []
+
+    def take(link: socket.socket) -> None:
+        came.append(link.recv(4096))
+        time.sleep(10.0)
+
+    serve(sim, robot, take)
+    transport = TcpTransport("robot", PORT, silence=0.5)
+    transport.open(1.0)
+    sim.network.route(robot, sim.here).is_silent = True
+    transport.send(b"heard", 1.0)
+    begun = sim.now
+    with pytest.raises(LinkTimeout):
+        transport.receive(0.4)
+    with pytest.raises(ConnectionLost, match="no longer acknowledges"):
+        transport.receive(0.4)
+    assert sim.now - begun == pytest.approx(0.5, abs=0.01)
+    assert came == [b"heard"]
+
+
+def test_the_receive_timeout_of_the_kernel(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, echo)
+    transport = TcpTransport("robot", PORT, silence=2.0)
+    transport.open(1.0)
+    begun = sim.now
+    with pytest.raises(LinkTimeout):
+        transport.receive()
+    assert sim.now - begun == pytest.approx(2.0, abs=1e-3)
+    transport.send(b"x", 1.0)
+    assert transport.receive()[0] == b"x"
+    transport.close()
+    assert sim.now - begun < 2.1  # what was sent is acknowledged, so it does not wait
+
+
+def test_close_waits_for_what_is_not_acknowledged(sim: Simulation, robot: Computer) -> None:
+    came: list[bytes] = []
+    serve(sim, robot, lambda link: came.append(link.recv(100)))
+    transport = TcpTransport("robot", PORT, silence=2.0)
+    transport.open(1.0)
+    transport.send(b"last", 1.0)
+    transport.close()
+    time.sleep(1.0)
+    assert came == [b"last"]
+
+
+def test_a_reader_is_woken_by_abort(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, echo)
+    transport = TcpTransport("robot", PORT, silence=100.0)
+    transport.open(1.0)
+    sim.at(5.0, lambda: None)
+    threading.Timer(3.0, transport.abort).start()
+    with pytest.raises(ConnectionLost, match="closed here"):
+        transport.receive()
+    assert sim.now == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_killed_program_resets_its_connections(sim: Simulation, robot: Computer) -> None:
+    def hold(link: socket.socket) -> None:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        time.sleep(1000.0)
+
+    serve(sim, robot, hold)
+    with socket.create_connection(("robot", PORT), timeout=10.0) as link:
+        sim.at(1.0, robot.kill)
+        with pytest.raises(ConnectionResetError):
+            link.recv(1)
+        assert sim.now == pytest.approx(1.001, abs=1e-3)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("robot", PORT), timeout=1.0)
+
+
+def test_a_rebooted_computer_knows_no_connection(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, echo)
+    with socket.create_connection(("robot", PORT), timeout=60.0) as link:
+        robot.power_off()
+        link.sendall(b"x")
+        time.sleep(10.0)
+        robot.power_on()
+        with pytest.raises(ConnectionResetError):
+            link.recv(1)
+
+
+def test_a_suspended_program_leaves_its_kernel_awake(sim: Simulation, robot: Computer) -> None:
+    """Its buffers fill, and then there is no room."""
+    serve(sim, robot, echo)
+    with socket.create_connection(("robot", PORT), timeout=1.0) as link:
+        robot.suspend()
+        sent = 0
+        with contextlib.suppress(TimeoutError):
+            while sent < 1_000_000:
+                sent += link.send(bytes(10_000))
+        assert 200_000 < sent < 400_000
+        robot.resume()
+        came = 0
+        while came < sent:
+            came += len(link.recv(65536))
+
+
+def is_reset(link: socket.socket) -> None:
+    with pytest.raises(ConnectionResetError):
+        link.recv(1)
+
+
+def test_reset_by_the_network(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, is_reset)
+    with socket.create_connection(("robot", PORT), timeout=60.0) as link:
+        sim.network.reset(sim.here, robot)
+        with pytest.raises(ConnectionResetError):
+            link.recv(1)
+
+
+def test_poll_select_and_selectors(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, echo)
+    with socket.create_connection(("robot", PORT)) as link:
+        poll = select.poll()
+        poll.register(link, select.POLLIN)
+        assert poll.poll(100) == []
+        assert sim.now == pytest.approx(0.102, abs=1e-3)
+        assert select.select([link], [link], [], 1.0) == ([], [link], [])
+        link.sendall(b"x")
+        assert poll.poll(1000) == [(link.fileno(), select.POLLIN)]
+        with selectors.DefaultSelector() as selector:
+            selector.register(link, selectors.EVENT_READ, "data")
+            ((key, mask),) = selector.select(1.0)
+            assert (key.data, mask) == ("data", selectors.EVENT_READ)
+            link.recv(1)
+            begun = sim.now
+            assert selector.select(0.5) == []
+            assert sim.now - begun == pytest.approx(0.5, abs=1e-3)
+
+
+def test_streams_of_asyncio(sim: Simulation, robot: Computer) -> None:
+    serve(sim, robot, echo)
+
+    async def talk() -> bytes:
+        reader, writer = await asyncio.open_connection("robot", PORT)
+        writer.write(b"hello\n")
+        line = await reader.readline()
+        writer.close()
+        await writer.wait_closed()
+        return line
+
+    assert asyncio.run(talk()) == b"hello\n"
+
+
+@pytest.mark.property
+@given(
+    seed=st.integers(0, 2**32),
+    faults=st.lists(
+        st.tuples(st.sampled_from(["cut", "mend", "deaf", "suspend", "resume"]), st.floats(0.0, 5.0)), max_size=8
+    ),
+    sizes=st.lists(st.integers(1, 60_000), min_size=1, max_size=12),
+)
+def test_what_comes_is_the_beginning_of_what_was_sent(
+    seed: int, faults: list[tuple[str, float]], sizes: list[int]
+) -> None:
+    """And all of it, once the network is whole again and nobody gave up."""
+    sent = b"".join(bytes([number % 256]) * size for number, size in enumerate(sizes))
+    came = bytearray()
+
+    def take(link: socket.socket) -> None:
+        while data := link.recv(7000):
+            came.extend(data)
+
+    with simulated_time(seed, limit=10_000) as sim:
+        robot = sim.computer("robot", "192.168.0.2")
+        actions: dict[str, Callable[[], object]] = {
+            "cut": lambda: sim.network.cut(sim.here, robot),
+            "mend": lambda: sim.network.mend(sim.here, robot),
+            "deaf": lambda: setattr(sim.network.route(robot, sim.here), "is_silent", True),
+            "suspend": robot.suspend,
+            "resume": lambda: None if robot.is_running else robot.resume(),
+        }
+        thread = serve(sim, robot, take)
+        link = socket.create_connection(("robot", PORT))
+        for name, when in faults:
+            sim.at(sim.now + when, actions[name])
+        sim.at(sim.now + 10.0, actions["mend"])
+        sim.at(sim.now + 10.0, actions["resume"])
+        for size, start in zip(sizes, [sum(sizes[:n]) for n in range(len(sizes))], strict=True):
+            link.sendall(sent[start : start + size])
+            time.sleep(0.1)
+        link.shutdown(socket.SHUT_WR)
+        thread.join(1000.0)
+        assert bytes(came) == sent
+        link.close()

@@ -1,0 +1,338 @@
+"""Threads, clocks and asyncio in simulated time."""
+
+from __future__ import annotations
+
+import asyncio
+import queue
+import random
+import secrets
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeout
+
+import pytest
+
+from linkcore.simulated import Deadlock, Simulation, TimeLimit, simulated_time
+
+
+def test_an_hour_of_waiting_takes_no_time() -> None:
+    begun = time.perf_counter()
+    with simulated_time() as sim:
+        before = time.monotonic(), time.time(), time.perf_counter()
+        time.sleep(3600)
+        assert not threading.Event().wait(3600)
+        with pytest.raises(queue.Empty):
+            queue.Queue[int]().get(timeout=3600)
+        with pytest.raises(FutureTimeout):
+            Future[int]().result(3600)
+        passed = [
+            after - first
+            for after, first in zip((time.monotonic(), time.time(), time.perf_counter()), before, strict=True)
+        ]
+        assert passed == pytest.approx([4 * 3600] * 3, abs=0.01)
+        assert sim.now == pytest.approx(4 * 3600, abs=0.01)
+    # A generous bound: in real time it would be four hours.
+    assert time.perf_counter() - begun < 600.0
+
+
+def race(sim: Simulation) -> list[int]:
+    """Three threads that add to one list between two locks, so that the order is the scheduler's."""
+    order: list[int] = []
+    lock = threading.Lock()
+
+    def add(number: int) -> None:
+        for _ in range(20):
+            with lock:
+                order.append(number)
+
+    threads = [threading.Thread(target=add, args=(number,)) for number in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sim.threads == []
+    return order
+
+
+def outcome(seed: int, program: Callable[[Simulation], object] = race) -> tuple[object, int, int]:
+    with simulated_time(seed) as sim:
+        return program(sim), sim.trace, sim.steps
+
+
+def test_the_same_seed_gives_the_same_run() -> None:
+    assert all(outcome(seed) == outcome(seed) for seed in range(20))
+
+
+def test_other_seeds_give_other_orders() -> None:
+    orders: set[tuple[int, ...]] = {tuple(outcome(seed)[0]) for seed in range(50)}  # type: ignore[arg-type]
+    assert len(orders) > 10
+    for order in orders:
+        assert sorted(order) == sorted([0, 1, 2] * 20)
+
+
+def test_the_same_run_in_another_process() -> None:
+    """With another seed of hashes and other addresses of objects."""
+    program = (
+        "import sys; sys.path.insert(0, '.')\n"
+        "from tests.linkcore.simulated.test_simulated_time import outcome\n"
+        "print([outcome(seed)[1:] for seed in range(5)])"
+    )
+    runs = {
+        subprocess.run(
+            [sys.executable, "-c", program], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert runs == {f"{[outcome(seed)[1:] for seed in range(5)]}\n"}
+
+
+def test_a_lost_update_is_found() -> None:
+    """Two threads that read, then wait, then write: some seed lets them meet."""
+
+    def program(sim: Simulation) -> int:
+        count = [0]
+        news: queue.SimpleQueue[None] = queue.SimpleQueue()
+
+        def add() -> None:
+            seen = count[0]
+            news.put(None)  # passes the seam
+            count[0] = seen + 1
+
+        threads = [threading.Thread(target=add) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return count[0]
+
+    assert {outcome(seed, program)[0] for seed in range(100)} == {1, 2}
+
+
+def test_chance_follows_from_the_seed() -> None:
+    def program(sim: Simulation) -> object:
+        return random.random(), secrets.token_hex(8), uuid.uuid4(), sim.random.random()
+
+    assert outcome(3, program) == outcome(3, program)
+    assert outcome(3, program) != outcome(4, program)
+
+
+def test_a_deadlock_is_reported_with_all_stacks() -> None:
+    def take(first: threading.Lock, second: threading.Lock) -> None:
+        with first:
+            time.sleep(1)
+            with second:
+                pass
+
+    def program() -> None:
+        with simulated_time():
+            one, other = threading.Lock(), threading.Lock()
+            threading.Thread(target=take, args=(one, other), name="other").start()
+            take(other, one)
+
+    with pytest.raises(Deadlock, match=r"(?s)at 1\..*-- main.*-- other.*with second"):
+        program()
+
+
+def test_a_wait_without_anybody_else_is_a_deadlock() -> None:
+    with pytest.raises(Deadlock), simulated_time():
+        threading.Event().wait()
+
+
+def test_a_limit_of_time() -> None:
+    def tick() -> None:
+        while True:
+            time.sleep(1)
+
+    def program() -> None:
+        with simulated_time(limit=10):
+            threading.Thread(target=tick).start()
+            threading.Event().wait()
+
+    with pytest.raises(TimeLimit, match="10 s of simulated time are over"):
+        program()
+
+
+def test_looking_at_the_clock_lets_time_pass() -> None:
+    with simulated_time():
+        until = time.monotonic() + 0.001
+        while time.monotonic() < until:
+            pass
+
+
+def test_a_timeout_is_not_early_and_a_notification_is_seen() -> None:
+    with simulated_time() as sim:
+        condition = threading.Condition()
+        seen: list[float] = []
+
+        def wait() -> None:
+            with condition:
+                assert condition.wait(5.0)
+                seen.append(sim.now)
+
+        thread = threading.Thread(target=wait)
+        thread.start()
+        time.sleep(2.0)
+        with condition:
+            condition.notify()
+        thread.join(1.0)
+        assert not thread.is_alive()
+        assert seen == [pytest.approx(2.0, abs=1e-3)]
+        begun = sim.now
+        with condition:
+            assert not condition.wait(0.5)
+        assert sim.now - begun >= 0.5
+
+
+def slow(seconds: int) -> int:
+    time.sleep(seconds)
+    return seconds
+
+
+def test_a_pool_of_threads() -> None:
+    with simulated_time() as sim, ThreadPoolExecutor(2) as pool:
+        futures = [pool.submit(slow, each) for each in (3, 1, 2)]
+        assert [future.result() for future in futures] == [3, 1, 2]
+        assert sim.now == pytest.approx(3.0, abs=1e-3)
+
+
+def test_a_timer_and_a_thread_of_another_class() -> None:
+    class Own(threading.Thread):
+        def run(self) -> None:
+            time.sleep(1)
+            done.append("own")
+
+    with simulated_time():
+        done: list[str] = []
+        timer = threading.Timer(0.5, lambda: done.append("timer"))
+        timer.start()
+        own = Own()
+        own.start()
+        own.join()
+        timer.join()
+        with pytest.raises(RuntimeError, match="once"):
+            own.start()
+        assert done == ["timer", "own"]
+
+
+def test_asyncio_on_the_same_clock() -> None:
+    async def program() -> list[object]:
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        called: asyncio.Future[str] = loop.create_future()
+
+        def later() -> None:
+            time.sleep(0.25)
+            loop.call_soon_threadsafe(called.set_result, "by a thread")
+
+        threading.Thread(target=later).start()
+        text = await called
+        await asyncio.gather(*(asyncio.sleep(seconds) for seconds in (1, 2, 3)))
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(asyncio.Event().wait(), 10)
+        blocking = await loop.run_in_executor(None, slow, 1)
+        return [text, blocking, round(loop.time() - begun, 2)]
+
+    with simulated_time():
+        assert asyncio.run(program()) == ["by a thread", 1, 14.25]
+
+
+def test_threads_from_outside_see_real_time() -> None:
+    seen: list[float] = []
+    proceed, done = threading.Event(), threading.Event()
+
+    def outside() -> None:
+        proceed.wait(10)
+        seen.append(time.time())
+        done.set()
+
+    thread = threading.Thread(target=outside)
+    thread.start()
+    real = time.time()
+    with simulated_time():
+        assert abs(time.time() - real) > 86400
+        proceed.set()
+        # The simulation does not wait for it: in real time it ends.
+        while not done._flag:  # type: ignore[attr-defined]
+            pass
+    thread.join()
+    assert abs(seen[0] - real) < 60
+
+
+def test_what_still_waits_at_the_end_is_ended() -> None:
+    ended: list[str] = []
+
+    def wait() -> None:
+        try:
+            threading.Event().wait()
+        finally:
+            ended.append("finally")
+
+    with simulated_time() as sim:
+        thread = threading.Thread(target=wait)
+        thread.start()
+        never = threading.Thread(target=wait)
+        time.sleep(1)
+        never.start()
+        assert len(sim.threads) == 2
+    assert not thread.is_alive()
+    assert ended[0] == "finally"
+
+
+def test_everything_is_put_back() -> None:
+    before = time.monotonic, time.sleep, threading.Lock, threading.Thread.start, queue.SimpleQueue, random.getstate()
+    with simulated_time():
+        assert time.monotonic is not before[0]
+        random.random()
+    assert (
+        time.monotonic,
+        time.sleep,
+        threading.Lock,
+        threading.Thread.start,
+        queue.SimpleQueue,
+        random.getstate(),
+    ) == before
+
+
+def test_one_at_a_time() -> None:
+    with simulated_time(), pytest.raises(RuntimeError, match="already"), simulated_time():
+        pass
+
+
+def test_the_clock_of_a_computer_drifts() -> None:
+    with simulated_time() as sim:
+        fast = sim.computer("fast", "192.168.0.2")
+        fast.rate = 1.0001
+        begun = time.monotonic()
+        with sim.on(fast):
+            there = time.monotonic()
+        time.sleep(10000)
+        with sim.on(fast):
+            assert time.monotonic() - there == pytest.approx(10001, abs=1e-3)
+            before = sim.now
+            time.sleep(10001)
+            assert sim.now - before == pytest.approx(10000, abs=1e-3)
+        assert time.monotonic() - begun == pytest.approx(20000, abs=1e-3)
+
+
+def test_a_suspended_computer_takes_no_step() -> None:
+    with simulated_time() as sim:
+        other = sim.computer("other", "192.168.0.2")
+        seen: list[float] = []
+
+        def tick() -> None:
+            while len(seen) < 10:
+                time.sleep(1)
+                seen.append(round(sim.now, 3))
+
+        with sim.on(other):
+            thread = threading.Thread(target=tick)
+            thread.start()
+        sim.at(3.5, other.suspend)
+        sim.at(7.25, other.resume)
+        thread.join()
+        assert seen == [1, 2, 3, 7.25, 8.25, 9.25, 10.25, 11.25, 12.25, 13.25]
