@@ -26,6 +26,7 @@ SOCKETS = {
 #: The only modules that may import `asyncio`.
 AWAITED = {
     "linkcore.handle",
+    "linkcore.event_loop",
     "linkcore.net.awaited",
     "linkcore.aio.loop_connection",
     "linkcore.aio.packets",

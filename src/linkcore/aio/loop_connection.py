@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError
+from ..event_loop import happened, within
 from ..net.awaited import AwaitedTransport, watch
 from ..realtime import urgent
 from ..streaming.connection import Connection
@@ -52,8 +53,8 @@ class LoopConnection(Connection):
         self._loop = loop
         self._task: asyncio.Task[None] | None = None  # refers to this, and this to it, until it is over
         self._opening: asyncio.Task[None] | None = None
-        self._settled = asyncio.Event()
-        self._closing = asyncio.Event()
+        self._settled: asyncio.Future[None] = loop.create_future()
+        self._closing: asyncio.Future[None] = loop.create_future()
         self._has_ended = threading.Event()
         # Of the present connection.
         self._receiver: Receiver | None = None
@@ -110,11 +111,8 @@ class LoopConnection(Connection):
         with self._changed:
             self._begin(is_patient=False)
             attempt, settled = self._attempt, self._settled
-        if not attempt.is_settled:
-            try:
-                await asyncio.wait_for(settled.wait(), self._timeout + 1.0)
-            except asyncio.TimeoutError:
-                raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s") from None
+        if not attempt.is_settled and not await within(self._timeout + 1.0, settled):
+            raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
             raise attempt.failure
 
@@ -135,7 +133,7 @@ class LoopConnection(Connection):
 
     def _launch(self) -> None:
         self._has_ended.clear()
-        self._settled = asyncio.Event()
+        self._settled = self._loop.create_future()
         self.call(self._start_reading)
 
     def _start_reading(self) -> None:
@@ -155,7 +153,7 @@ class LoopConnection(Connection):
 
     def _settle(self) -> None:
         super()._settle()
-        self._settled.set()
+        happened(self._settled)
 
     def _stop(self) -> None:
         super()._stop()
@@ -163,8 +161,8 @@ class LoopConnection(Connection):
             self.call(self._hear_of_closing)
 
     def _hear_of_closing(self) -> None:
-        self._closing.set()
-        self._settled.set()
+        happened(self._closing)
+        happened(self._settled)
         if self._opening is not None:
             self._opening.cancel()
         self._end(None)
@@ -225,8 +223,7 @@ class LoopConnection(Connection):
                 wait = self._next_try(error)
                 if wait is None:
                     return
-                with contextlib.suppress(asyncio.TimeoutError):
-                    await asyncio.wait_for(self._closing.wait(), wait)
+                await within(wait, self._closing)
                 if self._is_closing:
                     self._finish(None)
                     return

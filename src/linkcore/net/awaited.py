@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
+import os
 import socket
+import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 from ..errors import ConnectFailed, LinkTimeout, LocalError
+from ..event_loop import happened, within
 from ..stamp import Stamp
 from .transport import TcpTransport, Transport
 
 __all__ = ["AwaitedTcp", "AwaitedTransport", "watch"]
+
+
+#: What a connection that does not wait answers while it is made; 10035 is WSAEWOULDBLOCK, of Windows.
+_IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK, 10035)
 
 
 class AwaitedTransport(Transport, Protocol):
@@ -40,12 +49,11 @@ class AwaitedTcp(TcpTransport):
         Raises:
             ConnectFailed: refused, unreachable, or no such host.
             LinkTimeout: no answer in time.
+            LocalError: the loop cannot wait for sockets.
         """
         self.abort()
         try:
             connection = await _connected(self.host, self.port, timeout)
-        except asyncio.TimeoutError:  # not a TimeoutError before 3.11
-            raise LinkTimeout(f"cannot connect to {self.name}: nothing within {timeout:g} s") from None
         except (OSError, ValueError) as error:
             raise self.failure(error, timeout) from error
         self.adopt(connection, ConnectFailed)
@@ -58,18 +66,10 @@ class AwaitedTcp(TcpTransport):
             ConnectionLost: the peer closed or reset the connection, or it was closed here.
             LocalError: the loop cannot wait for sockets.
         """
-        loop = asyncio.get_running_loop()
-        until = loop.time() + timeout
+        until = time.monotonic() + timeout
         while (received := self.receive_waiting()) is None:
-            readable: asyncio.Future[None] = loop.create_future()
-            descriptor = self.fileno()
-            watch(loop, descriptor, lambda readable=readable: readable.done() or readable.set_result(None))  # type: ignore[misc]
-            try:
-                await asyncio.wait_for(readable, max(until - loop.time(), 0.0))
-            except asyncio.TimeoutError:
-                raise LinkTimeout(f"{self.name}: nothing within {timeout:g} s") from None
-            finally:
-                loop.remove_reader(descriptor)
+            if not await _is_ready(self.fileno(), until - time.monotonic()):
+                raise LinkTimeout(f"{self.name}: nothing within {timeout:g} s")
         return received
 
     async def disconnect(self) -> None:
@@ -81,14 +81,16 @@ class AwaitedTcp(TcpTransport):
             self.abort()
 
 
-def watch(loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object]) -> None:
-    """Have the loop call when bytes have come.
+def watch(
+    loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object], *, for_room: bool = False
+) -> None:
+    """Have the loop call when bytes have come; with `for_room`, when there is room to send.
 
     Raises:
         LocalError: such a loop cannot.
     """
     try:
-        loop.add_reader(descriptor, callback)
+        (loop.add_writer if for_room else loop.add_reader)(descriptor, callback)
     except NotImplementedError:
         raise LocalError(
             f"{type(loop).__name__} cannot wait for sockets; on Windows run the program with "
@@ -96,19 +98,28 @@ def watch(loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[
         ) from None
 
 
+async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) -> bool:
+    """Wait until bytes have come, or there is room; False when time is up."""
+    loop = asyncio.get_running_loop()
+    ready: asyncio.Future[None] = loop.create_future()
+    watch(loop, descriptor, lambda: happened(ready), for_room=for_room)
+    try:
+        return await within(max(seconds, 0.0), ready)
+    finally:
+        (loop.remove_writer if for_room else loop.remove_reader)(descriptor)
+
+
 async def _connected(host: str, port: int, timeout: float) -> socket.socket:
     """A connection to the first address of `host` that answers; `timeout` is for all of them together."""
-    loop = asyncio.get_running_loop()
-    until = loop.time() + timeout
+    until = time.monotonic() + timeout
     failure: Exception | None = None
-    places = await asyncio.wait_for(_addresses(host, port), timeout)
+    places = await _addresses(host, port, timeout)
     for number, (family, kind, protocol, _, address) in enumerate(places):
-        left = (until - loop.time()) / (len(places) - number)
+        left = (until - time.monotonic()) / (len(places) - number)
         connection = socket.socket(family, kind, protocol)
         try:
-            connection.setblocking(False)
-            await asyncio.wait_for(loop.sock_connect(connection, address), max(left, 1e-3))
-        except (OSError, asyncio.TimeoutError) as error:
+            await _connect(connection, address, max(left, 1e-3))
+        except OSError as error:
             failure = error
             connection.close()
         except BaseException:
@@ -119,8 +130,28 @@ async def _connected(host: str, port: int, timeout: float) -> socket.socket:
     raise failure or OSError(f"{host} has no address")
 
 
-async def _addresses(host: str, port: int) -> list[Any]:
+async def _connect(connection: socket.socket, address: Any, seconds: float) -> None:
+    """As `loop.sock_connect`, in no task of its own: cancelled, nothing is left that has the descriptor."""
+    connection.setblocking(False)
+    error = connection.connect_ex(address)
+    if error in _IN_PROGRESS:
+        if not await _is_ready(connection.fileno(), seconds, for_room=True):
+            raise TimeoutError
+        error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if error:
+        raise OSError(error, os.strerror(error))
+
+
+async def _addresses(host: str, port: int, timeout: float) -> list[Any]:
     with contextlib.suppress(OSError):  # it is a name
         return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
-    # The system's resolver waits, so asyncio asks it in a thread of its own.
-    return await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    # The system's resolver waits, so a thread of the loop's own asks it; what it answers too late is dropped.
+    loop = asyncio.get_running_loop()
+    asked = loop.run_in_executor(None, partial(socket.getaddrinfo, host, port, type=socket.SOCK_STREAM))
+    try:
+        if await within(timeout, asked):
+            return asked.result()
+    finally:
+        if not asked.cancel():
+            asked.exception()  # read, or asyncio would log it where the task is cancelled
+    raise TimeoutError
