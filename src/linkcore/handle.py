@@ -156,22 +156,33 @@ class Lifecycle:
             self._is_running = True
             return True
         mine = (after, error)
-        if self._end.setdefault(_END, mine) is not mine:
-            return False
         try:
+            if self._end.setdefault(_END, mine) is not mine:
+                return False
             if brake:
                 self.brake()
         except LinkError as failure:
             # It was stopped by other means, or the link is gone.
             _log.info("%s: the robot was not told to stop: %s", self.name, failure)
+        except Exception:
+            raise
+        except BaseException:  # a second Ctrl-C: what it has interrupted may not have been sent
+            if brake and self._end.get(_END) is mine:
+                with contextlib.suppress(LinkError):
+                    self.brake()
+            raise
         finally:
-            _drain(self._releases, lambda release: release())
-            if error is None:
-                self._future.set_result(None)
-            else:
-                self._future.set_exception(error)
-            _drain(self._done_callbacks, self._callbacks.call)
+            if self._end.get(_END) is mine:
+                self._settle(error)
         return True
+
+    def _settle(self, error: Exception | None) -> None:
+        _drain(self._releases, lambda release: release())
+        if error is None:
+            self._future.set_result(None)
+        else:
+            self._future.set_exception(error)
+        _drain(self._done_callbacks, self._callbacks.call)
 
     # -- who wants to know ---------------------------------------------------------------------------
 
@@ -220,8 +231,10 @@ def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], obj
 class Handle:
     """Something that was begun on a robot.
 
-    Wait for it, await it, or leave it alone: it goes on all the same. As a context manager it is cancelled where the
-    block is left before it is over. Awaiting it and giving that up does not stop the robot; `cancel` does.
+    Wait for it, await it, or leave it alone: it goes on all the same. **An interrupted wait cancels it**, and the robot
+    brakes: Ctrl-C in `wait`, or the cancellation of a task that awaits it. The `timeout` of `wait` only ends the
+    waiting; so does Ctrl-C in ``wait(cancel=False)``, and a cancellation of ``await asyncio.shield(handle)``. As a
+    context manager it is cancelled where the block is left before it is over.
     """
 
     def __init__(self, life: Lifecycle) -> None:
@@ -248,8 +261,12 @@ class Handle:
         """Why it did not come to its own end: what `wait` raises; None if it did, or is not over."""
         return self._life.error
 
-    def wait(self, timeout: float = 60.0) -> None:
+    def wait(self, timeout: float = 60.0, *, cancel: bool = True) -> None:
         """Wait until it is over; in done callbacks too.
+
+        Args:
+            timeout: seconds; after that it goes on, and can be waited for again.
+            cancel: whether an exception that interrupts the waiting (Ctrl-C: `KeyboardInterrupt`) cancels it.
 
         Raises:
             BadValue: `timeout` is no number of seconds.
@@ -261,11 +278,24 @@ class Handle:
                 `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
-        if not self._life.wait(seconds):
-            raise LinkTimeout(f"{self.name} is {self.phase.value}, and not over within {seconds:g} s; it goes on")
-        error = self._life.error
-        if error is not None:
-            raise error
+        try:
+            if not self._life.wait(seconds):
+                raise LinkTimeout(f"{self.name} is {self.phase.value}, and not over within {seconds:g} s; it goes on")
+        except BaseException as error:
+            if cancel:
+                self._give_up(error)
+            raise
+        failure = self._life.error
+        if failure is not None:
+            raise failure
+
+    def _give_up(self, interruption: BaseException) -> None:
+        """Cancel where waiting was interrupted, by Ctrl-C for one, and not ended by an error of the library."""
+        if not isinstance(interruption, Exception):
+            try:
+                self.cancel()
+            finally:
+                self.cancel()  # without effect, unless a second Ctrl-C has interrupted the first
 
     def cancel(self) -> None:
         """End it, and let the robot brake. Returns at once, which is before it stands; without effect if it is over."""
@@ -286,7 +316,14 @@ class Handle:
     def __await__(self) -> Generator[Any, None, None]:
         import asyncio
 
-        return asyncio.wrap_future(self._life.future).__await__()
+        from .event_loop import running_loop
+
+        loop = running_loop(f"awaiting {self.name}")
+        try:
+            yield from asyncio.wrap_future(self._life.future, loop=loop).__await__()
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def __enter__(self) -> Self:
         return self

@@ -8,6 +8,8 @@ import itertools
 import sys
 import threading
 from collections.abc import Iterator
+from types import FrameType
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -17,7 +19,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
-from tests.waiting import until
+from tests.waiting import interrupted, until
 
 OVER = (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
 
@@ -176,14 +178,78 @@ def test_waiting_where_one_would_wait_for_oneself(callbacks: CallbackThread) -> 
     Handle(life).wait(10)  # there is nothing to wait for
 
 
-def test_awaiting(life: Lifecycle) -> None:
+def test_an_interrupted_wait_cancels(life: Lifecycle) -> None:
+    brakes: list[None] = []
+    life.brake = lambda: brakes.append(None)
     handle = Handle(life)
+    with pytest.raises(LinkTimeout):
+        handle.wait(0.0)
+    interrupted(lambda: handle.wait(10, cancel=False))
+    assert (handle.done, len(brakes)) == (False, 0)
+    interrupted(lambda: handle.wait(10))
+    assert (handle.phase, len(brakes)) == (Phase.CANCELLED, 1)
+
+
+class InterruptedTwice(Handle):
+    """Its first `cancel` is interrupted at the line of that number, of those that are run in the module and in brakes.
+
+    Attributes:
+        left: lines to that one; greater than 0 when there were fewer.
+    """
+
+    def __init__(self, life: Lifecycle, number: int) -> None:
+        super().__init__(life)
+        self.left = number
+        self.brakes = 0
+        self._is_first = True
+        life.brake = self.brake
+
+    def brake(self) -> None:
+        self.brakes += 1
+
+    def cancel(self) -> None:
+        if self._is_first:
+            self._is_first = False
+            sys.settrace(self._trace)  # which an exception takes away
+        super().cancel()
+
+    def _trace(self, frame: FrameType, event: str, _: object) -> Any:
+        here = (Lifecycle.cancel.__code__.co_filename, __file__)
+        if frame.f_code.co_filename not in here:
+            return None
+        if event == "line":
+            self.left -= 1
+            if not self.left:
+                raise KeyboardInterrupt
+        return self._trace
+
+
+def test_a_second_interrupt_does_not_keep_it_from_braking(callbacks: CallbackThread) -> None:
+    tracing = sys.gettrace()
+    for number in range(1, 100):
+        handle = InterruptedTwice(Lifecycle(f"job {number}", callbacks), number)
+        try:
+            interrupted(lambda: handle.wait(10))  # noqa: B023 - called in this round
+        finally:
+            sys.settrace(tracing)
+        assert handle.phase is Phase.CANCELLED, number
+        assert handle.brakes, number
+        if handle.left > 0:
+            break
+    assert 10 < number < 99
+
+
+def test_awaiting(life: Lifecycle, callbacks: CallbackThread) -> None:
+    other = Lifecycle("other", callbacks)
 
     async def use() -> None:
         with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(asyncio.shield(Handle(other)), 0.01)
+        assert not other.is_over
+        handle = Handle(life)
+        with pytest.raises(asyncio.TimeoutError):
             await asyncio.wait_for(_awaited(handle), 0.01)
-        assert not handle.done
-        handle.cancel()
+        assert handle.phase is Phase.CANCELLED
         with pytest.raises(Cancelled, match="job was cancelled"):
             await handle
 
@@ -192,6 +258,14 @@ def test_awaiting(life: Lifecycle) -> None:
 
 async def _awaited(handle: Handle) -> None:
     await handle
+
+
+def test_awaiting_needs_a_loop_of_asyncio(life: Lifecycle) -> None:
+    """As in trio, which steps coroutines itself."""
+    waiting = _awaited(Handle(life))
+    with pytest.raises(LocalError, match="awaiting job needs a running asyncio event loop"):
+        waiting.send(None)
+    assert not life.is_over
 
 
 def test_a_block_that_is_left_cancels(life: Lifecycle) -> None:

@@ -364,9 +364,9 @@ class MissionRun(Handle):
 
     # -- its life ------------------------------------------------------------------------------------
 
-    def wait(self, timeout: float = 3600.0) -> None:
-        """Wait until it is over, an hour at most unless told otherwise; see `Handle.wait`."""
-        super().wait(timeout)
+    def wait(self, timeout: float = 3600.0, *, cancel: bool = True) -> None:
+        """Wait until it is over, by default for up to an hour; see `Handle.wait`."""
+        super().wait(timeout, cancel=cancel)
 
     def cancel(self) -> None:
         """End it at the robot's next tick, and have the robot stand. Returns at once; `wait` returns when it stands."""

@@ -109,7 +109,7 @@ class Interpreter(Program):
         return number
 
     def wait_executed(self, timeout: float = 60.0) -> None:
-        """Wait until everything that was handed over is over.
+        """Wait until everything that was handed over is over; Ctrl-C meanwhile cancels the mode, as in `wait`.
 
         Raises:
             LinkTimeout: it was not in time; it goes on.
@@ -118,12 +118,16 @@ class Interpreter(Program):
         seconds = check_seconds(timeout, "timeout", finite=True)
         until = time.monotonic() + seconds
         # `last_executed` is the statement that has begun, not one that has ended; a later one begins when it has ended.
-        barrier = self._hand_over("sync()")
-        while self._ask("statelastexecuted") < barrier:
-            left = until - time.monotonic()
-            if left <= 0:
-                raise LinkTimeout(f"statements were not executed within {seconds:g} s: {self.state}; they go on")
-            time.sleep(min(_POLL, left))
+        try:
+            barrier = self._hand_over("sync()")
+            while self._ask("statelastexecuted") < barrier:
+                left = until - time.monotonic()
+                if left <= 0:
+                    raise LinkTimeout(f"statements were not executed within {seconds:g} s: {self.state}; they go on")
+                time.sleep(min(_POLL, left))
+        except BaseException as error:
+            self._give_up(error)
+            raise
 
     def clear(self) -> int:
         """Let the controller forget the statements that were executed, of which it keeps a limited number.

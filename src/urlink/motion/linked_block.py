@@ -83,6 +83,9 @@ class LinkedBlock(Motion):
                 self.wait(_END_TIMEOUT)
             except LinkError:
                 self.cancel()
+            except BaseException as error:
+                self._give_up(error)
+                raise
 
     def _check_open(self) -> None:
         """Raise unless the block is open.

@@ -61,8 +61,8 @@ class Motions:
     """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
 
     With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, or
-    for the number of seconds that is given; after that it raises `LinkTimeout`, and the motion goes on. An exception
-    that interrupts the waiting itself (Ctrl-C) cancels the motion, since no caller has its handle.
+    for the number of seconds that is given; after that it raises `LinkTimeout`, and the motion goes on. Ctrl-C
+    while it waits cancels the motion, as in `Handle.wait`.
 
     A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All methods raise
     `BadValue` for arguments that are invalid or beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or
@@ -690,11 +690,5 @@ def _acceleration(value: float) -> float:
 def _waited(motion: M, seconds: float) -> M:
     """The motion, after its end; raises if that takes longer than `seconds`; 0 does not wait."""
     if seconds:
-        try:
-            motion.wait(seconds)
-        except Exception:
-            raise
-        except BaseException:
-            motion.cancel()
-            raise
+        motion.wait(seconds)
     return motion

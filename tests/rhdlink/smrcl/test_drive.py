@@ -15,7 +15,7 @@ from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.scene import Scene, Tape
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
-from tests.waiting import until
+from tests.waiting import interrupted, until
 
 #: Simulated time is quick, but a loaded machine is not.
 SECONDS = 30.0
@@ -116,6 +116,15 @@ def test_a_cancelled_motion_stands(drive: Drive, robot: Turtle | SmrTurtle) -> N
     assert motion.phase is Phase.CANCELLED
     with pytest.raises(Cancelled):
         motion.wait(SECONDS)
+    until(lambda: stands(robot))
+
+
+def test_a_motion_whose_wait_is_interrupted_is_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+    motion = drive.forward(500.0)
+    interrupted(lambda: motion.wait(SECONDS, cancel=False), lambda: not stands(robot))
+    assert not motion.done
+    interrupted(lambda: motion.wait(SECONDS))
+    assert motion.phase is Phase.CANCELLED
     until(lambda: stands(robot))
 
 

@@ -20,7 +20,7 @@ from rhdlink.smrcl.mission import LARGEST, read_script
 from rhdlink.smrcl.outbox import Said, SaidKind
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
-from tests.waiting import until
+from tests.waiting import interrupted, until
 
 #: Goes on until somebody ends it.
 ENDLESS = 'label "on"\nwait 1\ngoto "on"\n'
@@ -351,6 +351,14 @@ def test_a_cancelled_mission_stands() -> None:
         run.wait(20.0)
     assert (run.phase, run.done) == (Phase.CANCELLED, True)
     assert stands(robot)
+
+
+def test_a_mission_whose_wait_is_interrupted_is_cancelled() -> None:
+    robot = turtle()
+    run = Mission("drive\n" + ENDLESS, robot).start()
+    interrupted(run.wait, lambda: robot.world.odometry.x > 0.1)
+    until(lambda: run.done)
+    assert (run.phase, stands(robot)) == (Phase.CANCELLED, True)
 
 
 def test_a_mission_that_is_left_is_cancelled() -> None:

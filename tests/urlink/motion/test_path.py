@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import threading
 from collections.abc import Callable
 from itertools import pairwise
@@ -18,7 +17,7 @@ from linkcore.errors import BadValue, Cancelled, LinkTimeout
 from linkcore.handle import Phase
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, TIMEOUT, Rehearsal
-from tests.waiting import until
+from tests.waiting import interrupted, until
 from urlink import Circular, Joint, Linear
 from urlink.curves import Arc
 from urlink.firmware import Firmware
@@ -420,21 +419,33 @@ def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, 
         move(robot, -1.0)
 
 
-def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal) -> None:
-    """Nobody holds the handle."""
-
-    def interrupt() -> None:
-        until(lambda: robot.motion.current is not None)
+@pytest.mark.parametrize(
+    "waiting",
+    [
+        lambda robot: robot.motion.move_joints(HOME, wait=TIMEOUT),
+        lambda robot: robot.motion.move_joints(HOME).wait(TIMEOUT),
+        lambda robot: robot.motion.stop().wait(TIMEOUT),
+    ],
+    ids=["wait=True", "wait()", "stop"],
+)
+def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal, waiting: Callable[[Rehearsal], object]) -> None:
+    def begins() -> bool:
+        if robot.motion.current is None:
+            return False
         robot.begin()
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        begun.append(robot.uploaded)
+        return True
 
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    with pytest.raises(KeyboardInterrupt):
-        robot.motion.move_joints(HOME, wait=TIMEOUT)
-    thread.join(TIMEOUT)
-    until(lambda: "stopj" in robot.uploaded)
+    begun: list[str] = []
+    interrupted(lambda: waiting(robot), begins)
+    until(lambda: "stopj" in robot.uploaded and robot.uploaded not in begun)
     assert robot.motion.current is None
+
+
+def test_waiting_can_end_without_the_motion(robot: Rehearsal) -> None:
+    motion = robot.motion.move_joints(HOME)
+    interrupted(lambda: motion.wait(TIMEOUT, cancel=False))
+    assert robot.motion.current is motion
 
 
 def test_what_ends_a_motion_is_raised_while_it_is_waited_for(robot: Rehearsal) -> None:
