@@ -69,7 +69,7 @@ class ControlLoop:
             state.stop_protectively(f"a force of more than {state.surroundings.force_limit:g} N at the TCP")
         state.update_modes(state.period)
         state.arm.is_powered = state.modes.is_powered
-        reason = state.take_safety_change()
-        if reason is not None:
-            for message in messages.safety_messages(state, reason):
+        cause = state.take_safety_change()
+        if cause is not None:
+            for message in messages.safety_messages(state, cause):
                 state.outbox.put(message)

@@ -58,8 +58,8 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
 # The interfaces of a real controller's ports.
 _NAMES = {number: name for name, number in PORTS.items()}
-#: Most lines from clients that are kept.
-RECEIVED = 1000
+#: Most lines from clients, and robot messages of a stepped controller, that are kept.
+RECEIVED, KEPT_MESSAGES = 1000, 10_000
 
 
 class Controller:
@@ -138,8 +138,8 @@ class Controller:
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
         self._clock: Callable[[], float] = self._stepped or time.monotonic
-        # Number of messages at the end of the last step.
-        self._said = 0
+        # Of the cycles that were stepped, until they are taken.
+        self._messages: deque[bytes] = deque()
 
         def source() -> SetpointSource:
             return motion or Demonstration()
@@ -371,11 +371,12 @@ class Controller:
                 self.call(lambda: None)
                 cycles -= some
             return
-        outbox = self._state.outbox
         for _ in range(cycles):
-            outbox.forget(self._said)
             self._control.advance()
-            self._said = len(outbox)
+            self._messages += self._state.outbox.take()
+        while len(self._messages) > KEPT_MESSAGES:
+            self._messages.popleft()
+            self.counters.lost_messages += 1
 
     def passing(self, speed: float = 1.0) -> contextlib.AbstractContextManager[None]:
         """``with controller.passing():`` lets time pass while the block is executed; for `stepped`.
@@ -449,10 +450,12 @@ class Controller:
     def take_messages(self) -> list[bytes]:
         """The robot messages that wait for the clients of the primary interface, once each.
 
-        If the controller is stepped: those of its last cycle, and those since.
+        If the controller is stepped: those of all cycles since the last call, oldest first. Of more than 10,000 the
+        oldest are dropped, and counted in `counters.lost_messages`.
         """
-        self._said = 0
-        return self._state.outbox.take()
+        messages = [*self._messages, *self._state.outbox.take()]
+        self._messages.clear()
+        return messages
 
     def greeting(self, port: str) -> list[bytes]:
         """The packets at the beginning of a connection to this port: none on the real-time ports."""
@@ -524,7 +527,7 @@ class Controller:
         if server is not None:
             server.close()
             self._runner.close()
-            self._state.outbox.take()
+            self.take_messages()
 
     def __enter__(self) -> Self:
         return self.start()

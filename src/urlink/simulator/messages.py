@@ -25,7 +25,7 @@ from urlink.interfaces.primary.robot_message import (
     VersionMessage,
 )
 
-from .state import ControllerState
+from .state import ControllerState, StopCause
 
 __all__ = [
     "greeting",
@@ -77,21 +77,22 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
     return packages
 
 
-def safety_messages(state: ControllerState, reason: str = "") -> list[bytes]:
+def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
     """The messages of the primary interface when the safety mode has changed.
 
     A report with a code and, if there is one, the reason; then from 3.0 on the safety mode message. The code of a
-    protective stop, C153A0 "position deviates from path", is a documented one; the others, the order, the sources and
-    the levels are guesses.
+    protective stop, C153A0 "position deviates from path", is a documented one. That `protective_stop()` of a program
+    is C209A0 at the level of a warning is what the tests of UR Client Library expect. The others, the order, the
+    sources and the other levels are guesses.
     """
     firmware, mode = state.firmware, state.modes.safety_mode
     stamp = round(state.time * 1e6)
     messages = []
-    report = _REPORTS.get(mode)
+    report = _BY_PROGRAM if cause.by_program else _REPORTS.get(mode)
     if report is not None:
         code, level, text = report
-        if reason:
-            text = f"{text.partition(':')[0]}: {reason}"
+        if cause.reason:
+            text = f"{text.partition(':')[0]}: {cause.reason}"
         fields = {
             "timestamp": stamp,
             "source": MessageSource.CONTROLLER,
@@ -112,6 +113,7 @@ _REPORTS = {
     SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
     SafetyMode.ROBOT_EMERGENCY_STOP: (0, ReportLevel.WARNING, "Emergency stop"),
 }
+_BY_PROGRAM = (209, ReportLevel.WARNING, "Protective stop")
 
 # -- of programs ---------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware, release_of
@@ -25,7 +25,7 @@ from .robot.signals import Signals
 from .robot.sources import SetpointSource
 from .robot.surroundings import Surroundings
 
-__all__ = ["ControllerState", "Counters", "Outbox", "firmware_for"]
+__all__ = ["ControllerState", "Counters", "Outbox", "StopCause", "firmware_for"]
 
 #: Bytes of messages in one cycle above which texts and popups are lost; a program could make thousands of them.
 MOST_MESSAGES = 1 << 14
@@ -47,7 +47,8 @@ class Counters:
         refused_programs: texts that were ignored because of the state of the controller.
         late: cycles whose packets were sent more than one cycle after they were due.
         skipped: cycles whose packets were not sent because they were far too late.
-        lost_messages: texts and popups of programs, beyond what one cycle sends.
+        lost_messages: texts and popups of programs, beyond what one cycle sends; and messages of a controller that was
+            stepped, beyond what it keeps until they are taken.
         ignored_packages: packages of RTDE clients that do not fit, such as data of an unknown recipe.
     """
 
@@ -61,6 +62,18 @@ class Counters:
     skipped: int = 0
     lost_messages: int = 0
     ignored_packages: int = 0
+
+
+class StopCause(NamedTuple):
+    """Why the safety mode has changed.
+
+    Attributes:
+        reason: for the message; "" if none was given.
+        by_program: whether a program has called `protective_stop()`.
+    """
+
+    reason: str = ""
+    by_program: bool = False
 
 
 class Outbox:
@@ -86,14 +99,6 @@ class Outbox:
             self._counters.lost_messages += 1
         else:
             self.put(make())
-
-    def __len__(self) -> int:
-        return len(self._messages)
-
-    def forget(self, count: int) -> None:
-        """Remove the first `count` messages."""
-        del self._messages[:count]
-        self._size = sum(map(len, self._messages))
 
     def take(self) -> list[bytes]:
         """All messages, once each."""
@@ -180,7 +185,7 @@ class ControllerState:
         self.stopped_since: float | None = None
         self.popup: str | None = None
         self.loaded: str | None = None
-        self._stop_reason = ""
+        self._stop_cause = StopCause()
         self._announced = self.modes.safety_mode
         self.update_modes(0.0)
 
@@ -224,20 +229,20 @@ class ControllerState:
         """Update the modes by the state of arm and program, after `seconds`."""
         self.modes.advance(seconds, self.arm.is_standing, self.source.is_program, self.is_paused)
 
-    def stop_protectively(self, reason: str) -> None:
-        """Make a protective stop; the reason is for its message."""
-        self._stop_reason = reason
+    def stop_protectively(self, reason: str, *, by_program: bool = False) -> None:
+        """Make a protective stop; the reason, and whether a program has asked for it, are for its message."""
+        self._stop_cause = StopCause(reason, by_program)
         self.modes.protective_stop()
 
-    def take_safety_change(self) -> str | None:
-        """The reason of a change of the safety mode since the last call, "" for none given; None without a change."""
-        reason, self._stop_reason = self._stop_reason, ""
+    def take_safety_change(self) -> StopCause | None:
+        """The cause of a change of the safety mode since the last call; None without a change."""
+        cause, self._stop_cause = self._stop_cause, StopCause()
         modes = self.modes
         if modes.safety_mode is self._announced:
             return None
         self._announced = modes.safety_mode
         self.stopped_since = None if modes.stop is Stop.NONE else self.time
-        return reason if modes.stop is Stop.PROTECTIVE else ""
+        return cause if modes.stop is Stop.PROTECTIVE else StopCause()
 
 
 def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:

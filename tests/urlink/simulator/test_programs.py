@@ -152,10 +152,66 @@ def test_a_run_time_error_stops_it_and_brakes(watched: Watched) -> None:
     assert watched.steadiest < 20
 
 
-def test_an_unreachable_pose_is_a_run_time_error(watched: Watched) -> None:
-    watched.take("def f():\n  movel(p[5, 0, 0, 0, 0, 0])\nend\n").step(0.1)
-    assert [line[:2] for line in watched.story] == ["st", "2:", "st"]
+def test_a_joint_target_out_of_range_is_a_run_time_error(watched: Watched) -> None:
+    watched.take("def f():\n  movej([-123, 0, 0, 0, 0, 0])\nend\n").step(0.1)
+    assert watched.story[1:] == ["2:3 base: the target of -123.0000 rad is out of range", "stopped f"]
     assert watched.controller.modes.safety_mode is SafetyMode.NORMAL
+
+
+def test_a_pose_out_of_reach_is_a_protective_stop_that_can_be_unlocked(watched: Watched) -> None:
+    watched.take("def f():\n  movel(p[-10.2, 0.26, 0.56, 0.68, -1.08, -2.08], a=1.5, v=1.5)\nend\n").step(3)
+    assert watched.story[1].startswith("C153 Protective stop: ")
+    assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
+    watched.step(5)
+    assert watched.dashboard("unlock protective stop") == "Protective stop releasing"
+    assert watched.dashboard("stop") == "Stopped"
+    watched.step(1)
+    assert watched.story[-1] == "stopped f"
+    assert watched.dashboard("safetymode") == "Safetymode: NORMAL"
+
+
+def test_a_node_of_a_direction_moves_until_its_condition(watched: Watched) -> None:
+    """As PolyScope writes it: a move to a pose 1000 m away, in a thread that is killed when the condition holds."""
+    text = """def direction():
+  start = get_target_tcp_pose()
+  thread go():
+    movel(pose_add(start, p[0, 1000, 0, 0, 0, 0]), a=1.2, v=0.1)
+  end
+  handle = run go()
+  while get_standard_digital_in(2) == False:
+    sync()
+  end
+  kill handle
+  stopl(3)
+  textmsg("there")
+end
+"""
+    begin = watched.controller.arm.sample.pose_target[1]
+    watched.take(text).step(1.5)
+    assert watched.moves()
+    watched.controller.signals.digital_inputs = 1 << 2
+    watched.step(0.5)
+    assert watched.story == ["started direction", "'there'", "stopped direction"]
+    assert 0.1 < watched.controller.arm.sample.pose_target[1] - begin < 0.2
+
+
+def test_messages_of_many_steps_are_kept_until_they_are_taken() -> None:
+    controller = Controller("UR5e", "5.11", motion=Still())
+    controller.take("def f():\n  i = 0\n  while i < 12000:\n    textmsg(i)\n    sync()\n    i = i + 1\n  end\nend\n")
+
+    def texts() -> list[str]:
+        said = urlink.decode(b"".join(controller.take_messages()), "primary", "5.11")
+        return [message.text for message in said if isinstance(message, urlink.TextMessage)]
+
+    controller.step(3)
+    controller.step(2)
+    assert texts() == ["0", "1", "2", "3", "4"]
+    assert texts() == []
+    controller.step(11_000)
+    assert len(texts()) == 10_000
+    assert controller.counters.lost_messages == 1000
+    controller.step()
+    assert texts() == ["11005"]
 
 
 def test_the_end_while_moving_brakes(watched: Watched) -> None:
@@ -442,27 +498,39 @@ def test_closing_a_controller_ends_its_program() -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "reason"),
+    "line",
     [
-        ("servoj([0.8, -1.57, 1.57, -1.57, -1.57, 0], t=0.002, lookahead_time=0.03, gain=2000)", ""),
-        ("servoj([7, -1.57, 1.57, -1.57, -1.57, 0])", ""),
-        ("movej([7, -1.57, 1.57, -1.57, -1.57, 0])", ""),
-        ("speedj([9, 0, 0, 0, 0, 0], 40, 5)", ""),
-        ("protective_stop()", "protective_stop() was called by the program"),
+        "servoj([0.8, -1.57, 1.57, -1.57, -1.57, 0], t=0.002, lookahead_time=0.03, gain=2000)",
+        "servoj([7, -1.57, 1.57, -1.57, -1.57, 0])",
+        "speedj([9, 0, 0, 0, 0, 0], 40, 5)",
     ],
 )
-def test_sending_limits_are_protective_stops_with_a_reason(watched: Watched, line: str, reason: str) -> None:
+def test_sending_limits_are_protective_stops_with_a_reason(watched: Watched, line: str) -> None:
     watched.take(f"def f():\n  {line}\n  sleep(1)\nend\n").step(3)
     assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
     report = next(line for line in watched.story if line.startswith("C153"))
     assert report.startswith("C153 Protective stop: ")
-    assert reason in report
     assert "deviates" not in report
     assert watched.controller.program_name == "f"
     assert not watched.moves()
     watched.controller.faults.clear()
     watched.step(0.1)
     # The reason was that of one stop.
+    watched.controller.faults.protective_stop()
+    watched.step(0.1)
+    assert watched.story[-1] == "C153 Protective stop: position deviates from path"
+
+
+@pytest.mark.parametrize("kind", ["def", "sec"])
+def test_a_program_may_ask_for_a_protective_stop(watched: Watched, kind: str) -> None:
+    watched.take(f"{kind} f():\n  protective_stop()\nend\n").step(0.1)
+    assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
+    (report,) = [message for message in watched.said if type(message).__name__ == "RobotCommMessage"]
+    assert (report.code, report.argument, report.report_level.name) == (209, 0, "WARNING")
+    assert report.text == "Protective stop: protective_stop() was called by the program"
+    watched.controller.faults.clear()
+    watched.step(0.1)
+    # The cause was that of one stop.
     watched.controller.faults.protective_stop()
     watched.step(0.1)
     assert watched.story[-1] == "C153 Protective stop: position deviates from path"

@@ -199,5 +199,5 @@ class ProgramWorld:
     def has_popup(self) -> bool:
         return self._state.popup is not None
 
-    def protective_stop(self, reason: str) -> None:
-        self._state.stop_protectively(reason)
+    def protective_stop(self) -> None:
+        self._state.stop_protectively("protective_stop() was called by the program", by_program=True)

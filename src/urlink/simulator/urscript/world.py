@@ -225,5 +225,5 @@ class World(Protocol):
     def has_popup(self) -> bool:
         """Whether a popup is on the pendant and was not closed."""
 
-    def protective_stop(self, reason: str) -> None:
+    def protective_stop(self) -> None:
         """Stop the arm; the program is not advanced until the stop is unlocked."""

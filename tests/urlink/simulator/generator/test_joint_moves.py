@@ -23,7 +23,7 @@ from tests.urlink.simulator.generator.stepping import (
     trapezoid,
 )
 from urlink.models import MODELS, Model
-from urlink.simulator.robot.generator import LimitViolation
+from urlink.simulator.robot.generator import Unreachable
 from urlink.simulator.robot.sources import HOME
 
 arms = st.sampled_from(list(MODELS.values()))
@@ -61,13 +61,12 @@ def test_no_way_to_go_is_over_at_once() -> None:
     assert generator.setpoint == (list(HOME), REST, REST)
 
 
-def test_a_target_out_of_range_is_refused_in_the_next_cycle() -> None:
+def test_a_target_out_of_range_is_refused_at_once() -> None:
     generator = standing()
     before = generator.setpoint
-    generator.movej([7.0, *HOME[1:]])
-    with pytest.raises(LimitViolation, match=r"base.*7.0000 rad is out of range"):
-        generator.advance(CYCLE)
-    assert generator.setpoint == before
+    with pytest.raises(Unreachable, match=r"base.*7.0000 rad is out of range"):
+        generator.movej([7.0, *HOME[1:]])
+    assert generator.advance(CYCLE) == before
     finish(generator, generator.movej(moved(0.1, 0, 0, 0, 0, 0)))
 
 

@@ -47,6 +47,22 @@ def test_a_time_ends_the_function_and_not_the_speed() -> None:
     assert not generator.is_standing
 
 
+def test_the_slider_stretches_the_time_of_a_speed() -> None:
+    generator = standing()
+    generator.speed_fraction = 0.25
+    finish(generator, generator.speedj([0.0] * 6, 1.0, 0.1))
+    before = generator.setpoint.q[5]
+    for _ in range(100):
+        assert len(finish(generator, generator.speedj([0, 0, 0, 0, 0, 0.2], 100.0, CYCLE))) == 4
+    assert generator.setpoint.q[5] - before == pytest.approx(100 * CYCLE * 0.2, rel=0.01)
+    assert len(finish(generator, generator.speedl([0, 0, 0.01, 0, 0, 0], 1.0, 0.1, 1.0))) == 200
+    generator.speed_fraction = 0.0
+    cycles(generator, 100)
+    move = generator.speedj([0, 0, 0, 0, 0, 0.2], 100.0, CYCLE)
+    cycles(generator, 1000)
+    assert not move.is_over
+
+
 def test_a_speed_follows_a_speed_without_a_stop() -> None:
     generator = standing()
     finish(generator, generator.speedj([0.5] * 6, 2.0, None))

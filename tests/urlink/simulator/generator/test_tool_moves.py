@@ -19,6 +19,7 @@ from tests.urlink.simulator.generator.stepping import (
     check_continuous,
     cycles,
     finish,
+    speeds,
     standing,
     trapezoid,
 )
@@ -101,12 +102,27 @@ def test_no_way_to_go_is_over_at_once() -> None:
 
 
 @pytest.mark.parametrize("begin", ["movel", "movep", "servoc"])
-def test_out_of_reach_is_known_at_once(begin: str) -> None:
+def test_a_pose_out_of_reach_is_approached_until_the_arm_can_go_no_further(begin: str) -> None:
     generator = with_tool()
-    far = [2.0, 0.0, 0.5, 0.0, 0.0, 0.0]
-    with pytest.raises(Unreachable, match="does not reach the pose"):
-        generator.servoc(far, 1.2, 0.25, 0.0) if begin == "servoc" else getattr(generator, begin)(far)
-    assert generator.is_standing
+    start = pose(HOME)
+    far = [1000.0 * start[0], 1000.0 * start[1], *start[2:].tolist()]
+    generator.servoc(far, 1.2, 0.25, 0.0) if begin == "servoc" else getattr(generator, begin)(far)
+    with pytest.raises(LimitViolation):
+        cycles(generator, 10_000)
+    gone = pose(generator.setpoint.q)[:3] - start[:3]
+    assert np.linalg.norm(gone) > 0.1
+    np.testing.assert_allclose(np.cross(gone, [start[0], start[1], 0.0]), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("way", [(0.2, 0.1, 0.1), (-0.1, 0.3, 0.0)])
+@pytest.mark.parametrize("t", [0.02, 0.05])
+def test_a_time_too_short_is_made_longer(way: tuple[float, ...], t: float) -> None:
+    generator = with_tool()
+    target = shifted(np.array(way), np.array([0.0, 0.0, 1.0]))
+    setpoints = finish(generator, generator.movel(target, t=t))
+    assert t < len(setpoints) * CYCLE < 2.0
+    np.testing.assert_allclose(pose(generator.setpoint.q), target, atol=1e-6)
+    assert (np.abs(speeds(setpoints)) <= 1.03 * UR5E.max_speed).all()
 
 
 def test_a_line_through_what_is_out_of_reach_ends_there() -> None:

@@ -238,8 +238,8 @@ class StandIn:
     def text_message(self, text: str) -> None:
         self.note(f"textmsg {text}")
 
-    def protective_stop(self, reason: str) -> None:
-        self.note(f"protective stop: {reason}")
+    def protective_stop(self) -> None:
+        self.note("protective stop")
 
     def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
         self.has_popup = is_blocking

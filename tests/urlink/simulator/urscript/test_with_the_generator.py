@@ -65,7 +65,7 @@ end
     assert path[-1][5] > 0.05
 
 
-def test_out_of_reach_is_a_run_time_error() -> None:
-    _, _, execution = play("movel(p[3, 0, 0, 0, 0, 0])")
+def test_out_of_range_is_a_run_time_error() -> None:
+    _, _, execution = play("movej([0, 0, 0, 9, 0, 0])")
     assert execution.error is not None
     assert (execution.error.line, execution.error.column) == (1, 1)

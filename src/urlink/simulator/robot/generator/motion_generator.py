@@ -167,16 +167,22 @@ class MotionGenerator:
 
         Raises:
             BadValue: an argument is invalid.
+            Unreachable: a joint would leave its range.
         """
         end = checked(q, "joint positions")
+        try:
+            self._limits.check_target(end)
+        except LimitViolation as violation:
+            raise Unreachable(violation.reason) from None
         start, blend = self._take_over()
         path = JointPath(self._kinematics, self._limits, self.tcp, start, end)
-        move = self._follow_path(path, start, blend, a, v, t, r)
-        self._check_target(end)
-        return move
+        return self._follow_path(path, start, blend, a, v, t, r)
 
     def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Move:
         """Move the TCP straight to a pose in the base frame with `a` m/s² and `v` m/s, turning about one axis.
+
+        A pose out of reach is approached until the arm can go no further, which is a violation of a limit. PolyScope
+        writes a node that moves in a direction until there is a contact as a move to a pose 1000 m away.
 
         Args:
             pose: (6,) m and rad.
@@ -185,11 +191,10 @@ class MotionGenerator:
 
         Raises:
             BadValue: an argument is invalid.
-            Unreachable: the pose is out of reach.
         """
         start, blend = self._take_over()
         line = Line(self._kinematics.forward(start, self.tcp).tolist(), checked(pose, "a pose"))
-        path = ToolPath(self._kinematics, self.tcp, line, start)
+        path = ToolPath(self._kinematics, self._limits, self.tcp, line, start)
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movec(
@@ -204,7 +209,7 @@ class MotionGenerator:
 
         Raises:
             BadValue: an argument is invalid.
-            Unreachable: the end is out of reach, or the points are not on a circle.
+            Unreachable: the points are not on a circle.
         """
         if mode not in (0, 1):
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
@@ -215,7 +220,7 @@ class MotionGenerator:
             arc = Arc(begin, *ends, is_fixed=mode == 1)
         except BadValue as error:
             raise Unreachable(str(error)) from None
-        path = ToolPath(self._kinematics, self.tcp, arc, start)
+        path = ToolPath(self._kinematics, self._limits, self.tcp, arc, start)
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Move:
@@ -307,10 +312,12 @@ class MotionGenerator:
     ) -> Move:
         radius = _not_negative(r, "a blend radius")
         if _not_negative(t, "a time") > 0.0:
-            speed, acceleration = timed(max(path.length, _SHORTEST), t, path.speed, path.acceleration)
+            speed, acceleration = timed(max(path.length, _SHORTEST), t, *path.fastest())
         else:
-            speed = min(positive(v, "a speed"), path.speed)
-            acceleration = min(positive(a, "an acceleration"), path.acceleration)
+            speed, acceleration = positive(v, "a speed"), positive(a, "an acceleration")
+            if isinstance(path, JointPath):
+                fastest, hardest = path.fastest()
+                speed, acceleration = min(speed, fastest), min(acceleration, hardest)
         profile = Profile(path.length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
             # No faster than the old speed dies away: then the sum of both never exceeds the larger one.
@@ -331,13 +338,6 @@ class MotionGenerator:
             return corner, Blend(way, qd, duration, self._limits.acceleration)
         way = [0.5 * duration * v for v in qd]
         return [a + d for a, d in zip(q, way, strict=True)], Blend(way, qd, duration, self._limits.acceleration)
-
-    def _check_target(self, q: list[float]) -> None:
-        """Let a target out of range be refused in the next cycle, where limits are checked."""
-        try:
-            self._limits.check_target(q)
-        except LimitViolation as refusal:
-            self._refusal = refusal
 
     def _tool_speed(self, xd: Sequence[float], a: float, a_rot: float | None, t: float | None) -> ToolSpeed:
         line = positive(a, "an acceleration")

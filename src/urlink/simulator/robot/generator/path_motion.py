@@ -157,16 +157,16 @@ class Path(Protocol):
 
     Attributes:
         length: of the path: rad of the joint that moves furthest, or m of the tool.
-        speed, acceleration: the largest along the path at which no joint exceeds its limits.
         end_pose: of the TCP at the end, m and rad.
     """
 
     length: float
-    speed: float
-    acceleration: float
 
     @property
     def end_pose(self) -> list[float]: ...
+
+    def fastest(self) -> tuple[float, float]:
+        """The largest speed and acceleration along the path at which no joint exceeds its limits."""
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         """The joints after the distance `way`; `last` is the set-point of the path in the cycle before."""
@@ -191,9 +191,12 @@ class JointPath:
         way = [b - a for a, b in zip(start, end, strict=True)]
         self.length = max(map(abs, way))
         self._shares = [part / self.length for part in way] if self.length > 0.0 else list(_REST)
-        self.speed = _within(limits.speed, self._shares)
-        self.acceleration = _within(limits.acceleration, self._shares)
+        self._limits = limits
         self._end_pose: list[float] | None = None
+
+    def fastest(self) -> tuple[float, float]:
+        """The largest speed and acceleration along the path at which no joint exceeds its limits."""
+        return _within(self._limits.speed, self._shares), _within(self._limits.acceleration, self._shares)
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         """The joints after the distance `way`."""

@@ -1,4 +1,8 @@
-"""Constant speeds: speedj and speedl; and stopj and stopl, which are speeds of zero."""
+"""Constant speeds: speedj and speedl; and stopj and stopl, which are speeds of zero.
+
+The speed slider stretches the time of a speed: at a slider of 25 % it lasts four times as long, at a quarter of the
+speed, and at 0 it does not end (the vendor's client library tests that a spline of such commands ends on its path).
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ class JointSpeed:
     """All joints change their speeds in proportion until each has its own, and keep it.
 
     Attributes:
-        move: over after `t` s; if `t` is None, when the speed is reached.
+        move: over after `t` s of scaled time; if `t` is None, when the speed is reached.
     """
 
     def __init__(self, qd: Sequence[float], acceleration: Sequence[float], t: float | None) -> None:
@@ -51,8 +55,8 @@ class JointSpeed:
         if self._left is None:
             self.move.is_over = is_reached
         else:
-            self._left -= seconds
-            self.move.is_over = self._left < 0.5 * seconds
+            self._left -= scaling * seconds
+            self.move.is_over = self._left < 0.5 * scaling * seconds
         return setpoint
 
 
@@ -63,7 +67,7 @@ class ToolSpeed:
     brake instead.
 
     Attributes:
-        move: over after `t` s; if `t` is None, when the speed is reached; for a stop, at rest.
+        move: over after `t` s of scaled time; if `t` is None, when the speed is reached; for a stop, at rest.
     """
 
     def __init__(
@@ -129,8 +133,8 @@ class ToolSpeed:
         if self._left is None:
             self.move.is_over = line_reached and turn_reached and not self._stops
         else:
-            self._left -= seconds
-            self.move.is_over = self._left < 0.5 * seconds
+            self._left -= scaling * seconds
+            self.move.is_over = self._left < 0.5 * scaling * seconds
         return setpoint
 
     def restart(self, begin: Setpoint) -> None:

@@ -10,7 +10,7 @@ from urlink.curves import Curve
 from urlink.kinematics import Arm
 
 from ..sources import Setpoint
-from .joint_limits import LimitViolation, Unreachable
+from .joint_limits import JointLimits, LimitViolation, Unreachable
 
 __all__ = ["ToolPath", "joints_at", "setpoint_at"]
 
@@ -18,6 +18,8 @@ __all__ = ["ToolPath", "joints_at", "setpoint_at"]
 RADIAN = 0.25
 
 _REST = [0.0] * 6
+# Samples of a path for its largest speed, and rad from one to the next that are a jump through a singularity.
+_SAMPLES, _JUMP = 64, 0.5
 
 
 def joints_at(arm: Arm, pose: Sequence[float], tcp: Sequence[float], near: Sequence[float]) -> list[float]:
@@ -49,20 +51,36 @@ class ToolPath:
 
     Attributes:
         length: m.
-        speed, acceleration: infinite, since the joints are checked later: one that gets too fast is a violation.
         end_pose: of the TCP at the end, m and rad.
     """
 
-    speed = math.inf
-    acceleration = math.inf
-
-    def __init__(self, arm: Arm, tcp: Sequence[float], curve: Curve, near: list[float]) -> None:
-        """Raises `Unreachable` if the end is out of reach."""
-        self._kinematics, self._tcp, self._curve = arm, tcp, curve
+    def __init__(self, arm: Arm, limits: JointLimits, tcp: Sequence[float], curve: Curve, near: list[float]) -> None:
+        self._kinematics, self._limits, self._tcp, self._curve, self._near = arm, limits, tcp, curve, near
         self.length = max(curve.length, RADIAN * curve.turn)
         self.end_pose = curve.end
         self._end_joints: list[float] | None = None
-        joints_at(arm, self.end_pose, tcp, near)
+
+    def fastest(self) -> tuple[float, float]:
+        """The largest speed and acceleration along the path at which no joint exceeds its limits, by samples of it.
+
+        The part behind a singular posture, or out of reach, does not count: the arm does not get there.
+        """
+        part = self.length / _SAMPLES
+        speed = acceleration = math.inf
+        old = self._near
+        for sample in range(1, _SAMPLES + 1):
+            try:
+                new = joints_at(self._kinematics, self._curve.pose(sample / _SAMPLES), self._tcp, old)
+            except Unreachable:
+                break
+            ways = [abs(b - a) for a, b in zip(old, new, strict=True)]
+            if max(ways) > _JUMP:
+                break
+            for way, fastest, hardest in zip(ways, self._limits.speed, self._limits.acceleration, strict=True):
+                if way > 0.0:
+                    speed, acceleration = min(speed, fastest * part / way), min(acceleration, hardest * part / way)
+            old = new
+        return speed, acceleration
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
         """The joints after the distance `way`; `last` is the set-point of the cycle before.

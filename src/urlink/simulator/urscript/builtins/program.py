@@ -65,10 +65,10 @@ def popup(
         yield
 
 
-@FAMILY.declare(takes_time=True, in_secondary=False, since="3.8/5.0")
+@FAMILY.declare(takes_time=True, since="3.8/5.0")
 def protective_stop(thread: ScriptThread) -> Waiting:
-    """Make a protective stop; the program continues when it is unlocked (a guess)."""
-    thread.world.protective_stop("protective_stop() was called by the program")
+    """Make a protective stop; the program that moves the arm continues when it is unlocked (a guess)."""
+    thread.world.protective_stop()
     yield
 
 
