@@ -1,9 +1,9 @@
 """What does it cost that a program asks before it moves the arm?
 
 A simulated controller in a process of its own is sent short programs by `robot.script.run`, one after the other: from
-the call until the controller says that the program is over. In turn with the question (`start_flag=31`) and without it
-(`start_flag=None`), in one run; the difference of the medians is the price, which is also given in cycles of the
-controller. The reply has to come by way of this process, so a busy machine shows in it.
+the call until the controller says that the program is over. In turn with the question (the default) and without it
+(`start_register=None, start_flags=()`), in one run; the difference of the medians is the price, which is also given in
+cycles of the controller. The reply has to come by way of this process, so a busy machine shows in it.
 
     python benchmarks/start_latency.py                 # 1.8, 3.4, 5.11 and 5.25; 100 programs each way
 """
@@ -36,7 +36,7 @@ def main() -> None:
         with (
             simulated(model, firmware) as address,
             urlink.connect(address) as asking,
-            urlink.connect(address, start_flag=None) as bare,
+            urlink.connect(address, start_register=None, start_flags=()) as bare,
         ):
             for robot in (asking, bare):
                 took(robot)

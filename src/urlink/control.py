@@ -96,14 +96,14 @@ class Control:
             section,
             callbacks,
             start_timeout=options.start_timeout,
-            start_flag=options.start_flag,
+            start_place=options.start_place,
             who=who,
         )
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
         setting_channel = SettingChannel(channel, slow, section, inputs)
-        self.settings = Settings(setting_channel, slow, fast, who, section, self._is_remote, options.start_flag)
+        self.settings = Settings(setting_channel, slow, fast, who, section, self._is_remote, options.start_place)
         self.interpreters = Interpreters(
             host,
             ports.get("interpreter"),

@@ -6,7 +6,7 @@ import os
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
@@ -24,6 +24,7 @@ from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .source import Source, networked
 from .urscript.text import checked, integer
+from .urscript.wrapping import StartPlace
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -62,7 +63,8 @@ def connect(
     require_enable: Policy = "never",
     stale_after: float = STALE_AFTER,
     start_timeout: float = 5.0,
-    start_flag: int | None = 31,
+    start_register: int | None = 47,
+    start_flags: Collection[int] = (24, 25, 26, 27, 28, 29, 30, 31),
     reverse_host: str | None = None,
     reverse_port: int = 0,
     reverse_peer: str | None = None,
@@ -86,9 +88,12 @@ def connect(
             refused.
         start_timeout: seconds that a program that was uploaded has to begin. One that begins later finds nobody who
             lets it go on, and ends without moving the arm.
-        start_flag: number of the controller's flag, 0 to 31, by which programs are let go on: nobody else may use it.
-            None lets each program begin as soon as the controller reads it, however late that is: a motion whose handle
-            has failed long ago can still be carried out then.
+        start_register: number of the output register for integers, 0 to 47, in which a program finds its permission to
+            go on. Every client of this library may use the same one, and nobody else. None takes the flags instead.
+        start_flags: numbers of flags, 0 to 31, used likewise on firmwares before 3.9 and 5.3, which lack the register:
+            the more flags, the less likely it is that another client's permission starts a program that was given up.
+            With neither register nor flags each program begins as soon as the controller reads it, however late that
+            is: a motion whose handle has failed long ago can still be carried out then.
         reverse_host: address at which the robot finds this computer, for set-points that are streamed; None to find
             it out by the route to the robot.
         reverse_port: port that it finds there; 0 for a free one.
@@ -116,7 +121,8 @@ def connect(
         require_enable,
         stale_after,
         start_timeout,
-        start_flag,
+        start_register,
+        start_flags,
         reverse_host,
         reverse_port,
         reverse_peer,
@@ -170,7 +176,8 @@ def check(
     require_enable: Policy,
     stale_after: float,
     start_timeout: float,
-    start_flag: int | None,
+    start_register: int | None,
+    start_flags: Collection[int],
     reverse_host: str | None,
     reverse_port: int,
     reverse_peer: str | None,
@@ -188,7 +195,7 @@ def check(
         require_enable,
         checked(stale_after, "stale_after", _SHORTEST),
         checked(start_timeout, "start_timeout", _SHORTEST),
-        None if start_flag is None else int(integer(start_flag, 0, 31, "start_flag")),
+        _start_place(start_register, start_flags),
         _host(reverse_host, "reverse_host"),
         int(integer(reverse_port, 0, 65535, "reverse_port")),
         _host(reverse_peer, "reverse_peer"),
@@ -699,3 +706,14 @@ def _host(host: str | None, name: str) -> str | None:
     if host is not None and (not isinstance(host, str) or not host.strip()):
         raise BadValue(f"{name} is {host!r}; expected a host name or address, or None")
     return host
+
+
+def _start_place(register: int | None, flags: Collection[int]) -> StartPlace:
+    if register is not None:
+        register = int(integer(register, 0, 47, "start_register"))
+    if not isinstance(flags, Collection):
+        raise BadValue(f"start_flags is {flags!r}; expected numbers of flags, such as (30, 31), or () for none")
+    numbers = tuple(int(integer(flag, 0, 31, "start_flags")) for flag in flags)
+    if len(set(numbers)) < len(numbers):
+        raise BadValue(f"start_flags is {flags!r}; expected each flag once")
+    return StartPlace(register, numbers)

@@ -23,8 +23,11 @@ from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState
 from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.urscript.wrapping import StartPlace
 
 FIRMWARE = (5, 11)
+#: Where programs find their permission, as `urlink.connect` has it.
+START_PLACE = StartPlace(47, tuple(range(24, 32)))
 
 
 def slow(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING, **modes: bool) -> RobotState:
@@ -196,7 +199,9 @@ class Run(Handle):
 class Programming(Desk):
     """Programs, before a robot with which all is well."""
 
-    def __init__(self, *, start_timeout: float = 5.0, start_flag: int | None = 31, firmware: str = "5.11") -> None:
+    def __init__(
+        self, *, start_timeout: float = 5.0, start_place: StartPlace = START_PLACE, firmware: str = "5.11"
+    ) -> None:
         super().__init__()
         identity = Identity(Firmware.parse(firmware), True, None)
         self.programs = Programs(
@@ -206,7 +211,7 @@ class Programming(Desk):
             self.section,
             self.callbacks,
             start_timeout=start_timeout,
-            start_flag=start_flag,
+            start_place=start_place,
             who=KnownIdentity(lambda: identity),
             clock=self.clock,
         )

@@ -9,6 +9,7 @@ from linkcore.handle import Handle
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import ScriptedTransport
+from tests.urlink.line import START_PLACE
 from tests.waiting import until
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.interlock import Interlock, Policy
@@ -27,7 +28,7 @@ from urlink.interfaces.primary.robot_message import KeyMessage, RuntimeException
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, RobotState, ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.source import Source
-from urlink.urscript.wrapping import finish_marker, start_marker
+from urlink.urscript.wrapping import StartPlace, finish_marker, start_marker
 
 AT_ONCE = Backoff(first=0, most=0)
 
@@ -44,7 +45,7 @@ class StandIn:
         model: str | None = None,
         stale_after: float = 60.0,  # on a busy machine a test may be held up for longer than a robot is silent
         start_timeout: float = 5.0,
-        start_flag: int | None = 31,
+        start_place: StartPlace = START_PLACE,
         is_remote: bool | None = None,
         inputs: BriefInputs | None = None,
     ) -> None:
@@ -68,7 +69,7 @@ class StandIn:
             self.section,
             self.callbacks,
             start_timeout=start_timeout,
-            start_flag=start_flag,
+            start_place=start_place,
             who=self.who,
         )
         self.safety = Safety(self.monitor)
@@ -80,7 +81,7 @@ class StandIn:
             self.who,
             self.section,
             lambda: is_remote,
-            start_flag,
+            start_place,
         )
         self.io = IO(self.settings, self.primary, self.realtime)
 

@@ -17,6 +17,7 @@ LOOKED_UP = {
     "urlink.identity",
     "urlink.models",
     "urlink.firmware",
+    "linkcore.wire.version",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from ..urscript.wrapping import StartPlace
 from .interlock import Policy
 
 __all__ = ["CommandsVia", "Options"]
@@ -20,7 +21,7 @@ class Options:
     require_enable: Policy
     stale_after: float
     start_timeout: float
-    start_flag: int | None
+    start_place: StartPlace
     reverse_host: str | None
     reverse_port: int
     reverse_peer: str | None

@@ -35,7 +35,7 @@ from ..identity import KnownIdentity
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
 from ..urscript import programs, wrapping
-from ..urscript.wrapping import Permission, Wrapped
+from ..urscript.wrapping import Permission, StartPlace, Wrapped
 from .channel import CommandChannel
 from .monitor import SafetyMonitor
 from .section import Section
@@ -110,7 +110,7 @@ class Programs:
         monitor: tells when the interlock closes.
         section, callbacks: of the robot.
         start_timeout: seconds within which a program has to begin and be permitted.
-        start_flag: number of the flag by which it is permitted; None permits every program, however late it begins.
+        start_place: where it finds its permission; with an empty one no program waits, however late it begins.
         who: tells who the controller is.
         clock: seconds that only grow.
     """
@@ -124,7 +124,7 @@ class Programs:
         callbacks: CallbackThread,
         *,
         start_timeout: float,
-        start_flag: int | None,
+        start_place: StartPlace,
         who: KnownIdentity,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -134,11 +134,12 @@ class Programs:
         self._section = section
         self._callbacks = callbacks
         self._start_timeout = start_timeout
-        self._start_flag = start_flag
+        self._start_place = start_place
         self._who = who
         self._clock = clock
         self._token = os.urandom(2).hex()  # another process may be sending programs too
         self._numbers = itertools.count(1)
+        self._start_tokens = itertools.count(int.from_bytes(os.urandom(4), "big"))
         #: by name, in the order in which they leave; each change is one step, for signal handlers too
         self._runs: dict[str, _Run] = {}
         #: under the one key "one", since `setdefault` is one step
@@ -173,9 +174,12 @@ class Programs:
 
     @property
     def _permission(self) -> Permission | None:
-        if self._start_flag is None:
+        firmware = self._who.identity.firmware
+        place = self._start_place.on(firmware)
+        if not place.tokens:
             return None
-        return Permission(self._start_flag, max(round(self._start_timeout * self._who.identity.firmware.rate), 1))
+        token = 1 + next(self._start_tokens) % place.tokens
+        return Permission(place, token, max(round(self._start_timeout * firmware.rate), 1))
 
     def start(
         self,
@@ -200,7 +204,7 @@ class Programs:
             Closed: the robot was closed.
             RemoteError: it could not be sent.
         """
-        moves_late = not (wrapped.asks or is_linked or is_stop)
+        moves_late = not (wrapped.permission or is_linked or is_stop)
         run = _Run(wrapped, life, is_motion, moves_late, left_alone, on_text, on_finish or life.finish, self._clock())
 
         def claim() -> None:
@@ -253,7 +257,7 @@ class Programs:
     @property
     def permitted(self) -> list[Lifecycle]:
         """Of what is not over, and may move the arm: it has begun, or needs no permission."""
-        runs = [run for run in self._pending() if run.begun is not None or not run.wrapped.asks]
+        runs = [run for run in self._pending() if run.begun is not None or run.wrapped.permission is None]
         return [run.life for run in runs if not run.life.is_over]
 
     def _newest(self) -> _Run | None:
@@ -331,8 +335,8 @@ class Programs:
         for run in self._pending():
             if text == wrapping.start_marker(run.name):
                 self._begin(run)
-                if run.wrapped.asks:
-                    self._permit(run)
+                if run.wrapped.permission is not None:
+                    self._permit(run, run.wrapped.permission)
                 return
             if text == wrapping.finish_marker(run.name):
                 self._begin(run)
@@ -348,9 +352,8 @@ class Programs:
             if run.begun is not None and not run.wrapped.is_secondary:
                 run.on_text(text)
 
-    def _permit(self, run: _Run) -> None:
+    def _permit(self, run: _Run, permission: Permission) -> None:
         """Let a program go on that asks: it is still wanted, or its life would be over."""
-        assert self._start_flag is not None
 
         def claim() -> None:
             if run.life.is_over:
@@ -358,7 +361,7 @@ class Programs:
 
         try:
             # Without waiting: this is the reader thread.
-            self._channel.motion(wrapping.grant(self._start_flag), claim=claim, wait=False)
+            self._channel.motion(wrapping.grant(permission), claim=claim, wait=False)
         except LinkError as error:
             run.life.fail(error)
 

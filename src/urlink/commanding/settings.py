@@ -30,6 +30,7 @@ from ..models import indistinguishable
 from ..poses import to_matrix
 from ..urscript import commands
 from ..urscript.text import checked
+from ..urscript.wrapping import StartPlace
 from .section import Section
 from .setting_channel import SettingChannel, Values
 
@@ -73,7 +74,7 @@ class Settings:
         who: tells who the controller is.
         section: of the robot.
         is_remote: asks whether an e-Series is in remote control; None if that cannot be found out. It must be quick.
-        start_flag: the flag by which programs are permitted, which users may not set; None if there is none.
+        start_place: where programs find their permission; users may not set its flags.
     """
 
     def __init__(
@@ -84,7 +85,7 @@ class Settings:
         who: KnownIdentity,
         section: Section,
         is_remote: Callable[[], bool | None],
-        start_flag: int | None,
+        start_place: StartPlace,
     ) -> None:
         self._channel = channel
         self._primary = primary
@@ -92,7 +93,7 @@ class Settings:
         self._who = who
         self._section = section
         self._is_remote = is_remote
-        self._start_flag = start_flag
+        self._start_place = start_place
 
     @property
     def firmware(self) -> Firmware:
@@ -159,10 +160,8 @@ class Settings:
     def flag(self, number: int, on: bool) -> None:
         """See `IO.set_flag`."""
         statement = commands.flag(number, on)
-        if number == self._start_flag:
-            raise BadValue(
-                f"flag {number} lets uploaded programs begin; another one is set with connect(start_flag=...)"
-            )
+        if number in self._start_place.on(self.firmware).flags:
+            raise BadValue(f"flag {number} lets uploaded programs begin; connect(start_flags=...) has them use others")
         self._channel.send(commands.secondary(statement))
 
     def apply(

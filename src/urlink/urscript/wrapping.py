@@ -6,11 +6,18 @@ What the user wrote stands between as a function that is called, so that its own
 within that, is how public drivers' programs look; how deep the nesting may go is not known.
 
 A text may be read by the controller long after it was sent: the network was away, or the controller itself was held up.
-By then nobody may want it any more. So a program that may move the arm asks before it does (`Permission`): it clears a
-flag, says that it begins, and waits, cycle by cycle and for a bounded time, for the flag to be set. Whoever sent it
-answers with a `sec` that sets the flag, but only if it is still wanted. Without an answer the program ends, and the arm
-has not moved. Flags are read and set by every generation, and one that a `sec` sets is seen by the program beside it:
-public drivers set flags so. What is not known is how long a real controller takes from the `textmsg` to the `sec`.
+By then nobody may want it any more. So a program that may move the arm asks before it does (`Permission`). It clears
+the `StartPlace`, reports that it begins, and waits, cycle by cycle and for a bounded time, until its own token stands
+there. Whoever sent it answers with a `sec` that writes this token, but only if it is still wanted. Without an answer
+the program ends, and the arm has not moved. Each program has a token of its own, since several clients may send
+programs to one controller: the permission of one must not start the program of another, whose client may be gone.
+
+The place is an output register for integers (a token of 31 bits) where programs have those of the upper range, which no
+fieldbus uses: from 3.9 and 5.3 on (docs/protocols/rtde.md, Releases). That one program reads what another has written
+there is documented: output registers are in the memory of the system, and programs can read them. Older firmwares have
+flags, one bit each, which public drivers set by a `sec` (docs/protocols/urscript.md, Flags). A `sec` is executed within
+one cycle of the controller, so no program sees a part of a token (script manual, "Secondary Programs"). What is not
+known is how long a real controller takes from the `textmsg` to the `sec`.
 
 The check counts what opens a block and what ends one. The controller judges the rest.
 """
@@ -22,11 +29,25 @@ from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 from linkcore.errors import BadValue
+from linkcore.wire.version import Since
 
+from ..firmware import Firmware
 from .text import identifier, quoted
 
-__all__ = ["Permission", "Wrapped", "expiry_marker", "finish_marker", "grant", "program", "start_marker", "wrap"]
+__all__ = [
+    "Permission",
+    "StartPlace",
+    "Wrapped",
+    "expiry_marker",
+    "finish_marker",
+    "grant",
+    "program",
+    "start_marker",
+    "wrap",
+]
 
+#: The first firmwares with the upper range of registers, 24 to 47.
+_HAS_REGISTERS = Since("3.9/5.3")
 #: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
 LARGEST = 1 << 20
 
@@ -39,15 +60,53 @@ _UNFINISHED = re.compile(r"(?:[-+*/%=<>,(\[]|\b(?:and|or|not|xor))$")
 _NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
 
 
+class StartPlace(NamedTuple):
+    """Where on the controller the token of the program that may go on is written.
+
+    Attributes:
+        register: number of the output register for integers; None for none.
+        flags: numbers of flags; the first is the lowest bit of the token.
+    """
+
+    register: int | None
+    flags: tuple[int, ...]
+
+    def on(self, firmware: Firmware) -> StartPlace:
+        """What of it is used on a firmware: the register, the flags, or nothing."""
+        if self.register is not None and firmware in _HAS_REGISTERS:
+            return StartPlace(self.register, ())
+        return StartPlace(None, self.flags)
+
+    @property
+    def tokens(self) -> int:
+        """How many tokens there are, counted from 1; 0 is what stands in a place that was cleared."""
+        return (1 << 31) - 1 if self.register is not None else (1 << len(self.flags)) - 1
+
+    def writing(self, token: int) -> list[str]:
+        """The statements that write a token."""
+        if self.register is not None:
+            return [f"write_output_integer_register({self.register}, {token})"]
+        return [f"set_flag({flag}, {bool(token >> bit & 1)})" for bit, flag in enumerate(self.flags)]
+
+    def holds(self, token: int) -> str:
+        """The condition that this token stands there."""
+        if self.register is not None:
+            return f"read_output_integer_register({self.register}) == {token}"
+        parts = [f"get_flag({flag})" for flag in self.flags]
+        return " and ".join(part if token >> bit & 1 else f"not {part}" for bit, part in enumerate(parts))
+
+
 class Permission(NamedTuple):
     """The permission that a program waits for before it moves the arm.
 
     Attributes:
-        flag: number of the flag that is set to let it go on.
+        place: where its token has to stand.
+        token: of this program, 1 to `StartPlace.tokens`.
         cycles: of the controller, for which it waits.
     """
 
-    flag: int
+    place: StartPlace
+    token: int
     cycles: int
 
 
@@ -62,7 +121,7 @@ class Wrapped(NamedTuple):
         above: the same for all others.
         indent: columns by which the user's lines are moved to the right.
         lines: how many lines the user wrote.
-        asks: it waits for permission.
+        permission: what it waits for before it moves the arm; None if it begins at once.
     """
 
     name: str
@@ -72,7 +131,7 @@ class Wrapped(NamedTuple):
     above: int
     indent: int
     lines: int
-    asks: bool
+    permission: Permission | None
 
     def place(self, line: int, column: int) -> tuple[int, int]:
         """Line and column in what the user wrote, of those in the text that was sent."""
@@ -107,9 +166,10 @@ def expiry_marker(name: str) -> str:
     return f"{name} was not permitted to go on"
 
 
-def grant(flag: int) -> str:
-    """The secondary program that permits a program which waits for this flag; it takes no time."""
-    return f"sec urlink_permission():\n{_INDENT}set_flag({flag}, True)\nend\n"
+def grant(permission: Permission) -> str:
+    """The secondary program that permits the program which waits for this; it takes no time."""
+    statements = [_INDENT + statement for statement in permission.place.writing(permission.token)]
+    return "\n".join(["sec urlink_permission():", *statements, "end"]) + "\n"
 
 
 def _read(source: str) -> list[str]:
@@ -187,22 +247,26 @@ def _program(name: str, lines: list[str], last: str, permission: Permission | No
         above=above,
         indent=len(_INDENT),
         lines=len(lines),
-        asks=permission is not None,
+        permission=permission,
     )
 
 
 def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
-    """`begin`, and then the wait for the answer."""
-    is_permitted = f"get_flag({permission.flag})"
+    """`begin`, and then the wait for the answer; it is begun anew if another program's token is found."""
+    place = permission.place
+    begin = [*place.writing(0), *begin]
+    is_permitted = place.holds(permission.token)
     return [
-        f"set_flag({permission.flag}, False)",
         *begin,
         "urlink_cycles = 0",
-        f"while urlink_cycles < {permission.cycles} and not {is_permitted}:",
+        f"while urlink_cycles < {permission.cycles} and not ({is_permitted}):",
         f"{_INDENT}urlink_cycles = urlink_cycles + 1",
+        f"{_INDENT}if not ({place.holds(0)}):",
+        *(_INDENT * 2 + line for line in begin),
+        f"{_INDENT}end",
         f"{_INDENT}sync()",
         "end",
-        f"if not {is_permitted}:",
+        f"if not ({is_permitted}):",
         f"{_INDENT}textmsg({quoted(expiry_marker(name))})",
         f"{_INDENT}halt",
         "end",
@@ -232,7 +296,7 @@ def _secondary(lines: list[str], item: _Item, token: str) -> Wrapped:
         above=1 - item.first,
         indent=0,
         lines=len(lines),
-        asks=False,
+        permission=None,
     )
 
 

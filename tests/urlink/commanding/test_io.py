@@ -53,7 +53,6 @@ def test_setting_runs_beside_the_program(robot: StandIn, act: Callable[[IO], Non
         lambda io: io.set_analog_out(0, 5.0),
         lambda io: io.set_tool_voltage(48),
         lambda io: io.set_flag(99, True),
-        lambda io: io.set_flag(31, True),
         lambda io: io.set_digital_out(0, True, confirm=-1),
         lambda io: io.digital_in(8),
         lambda io: io.digital_out(1.5),

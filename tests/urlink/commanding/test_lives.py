@@ -34,16 +34,22 @@ def test_names_are_short_and_each_program_has_its_own(desk: Programming) -> None
     assert [each and each.groups() for each in words] == [("urlink", "1"), ("job", "2"), ("urlink", "3")]
 
 
+@pytest.mark.parametrize(("firmware", "count"), [("5.11", 1000), ("3.4", 255)])
+def test_each_program_has_a_token_of_its_own(firmware: str, count: int) -> None:
+    desk = Programming(firmware=firmware)
+    programs = [desk.programs.own([]) for _ in range(count)]
+    assert len({each.permission.token for each in programs if each.permission is not None}) == count
+
+
 @pytest.mark.parametrize(
     ("firmware", "seconds", "cycles"), [("5.11", 2.0, 1000), ("3.4", 2.0, 250), ("5.11", 0.0001, 1)]
 )
 def test_permission_is_waited_for_in_cycles_of_the_controller(firmware: str, seconds: float, cycles: int) -> None:
     desk = Programming(firmware=firmware, start_timeout=seconds)
     desk.motion()
-    assert f"while urlink_cycles < {cycles} and not get_flag(31)" in desk.sent[0]
-    assert desk.programs.own(["movej(q)"]).asks
+    assert f"while urlink_cycles < {cycles} and not (" in desk.sent[0]
     desk.motion(asks=False)
-    assert "get_flag" not in desk.sent[-1]
+    assert "urlink_cycles" not in desk.sent[-1]
 
 
 def test_what_is_sent_under_a_stop_or_after_the_end_is_not_followed(desk: Programming) -> None:
@@ -127,7 +133,7 @@ def test_it_begins_once_and_is_let_go_on(desk: Programming) -> None:
     assert len(desk.sent) == 1
     run.says("started")
     assert len(desk.sent) == 2
-    assert "set_flag(31, True)" in desk.sent[1]
+    assert "urlink_permission" in desk.sent[1]
     run.says("half way")
     desk.primary.tell(TextMessage(FIRMWARE, text="1\n\0"))
     assert run.texts == [f"{run.program} half way", "1"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
@@ -20,6 +21,7 @@ from urlink.commanding import programs as module
 from urlink.commanding.scripts import Program
 from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
+from urlink.urscript.wrapping import StartPlace
 
 
 @pytest.fixture
@@ -38,7 +40,7 @@ def run(robot: StandIn, source: str = "movej(q)") -> Program:
 
 def uploaded(robot: StandIn) -> list[str]:
     """What was sent, but for permissions to go on."""
-    return [text for text in robot.sent if "set_flag(31, True)" not in text]
+    return [text for text in robot.sent if "urlink_permission" not in text]
 
 
 def ends(robot: StandIn, program: Handle) -> None:
@@ -75,16 +77,21 @@ def test_sent_running_finished(robot: StandIn) -> None:
     program = run(robot, "def job():\n  textmsg(1)\nend")
     assert program.phase is Phase.SENT
     assert program.name.startswith("job_")
+    (token,) = re.findall(r"and not \(read_output_integer_register\(47\) == (\d+)\):", robot.sent[0])
     assert robot.sent == [
         f"def {program.name}():\n"
-        "  set_flag(31, False)\n"
+        "  write_output_integer_register(47, 0)\n"
         f'  textmsg("{program.name} started")\n'
         "  urlink_cycles = 0\n"
-        "  while urlink_cycles < 2500 and not get_flag(31):\n"
+        f"  while urlink_cycles < 2500 and not (read_output_integer_register(47) == {token}):\n"
         "    urlink_cycles = urlink_cycles + 1\n"
+        "    if not (read_output_integer_register(47) == 0):\n"
+        "      write_output_integer_register(47, 0)\n"
+        f'      textmsg("{program.name} started")\n'
+        "    end\n"
         "    sync()\n"
         "  end\n"
-        "  if not get_flag(31):\n"
+        f"  if not (read_output_integer_register(47) == {token}):\n"
         f'    textmsg("{program.name} was not permitted to go on")\n'
         "    halt\n"
         "  end\n"
@@ -184,8 +191,8 @@ def test_somebody_elses_end_is_not_ours(robot: StandIn) -> None:
 @pytest.mark.parametrize(
     ("line", "column", "text", "place", "words"),
     [
-        (15, 5, "compile_error_name_not_found:txtmsg:", (3, 3), "compile_error_name_not_found:txtmsg:"),
-        (14, 1, "syntax_error_on_line:14:end:", (2, 1), "syntax_error_on_line:2:end:"),
+        (19, 5, "compile_error_name_not_found:txtmsg:", (3, 3), "compile_error_name_not_found:txtmsg:"),
+        (18, 1, "syntax_error_on_line:18:end:", (2, 1), "syntax_error_on_line:2:end:"),
         (1, 1, "compile_error", (1, 1), "compile_error"),
         (99, 1, "compile_error", (4, 1), "compile_error"),
     ],
@@ -204,7 +211,7 @@ def test_does_not_compile(
 def test_fails_while_it_runs(robot: StandIn) -> None:
     program = run(robot, "a = 1\nb = a / 0")
     robot.begins(program)
-    robot.exception(14, 7, "division by zero")
+    robot.exception(18, 7, "division by zero")
     until(lambda: program.phase is Phase.RUNNING)
     assert not program.done
     robot.is_stopped(program)
@@ -268,15 +275,23 @@ def test_never_begins() -> None:
             program.wait(5)
 
 
-@pytest.mark.parametrize("flag", [7, None])
-def test_the_flag_that_lets_it_go_on(flag: int | None) -> None:
-    with StandIn(start_flag=flag) as robot:
+@pytest.mark.parametrize(
+    ("firmware", "flags", "grant", "is_refused"),
+    [
+        ("3.4", (7,), r"set_flag\(7, True\)", True),
+        ("3.4", (), None, False),
+        ("5.11", (7,), r"write_output_integer_register\(40, \d+\)", False),
+    ],
+)
+def test_what_lets_it_go_on(firmware: str, flags: tuple[int, ...], grant: str | None, is_refused: bool) -> None:
+    with StandIn(firmware, start_place=StartPlace(40, flags)) as robot:
         program = run(robot)
         robot.begins(program)
         robot.text("heard")
         until(lambda: program.texts == ("heard",))
-        assert robot.sent[1:] == ([] if flag is None else ["sec urlink_permission():\n  set_flag(7, True)\nend\n"])
-        with pytest.raises(BadValue, match=r"flag 7 lets uploaded programs begin") if flag else nullcontext():
+        permission = "" if grant is None else rf"sec urlink_permission\(\):\n  {grant}\nend\n"
+        assert re.fullmatch(permission, "".join(robot.sent[1:]))
+        with pytest.raises(BadValue, match=r"flag 7 lets uploaded programs begin") if is_refused else nullcontext():
             robot.io.set_flag(7, True)
 
 

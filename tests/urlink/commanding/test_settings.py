@@ -25,6 +25,7 @@ from urlink.identity import Identity, KnownIdentity
 from urlink.interfaces.enums import AnalogDomain, RobotMode
 from urlink.interfaces.primary.robot_state import CartesianInfo, MasterboardData, RobotModeData, RobotState, ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.urscript.wrapping import StartPlace
 
 #: Acts on a robot with a timeout; what its states show afterwards, and what they may show before.
 Case = tuple[Callable[[StandIn, float | None], None], dict[str, Any], dict[str, Any]]
@@ -309,7 +310,7 @@ class Answering:
             KnownIdentity(lambda: Identity(self.firmware, True, None)),
             Section(),
             is_remote,
-            None,
+            StartPlace(None, ()),
         )
 
     def send(self, text: str, values: object = None, *, wait: bool = True) -> None:

@@ -109,6 +109,13 @@ class Bench:
             assert self.execution.error is None, self.execution.error
             self.path.append(list(self.motion.advance(self.period).q))
 
+    def beside(self, text: str) -> None:
+        """A `sec`, which takes no time."""
+        execution = Execution(compile_script(text, self.firmware), cast(World, self))
+        execution.advance()
+        assert execution.is_over
+        assert execution.error is None, execution.error
+
     def watch_servoj(self, tell: Callable[[list[float]], object], is_followed: bool = True) -> None:
         """Tell what each ``servoj`` is told; the arm need not follow."""
         servoj = self.motion.servoj

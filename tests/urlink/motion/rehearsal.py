@@ -149,7 +149,7 @@ class Rehearsal(StandIn):
     def begin(self) -> None:
         """The program that was sent last begins, and is let go on if it asks."""
         name, sent = self.program, len(self.sent)
-        is_asking = "get_flag(" in self.uploaded
+        is_asking = "urlink_cycles" in self.uploaded
         self.key("PROGRAM_XXX_STARTED", name)
         self.text(start_marker(name))
         if is_asking:

@@ -131,7 +131,7 @@ def talk(robot: Rehearsal) -> Talk:
 
 def test_is_told_something_once_it_has_begun(talk: Talk) -> None:
     talk.program.begin()
-    assert "get_flag" not in talk.robot.uploaded  # it asks for nothing: nobody would take its connection
+    assert "urlink_cycles" not in talk.robot.uploaded  # it asks for nothing: nobody would take its connection
     talk.look()
     assert talk.polls
     assert not any(talk.polls)

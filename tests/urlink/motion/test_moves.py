@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -15,7 +16,7 @@ from tests.waiting import until
 from urlink.errors import CompileError, NotEnabled, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.kinematics import Arm
-from urlink.urscript.wrapping import expiry_marker, start_marker
+from urlink.urscript.wrapping import StartPlace, expiry_marker, start_marker
 
 MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
     (lambda r: r.motion.move_joints([0] * 6), "move_joints", "movej([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], a=1.4, v=1.05)"),
@@ -85,10 +86,12 @@ def test_is_let_go_on_once_it_has_begun(
     robot.begin()
     if name == "stop":
         assert len(robot.sent) == 1
-        assert "get_flag" not in robot.sent[0]
+        assert "urlink_cycles" not in robot.sent[0]
     else:
-        assert robot.sent[1:] == ["sec urlink_permission():\n  set_flag(31, True)\nend\n"]
-        assert "\n  while urlink_cycles < 2500 and not get_flag(31):\n" in robot.sent[0]
+        waiting = r"while urlink_cycles < 2500 and not \(read_output_integer_register\(47\) == (\d+)\)"
+        asked = re.search(waiting, robot.sent[0])
+        assert asked is not None
+        assert robot.sent[1:] == [f"sec urlink_permission():\n  write_output_integer_register(47, {asked[1]})\nend\n"]
 
 
 def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Callable[..., Rehearsal]) -> None:
@@ -119,7 +122,7 @@ def test_one_that_was_cancelled_before_it_began_is_not_let_go_on(robot: Rehearsa
     robot.begin()
     robot.finish()
     after.wait(TIMEOUT)
-    assert not any("set_flag(31, True)" in text for text in robot.sent)
+    assert not any("urlink_permission" in text for text in robot.sent)
 
 
 def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
@@ -142,10 +145,10 @@ def test_a_stop_between_its_beginning_and_the_permission(robot: Rehearsal) -> No
     assert len(robot.sent) == 1
 
 
-def test_without_a_flag_it_begins_at_once(rehearsal: Callable[..., Rehearsal]) -> None:
-    robot = rehearsal(start_flag=None, start_timeout=0.2)
+def test_without_a_place_for_its_permission_it_begins_at_once(rehearsal: Callable[..., Rehearsal]) -> None:
+    robot = rehearsal(start_place=StartPlace(None, ()), start_timeout=0.2)
     motion = robot.motion.move_joints(HOME)
-    assert "get_flag" not in robot.sent[0]
+    assert "urlink_cycles" not in robot.sent[0]
     robot.until(lambda: motion.done)
     with pytest.raises(LinkTimeout, match="if it begins later, the arm may still move"):
         motion.wait(0)
@@ -402,7 +405,7 @@ def test_speeds_one_after_the_other(robot: Rehearsal) -> None:
     assert all(isinstance(motion.error, Cancelled) for motion in motions[:-1])
     assert not any("stopj" in text.split("speedj")[0] for text in robot.sent)
     # The first asks before it moves the arm. The others go on with what moves, and to ask would make it stutter.
-    assert ["get_flag" in text for text in robot.sent if text.startswith("def ")] == [True] + [False] * 49
+    assert ["urlink_cycles" in text for text in robot.sent if text.startswith("def ")] == [True] + [False] * 49
     robot.finish()
     motions[-1].wait(TIMEOUT)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.urlink.line import START_PLACE
 from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
@@ -13,7 +14,7 @@ from urlink.motion.trajectory import Trajectory
 from urlink.urscript import links, programs, waypoints
 from urlink.urscript.streaming import streaming as streaming_program
 from urlink.urscript.text import number
-from urlink.urscript.wrapping import Permission, expiry_marker
+from urlink.urscript.wrapping import Permission, expiry_marker, grant
 
 TOKEN = 0x01020304
 #: rad/s, of each joint of a UR5.
@@ -310,18 +311,21 @@ def test_a_speed_lasts_as_long_as_it_was_told_to(version: str) -> None:
 
 # -- permission ------------------------------------------------------------------------------------------
 
-PERMISSION = Permission(flag=31, cycles=40)
+
+def permission_on(firmware: Firmware, token: int = 5) -> Permission:
+    return Permission(START_PLACE.on(firmware), token, cycles=40)
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 @pytest.mark.parametrize("after", [0, 1, 38])
 def test_waits_to_be_let_go_on(firmware: Firmware, after: int) -> None:
-    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=PERMISSION)
-    bench.flags[31] = True  # left over from the last program
+    permission = permission_on(firmware)
+    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
+    bench.beside(grant(permission))  # left over from an earlier program with the same token
     bench.run(1 + after)
     assert bench.texts == ["tried started"]
     assert bench.path[-1] == list(HOME)
-    bench.flags[31] = True
+    bench.beside(grant(permission))
     bench.run(2 * firmware.rate)
     assert bench.has_finished
     assert bench.path[-1] == pytest.approx(turned(0.1))
@@ -329,13 +333,29 @@ def test_waits_to_be_let_go_on(firmware: Firmware, after: int) -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 def test_ends_without_moving_where_nobody_lets_it_go_on(firmware: Firmware) -> None:
-    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=PERMISSION)
-    bench.flags[31] = True
+    permission = permission_on(firmware)
+    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
+    bench.beside(grant(permission))
     bench.run(40)
     assert [bench.execution.is_over] == [False]
     bench.run(5)
     assert [bench.execution.is_over] == [True]
-    bench.flags[31] = True
+    bench.beside(grant(permission))
     bench.run(100)
     assert bench.texts == ["tried started", expiry_marker("tried")]
     assert all(q == list(HOME) for q in bench.path)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+def test_another_programs_permission_does_not_start_it_and_is_no_loss(firmware: Firmware) -> None:
+    permission = permission_on(firmware)
+    bench = Bench(programs.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
+    bench.run(2)
+    bench.beside(grant(permission))
+    bench.beside(grant(permission_on(firmware, 7)))  # which overwrites its own before the program has looked
+    bench.run(2)
+    assert bench.texts == ["tried started"] * 2  # so it asks anew
+    assert bench.path[-1] == list(HOME)
+    bench.beside(grant(permission))
+    bench.run(2 * firmware.rate)
+    assert bench.has_finished

@@ -7,7 +7,7 @@ import pytest
 from urlink.firmware import Firmware
 from urlink.simulator.urscript import ScriptError, compile_script
 from urlink.urscript import commands
-from urlink.urscript.wrapping import Permission, wrap
+from urlink.urscript.wrapping import Permission, StartPlace, wrap
 
 FIRMWARES = ("1.8", "3.1", "3.4", "5.0", "5.11", "10.12")
 
@@ -21,7 +21,7 @@ SOURCES = {
 }
 
 
-@pytest.mark.parametrize("permission", [None, Permission(31, 100)])
+@pytest.mark.parametrize("permission", [None, Permission(StartPlace(None, (31, 7)), 3, 100)])
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("name", SOURCES)
 def test_programs(name: str, firmware: str, permission: Permission | None) -> None:

@@ -7,7 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from urlink.urscript.wrapping import LARGEST, Permission, program, wrap
+from tests.urlink.line import START_PLACE
+from urlink.firmware import Firmware
+from urlink.urscript.wrapping import LARGEST, Permission, StartPlace, grant, program, wrap
 
 
 def body(source: str) -> list[str]:
@@ -60,7 +62,7 @@ def test_secondary() -> None:
         wrap("sec a():\n b() end", "t")
 
 
-@pytest.mark.parametrize("permission", [None, Permission(31, 100)])
+@pytest.mark.parametrize("permission", [None, Permission(START_PLACE, 5, 100)])
 @pytest.mark.parametrize(
     "source", ["movej(q)", "def f():\n  movej(q)\nend", "sec f():\n  movej(q)\nend", "\n\nsec f():\n  x\nend"]
 )
@@ -80,19 +82,24 @@ def test_places_are_the_users(source: str, permission: Permission | None) -> Non
         assert wrapped.place(number, 0)[1] == 1
 
 
-def test_waits_to_be_let_go_on() -> None:
-    wrapped = wrap("movej(q)", "t", Permission(flag=7, cycles=250))
-    assert wrapped.asks
+def test_waits_for_its_token_in_the_register() -> None:
+    permission = Permission(StartPlace(47, (31,)).on(Firmware(5, 11)), token=4711, cycles=250)
+    wrapped = wrap("movej(q)", "t", permission)
+    assert wrapped.permission == permission
     assert wrapped.text == (
         "def urlink_t():\n"
-        "  set_flag(7, False)\n"
+        "  write_output_integer_register(47, 0)\n"
         '  textmsg("urlink_t started")\n'
         "  urlink_cycles = 0\n"
-        "  while urlink_cycles < 250 and not get_flag(7):\n"
+        "  while urlink_cycles < 250 and not (read_output_integer_register(47) == 4711):\n"
         "    urlink_cycles = urlink_cycles + 1\n"
+        "    if not (read_output_integer_register(47) == 0):\n"
+        "      write_output_integer_register(47, 0)\n"
+        '      textmsg("urlink_t started")\n'
+        "    end\n"
         "    sync()\n"
         "  end\n"
-        "  if not get_flag(7):\n"
+        "  if not (read_output_integer_register(47) == 4711):\n"
         '    textmsg("urlink_t was not permitted to go on")\n'
         "    halt\n"
         "  end\n"
@@ -100,8 +107,38 @@ def test_waits_to_be_let_go_on() -> None:
         '  textmsg("urlink_t finished")\n'
         "end\n"
     )
+    assert grant(permission) == "sec urlink_permission():\n  write_output_integer_register(47, 4711)\nend\n"
     # A sec may take no time, so it cannot wait.
-    assert not wrap("sec a():\n  b()\nend", "t", Permission(7, 250)).asks
+    assert wrap("sec a():\n  b()\nend", "t", permission).permission is None
+
+
+def test_waits_for_its_token_in_the_flags_where_there_is_no_register() -> None:
+    place = StartPlace(47, (31, 7, 30)).on(Firmware(3, 8))
+    permission = Permission(place, token=5, cycles=250)
+    assert place.tokens == 7
+    text = wrap("movej(q)", "t", permission).text
+    assert text.startswith(
+        "def urlink_t():\n"
+        "  set_flag(31, False)\n"
+        "  set_flag(7, False)\n"
+        "  set_flag(30, False)\n"
+        '  textmsg("urlink_t started")\n'
+        "  urlink_cycles = 0\n"
+        "  while urlink_cycles < 250 and not (get_flag(31) and not get_flag(7) and get_flag(30)):\n"
+        "    urlink_cycles = urlink_cycles + 1\n"
+        "    if not (not get_flag(31) and not get_flag(7) and not get_flag(30)):\n"
+    )
+    assert grant(permission) == (
+        "sec urlink_permission():\n  set_flag(31, True)\n  set_flag(7, False)\n  set_flag(30, True)\nend\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("firmware", "tokens"), [("1.8", 255), ("3.8", 255), ("3.9", 2**31 - 1), ("5.2", 255), ("10.7", 2**31 - 1)]
+)
+def test_how_many_tokens_there_are(firmware: str, tokens: int) -> None:
+    assert START_PLACE.on(Firmware.parse(firmware)).tokens == tokens
+    assert StartPlace(None, ()).on(Firmware.parse(firmware)).tokens == 0
 
 
 def test_the_line_in_the_controllers_words_is_the_users() -> None:
