@@ -17,6 +17,7 @@ from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
+from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.fields import Header
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State, packet, wire
@@ -63,6 +64,7 @@ class CountProtocol:
     def __init__(self) -> None:
         self.framer = Framer(CountBoundary())
         self.unknown = self.tails = 0
+        self.cycles: MissedCycles | None = None
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Count:
         count: Count = Count.LAYOUTS.decode(frame, None, stamp)

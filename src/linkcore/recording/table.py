@@ -5,20 +5,39 @@ from __future__ import annotations
 import contextlib
 import difflib
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadValue
 from ..extras import needs
+from ..wire.cycles import Gap, Missing, gaps_of
 from .columns import ArrayColumns, Column, Columns, PacketColumns, is_continuous
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Table", "flat_columns"]
+__all__ = ["PeerClock", "Table", "flat_columns"]
+
+#: Gaps whose times are listed.
+_LISTED = 5
+
+
+class PeerClock(NamedTuple):
+    """The column that is the clock of the peer, and how often it sends.
+
+    Attributes:
+        field: name of the column.
+        unit: seconds in each of its units.
+        periods: seconds from one row to the next; several where it is not known which.
+    """
+
+    field: str
+    unit: float
+    periods: tuple[float, ...]
 
 
 class Table:
@@ -35,6 +54,7 @@ class Table:
         wall: arrival of each row, UTC, (n,) datetime64[ns].
         begins: rows with which a connection begins, except the first one.
         missing: descriptions of what was recorded and could not be read.
+        clock: the column by which missing rows are found; None where there is none.
     """
 
     def __init__(
@@ -45,9 +65,11 @@ class Table:
         wall: NDArray[np.datetime64],
         begins: Sequence[int] = (),
         missing: Sequence[str] = (),
+        clock: PeerClock | None = None,
     ) -> None:
         self.name = name
-        self.missing = tuple(missing)
+        self._missing = tuple(missing)
+        self._clock = clock if clock is not None and clock.field in columns.known else None
         self._columns = columns
         self._time = _frozen(time)
         self._wall = _frozen(wall)
@@ -58,6 +80,7 @@ class Table:
     def _with_rows(self, begin: int, end: int) -> Self:
         part = type(self).__new__(type(self))
         part.__dict__.update(self.__dict__)
+        part.__dict__.pop("gaps", None)
         part._time, part._wall = self._time[begin:end], self._wall[begin:end]
         part._begins = [row - begin for row in self._begins if begin < row < end]
         part._rows = (self._rows[0] + begin, self._rows[0] + end)
@@ -80,6 +103,29 @@ class Table:
     def begins(self) -> list[int]:
         """Rows with which a connection begins, except the first one: something is missing before them."""
         return list(self._begins)
+
+    @cached_property
+    def gaps(self) -> Sequence[Gap]:
+        """Where rows are missing by the clock of the controller itself, which goes on while packets are lost.
+
+        What is missing between two connections is in `begins`. Empty where no column is such a clock: RTDE without
+        ``timestamp``, robot states of CB2, and tables that were resampled.
+        """
+        if self._clock is None or len(self) < 2:
+            return ()
+        moments = self[self._clock.field].astype(np.float64) * self._clock.unit
+        return tuple(gaps_of(moments, self._time, self._clock.periods, self._begins))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What was recorded and could not be read, and what is missing by the controller's clock, one text each."""
+        gaps = self.gaps
+        if not gaps:
+            return self._missing
+        missing = Missing(sum(gap.cycles for gap in gaps), len(gaps), max(gap.seconds for gap in gaps))
+        where = ", ".join(f"{gap.start:.3f} to {gap.end:.3f}" for gap in gaps[:_LISTED])
+        others = f" and {len(gaps) - _LISTED} more" if len(gaps) > _LISTED else ""
+        return (*self._missing, f"{missing.text(len(self))}: {where} s{others}")
 
     @property
     def fields(self) -> Mapping[str, Column]:
@@ -145,7 +191,9 @@ class Table:
         """
         arrays = self.arrays(*names)
         known = {name: self._columns.known[name] for name in arrays}
-        return Table(self.name, ArrayColumns(known, arrays), self._time, self._wall, self._begins, self.missing)
+        return Table(
+            self.name, ArrayColumns(known, arrays), self._time, self._wall, self._begins, self._missing, self._clock
+        )
 
     @property
     def parts(self) -> list[Table]:

@@ -55,6 +55,9 @@ class Receiver:
         if not frames:
             return ()
         counters.received += len(frames)
+        cycles = self._protocol.cycles
+        if cycles is not None:
+            cycles.take(frames)
         # Anew each time: a protocol may have learnt from these frames how to.
         decode = self._strictly or self._protocol.decode
         packets = []

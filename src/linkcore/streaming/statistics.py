@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from ..wire.cycles import Missing
 from ..wire.protocol import PacketProtocol
 
 __all__ = ["SLOW_INLINE", "StreamCounters", "StreamStatistics", "SubscriptionStatistics", "snapshot"]
@@ -33,6 +34,11 @@ class StreamStatistics:
         received: packets that came off the wire.
         decoded: packets that became typed states, and were handed out.
         failed: packets that could not be decoded.
+        missed: packets that never came, by the controller's own clock: cycles between two packets of one connection
+            that are too far apart. It is beside ``received``, no part of it. What a controller sent while there was no
+            connection is not in it, since a controller that was started again has started its clock again; `reconnects`
+            counts those. None where the packets have no such clock: RTDE without ``timestamp``, CB2's robot states.
+        gaps: places where some were missed; `longest_gap` is the longest of them, s, by the controller's clock.
         slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and no
             other subscriber of this stream gets a packet.
         reconnects: connections after the first.
@@ -49,6 +55,9 @@ class StreamStatistics:
     received: int
     decoded: int
     failed: int
+    missed: int | None
+    gaps: int
+    longest_gap: float
     slow_inline: int
     reconnects: int
     rate: float
@@ -120,6 +129,7 @@ class StreamCounters:
         self.connections = 0
         # Of the connections that are over; what the present one has counted stands in its protocol.
         self._skipped = self._resyncs = self._unknown = self._tails = 0
+        self._missing: Missing | None = None
         self._protocol: PacketProtocol | None = None
         self.arrived: float | None = None
         self._rate = 0.0
@@ -140,6 +150,7 @@ class StreamCounters:
             self._resyncs += protocol.framer.resyncs
             self._unknown += protocol.unknown
             self._tails += protocol.tails
+            self._missing = _sum(self._missing, protocol)
 
     def next_window(self, now: float) -> None:
         """The window of the rate is over; the next one begins."""
@@ -161,7 +172,9 @@ class StreamCounters:
         # present one has: an age is never negative, and nothing counts twice.
         arrived, now = self.arrived, time.monotonic()
         skipped, resyncs, unknown, tails = self._skipped, self._resyncs, self._unknown, self._tails
+        missing = self._missing
         protocol, rate, elapsed = self._protocol, self._rate, now - self._window_began
+        missing = _sum(missing, protocol)
         if elapsed > 2.0 or (not rate and elapsed > 0.5):
             # The last whole window is too old, or there was none.
             rate = (self.received - self._window_received) / elapsed
@@ -169,6 +182,9 @@ class StreamCounters:
             received=self.received,
             decoded=self.decoded,
             failed=self.failed,
+            missed=None if missing is None else missing.cycles,
+            gaps=0 if missing is None else missing.gaps,
+            longest_gap=0.0 if missing is None else missing.longest,
             slow_inline=self.slow_inline,
             reconnects=max(self.connections - 1, 0),
             rate=rate,
@@ -179,3 +195,10 @@ class StreamCounters:
             tails=tails + (protocol.tails if protocol is not None else 0),
             age=None if arrived is None else now - arrived,
         )
+
+
+def _sum(missing: Missing | None, protocol: PacketProtocol | None) -> Missing | None:
+    """What is missing of the connections that are over, and of the present one."""
+    if protocol is None or protocol.cycles is None:
+        return missing
+    return protocol.cycles.missing.plus(missing or Missing())

@@ -1,10 +1,11 @@
-"""What a stream asks of a packet protocol: frames out of bytes, typed packets out of frames, and two counters."""
+"""What a stream asks of a packet protocol: frames out of bytes, typed packets out of frames, and their counters."""
 
 from __future__ import annotations
 
 from typing import Any, Protocol
 
 from ..stamp import Stamp
+from .cycles import MissedCycles
 from .framing import Framer
 
 __all__ = ["PacketProtocol"]
@@ -14,6 +15,8 @@ class PacketProtocol(Protocol):
     """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
 
     framer: Framer
+    #: counts the cycles that are missing; None as long as the packets have no time of the peer's clock
+    cycles: MissedCycles | None
 
     @property
     def unknown(self) -> int:

@@ -14,6 +14,7 @@ from linkcore.errors import BadValue, ConnectFailed, LinkError, LinkTimeout, Rem
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable, strict_json
+from linkcore.wire.cycles import Missing
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
 from ..firmware import RELEASES, Firmware
@@ -262,6 +263,7 @@ def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
         ("primary", 10, robot.primary, RobotState),
     )
     for name, rate, stream, kind in looks:
+        before = stream.stats
         try:
             arrivals = _arrivals(stream, kind, duration)
         except LinkError as error:
@@ -277,10 +279,17 @@ def _packets(robot: Robot, duration: float) -> Iterator[Finding]:
             f"{1 / mean if mean else math.inf:.1f} Hz of {rate}, longest gap {longest * 1e3:.1f} ms, "
             f"jitter {spread * 1e3:.2f} ms ({len(arrivals)} packets)"
         )
+        stats = stream.stats
+        missed = (stats.missed or 0) - (before.missed or 0)
+        if missed:
+            lost = Missing(missed, stats.gaps - before.gaps, stats.longest_gap)
+            seen += f"; {lost.text(stats.received - before.received)} by its own clock"
         if mean * rate > 1.05:
             yield Finding(
                 "BAD", f"{name} data", seen, "packets are missing: the network, or this computer, is too slow"
             )
+        elif missed:
+            yield Finding("look", f"{name} data", seen, "the controller did not send them, or the network held it up")
         elif longest > mean + _JITTER * max(1 / rate, 0.01):
             yield Finding("look", f"{name} data", seen, "gaps like that make streamed set-points late")
         else:

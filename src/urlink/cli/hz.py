@@ -18,6 +18,7 @@ from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..robot import connect
 from .options import Subparsers, add_address, add_command, add_interface, positive_int, seconds
+from .plain import counted
 from .tap import Tap
 
 __all__ = ["add_parser", "line", "measure"]
@@ -25,10 +26,11 @@ __all__ = ["add_parser", "line", "measure"]
 _DESCRIPTION = """\
 Measure how regularly states come, by the times at which their bytes arrived here.
 
-One line a second: the rate, the shortest, mean and longest period and its standard deviation over the last
---window periods, and what the stream has counted since the start. States that arrive in one segment have a
-period of zero between them. On e-Series the real-time interface sends 500 states a second, on CB2 and CB3
-125, the primary and secondary interface 10."""
+One line a second: the rate, the shortest, mean and longest period and its standard deviation over the
+last --window periods, and what the stream has counted since the start; missed is what never came, by the
+controller's own clock. States that arrive in one segment have a period of zero between them. On e-Series
+the real-time interface sends 500 states a second, on CB2 and CB3 125, the primary and secondary interface
+10."""
 
 _EXAMPLES = (
     "urlink hz 192.168.56.101",
@@ -91,7 +93,7 @@ def measure(stream: Stream[Any], kind: type[State], window: int, duration: float
 
 def line(periods: deque[float], fresh: int, stats: StreamStatistics) -> str:
     """One line about the last periods; `fresh` is how many states have come since the line before."""
-    counters = f"received {stats.received} failed {stats.failed} reconnects {stats.reconnects}"
+    counters = counted(stats)
     if not fresh:
         return f"no new states | {counters}"
     if not periods:

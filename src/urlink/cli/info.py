@@ -9,6 +9,7 @@ from typing import Any
 from linkcore.text import printable, strict_json
 
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress, parse_address
+from ..data.recording import load
 from ..firmware import release_of
 from ..interfaces.primary.robot_state import SUB_PACKAGES
 from ..robot import Robot, connect
@@ -21,7 +22,7 @@ Say which controller this is: firmware and arm, and what this library knows of t
 
 Sizes and rates are those of the row of the firmware table that holds for it; `evidence` says what backs that
 row. If a controller does not send its version, the firmware is the oldest that sends packages of the same
-sizes, and is said to be inferred."""
+sizes, and is said to be inferred. Of a recording it says what is missing in it."""
 
 _EXAMPLES = (
     "urlink info 192.168.56.101",
@@ -56,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
     print(textwrap.fill(parts, 100, initial_indent=" " * 12, subsequent_indent=" " * 12))
     print(f"table row   firmware {answer['release']} and later")
     print(f"evidence    {answer['evidence']}")
+    for each in answer["missing"]:
+        print(f"missing     {printable(each)}")
     if answer["ports"]:
         ports = ", ".join(f"{name} {port}" for name, port in answer["ports"].items())
         print(textwrap.fill(ports, 100, initial_indent="ports       ", subsequent_indent=" " * 12))
@@ -80,7 +83,14 @@ def _facts(robot: Robot) -> dict[str, Any]:
             "sub_packages": {_name(kind, size): size for kind, size in release.state.items()},
         },
         "ports": _ports(robot),
+        "missing": _missing(robot),
     }
+
+
+def _missing(robot: Robot) -> tuple[str, ...]:
+    """What a recording lacks; nothing of a controller, which has not been listened to."""
+    place = parse_address(robot.address)
+    return load(place.path).missing if isinstance(place, RecordingAddress) else ()
 
 
 def _name(kind: int, size: int) -> str:

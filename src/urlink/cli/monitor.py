@@ -16,6 +16,7 @@ from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 
+from ..address import RecordingAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
 from .glance import Glance, Status, status_of
@@ -29,10 +30,12 @@ __all__ = ["add_parser", "watch"]
 _DESCRIPTION = """\
 Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
 
-On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain.
-When the connection is lost the view says LOST, shows the last values as old, and goes on as soon as the
-controller is back. The real-time interface shows tool speed and force 125 or 500 times a second; the
-primary interface ten times a second, with the analogue signals and the messages of the controller."""
+On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. It
+says SLOW where less than 95 % of the states that the controller sends arrive, and counts as missed what
+never came by the controller's own clock. When the connection is lost the view says LOST, shows the last
+values as old, and goes on as soon as the controller is back. The real-time interface shows tool speed and
+force 125 or 500 times a second; the primary interface ten times a second, with the analogue signals and
+the messages of the controller."""
 
 _EXAMPLES = (
     "urlink monitor 192.168.56.101",
@@ -103,6 +106,7 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
     """
     stream: Stream[Any] = robot.primary if interface == "primary" else robot.realtime
     identity = _Name(robot)
+    usual = _usual_rate(robot, interface)
     troubles: list[str] = []
     messages: list[str] = []
 
@@ -131,17 +135,26 @@ def watch(robot: Robot, interface: str) -> Iterator[Glance]:
         stats = stream.stats
         if connection is not ConnectionState.CONNECTED or stats.reconnects != counted:
             since, counted = time.monotonic(), stats.reconnects
+        # Less than a second is too short to measure a rate.
+        rate = stats.rate if time.monotonic() - since > 1.1 else None
         yield Glance(
             robot=identity.after(stats.reconnects),
             address=f"{robot.address} {interface}",
-            status=status_of(connection, state is not None, reading),
+            status=status_of(connection, state is not None, reading, rate, usual),
             reading=reading,
             stats=stats,
-            # Less than a second is too short to measure a rate.
-            rate=stats.rate if time.monotonic() - since > 1.1 else None,
+            rate=rate,
+            usual=usual,
             trouble=next(iter(troubles), None),
             message=next(iter(messages), None),
         )
+
+
+def _usual_rate(robot: Robot, interface: str) -> float | None:
+    """States a second that this controller sends; as many as are played, of a recording."""
+    place = parse_address(robot.address)
+    times = place.rate if isinstance(place, RecordingAddress) else 1.0
+    return (10.0 if interface == "primary" else float(robot.firmware.rate)) * times or None
 
 
 def _told(message: RobotMessage) -> str:

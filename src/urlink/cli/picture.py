@@ -15,7 +15,7 @@ from rich.text import Text
 
 from linkcore.text import printable
 
-from .glance import Glance, Status
+from .glance import Glance, Status, rate_text
 from .plain import age_text
 from .reading import Reading
 
@@ -35,6 +35,7 @@ _STATUS = {
     Status.CONNECTING: "black on yellow",
     Status.WAITING: "black on yellow",
     Status.CONNECTED: "bold black on green",
+    Status.SLOW: "bold black on yellow",
     Status.SILENT: "bold black on yellow",
     Status.LOST: "bold white on red",
     Status.ENDED: "black on white",
@@ -73,7 +74,7 @@ class Picture:
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append(f" {glance.status.value} ", _STATUS[glance.status])
         if glance.is_fresh and glance.reading is not None:
-            text.append("   – Hz" if glance.rate is None else f"   {glance.rate:.1f} Hz", "bold")
+            text.append(f"   {rate_text(glance)}", "bold")
             text.append("   age ", _LABEL).append(age_text(glance.reading.age))
             return text
         if glance.status is Status.ENDED:
@@ -92,6 +93,7 @@ class Picture:
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append("received ", _LABEL).append(f"{stats.received}")
         losses = (
+            ("missed", stats.missed or 0),
             ("failed", stats.failed),
             ("reconnects", stats.reconnects),
             ("skipped", stats.skipped),

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from linkcore.streaming.statistics import StreamStatistics
 from linkcore.text import printable
 
-from .glance import Glance, Status
+from .glance import Glance, Status, rate_text
 
-__all__ = ["age_text", "line"]
+__all__ = ["age_text", "counted", "line"]
 
 
 def line(glance: Glance, clock: str) -> str:
     """One line with the most important values; old values are marked as old."""
     parts = [f"{clock} {glance.status.value}", printable(glance.robot)]
     reading, stats = glance.reading, glance.stats
-    if glance.status is Status.CONNECTED:
-        parts.append("- Hz" if glance.rate is None else f"{glance.rate:.1f} Hz")
+    if glance.is_fresh:
+        parts.append(rate_text(glance))
     elif glance.trouble is not None and glance.status is not Status.ENDED:
         parts.append(printable(glance.trouble))
     if reading is None:
@@ -30,8 +31,13 @@ def line(glance: Glance, clock: str) -> str:
             parts.append(f"tool {_vector(reading.pose[:3], 3)} m")
         modes = (("robot", reading.robot_mode), ("safety", reading.safety_mode), ("program", reading.program))
         parts += [f"{name} {printable(mode)}" for name, mode in modes if mode is not None]
-    counters = f"received {stats.received} failed {stats.failed} reconnects {stats.reconnects}"
-    return " | ".join([*parts, counters])
+    return " | ".join([*parts, counted(stats)])
+
+
+def counted(stats: StreamStatistics) -> str:
+    """What a stream has counted, short; "-" where packets have no clock by which one can be missed."""
+    missed = "-" if stats.missed is None else stats.missed
+    return f"received {stats.received} missed {missed} failed {stats.failed} reconnects {stats.reconnects}"
 
 
 def age_text(seconds: float) -> str:

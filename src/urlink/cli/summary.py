@@ -11,9 +11,14 @@ from linkcore.errors import PacketError, WrongPeer
 from linkcore.progress import Progress
 from linkcore.recording.file import Kind, Record, Recording
 from linkcore.text import printable
+from linkcore.wire.cycles import Missing
+from linkcore.wire.protocol import PacketProtocol
 
 from ..interfaces.primary.protocol import PrimaryProtocol
 from ..interfaces.realtime.protocol import RealtimeProtocol
+from ..interfaces.rtde.protocol import RtdeProtocol
+from ..interfaces.rtde.recipes import Outputs
+from ..rtde.outputs import recorded_plan
 
 __all__ = ["Channel", "Summary", "summarise"]
 
@@ -33,7 +38,8 @@ class Channel:
         connections: made while recording; `lost`: the errors that ended them.
         started: wall time of the first bytes, seconds since 1970; None if there are none.
         duration: seconds from the first bytes to the last.
-        gaps: seconds of each silence that was much longer than usual.
+        gaps: seconds of each silence that was much longer than usual, by the times of arrival.
+        missing: cycles that are missing by the controller's clock, gaps, and the longest, s; None where it has none.
     """
 
     name: str
@@ -50,6 +56,7 @@ class Channel:
     started: float | None = None
     duration: float = 0.0
     gaps: list[float] = field(default_factory=list)
+    missing: Missing | None = None
 
 
 @dataclass
@@ -73,7 +80,7 @@ class Summary:
 
     def as_json(self) -> dict[str, Any]:
         """The summary as values for JSON."""
-        return asdict(self)
+        return {**asdict(self), "channels": [_as_json(channel) for channel in self.channels]}
 
     def as_text(self) -> str:
         """For people."""
@@ -84,6 +91,11 @@ class Summary:
         for channel in self.channels:
             lines += _channel_lines(channel)
         return "\n".join(lines)
+
+
+def _as_json(channel: Channel) -> dict[str, Any]:
+    missing = None if channel.missing is None else channel.missing._asdict()
+    return {**asdict(channel), "missing": missing}
 
 
 def _channel_lines(channel: Channel) -> list[str]:
@@ -98,9 +110,12 @@ def _channel_lines(channel: Channel) -> list[str]:
     rate = f", {(count - 1) / channel.duration:.1f} packets/s" if channel.duration > 0 and count > 1 else ""
     lines.append(f"  {packets}{rate}")
     if channel.gaps:
-        lines.append(f"  {_counted(len(channel.gaps), 'gap')}, the longest {max(channel.gaps):.3f} s")
+        lines.append(f"  {_counted(len(channel.gaps), 'silence')}, the longest {max(channel.gaps):.3f} s")
     else:
-        lines.append("  no gaps")
+        lines.append("  no silence")
+    if channel.missing is not None:
+        states = max(channel.packets.values(), default=0)  # there are fewer messages
+        lines.append(f"  {channel.missing.text(states) if channel.missing.cycles else 'no cycle is missing'}")
     if channel.failed or channel.skipped or channel.unfinished:
         lines.append(
             f"  {channel.failed} packets not decoded, {channel.skipped} bytes outside packets, "
@@ -151,10 +166,13 @@ class _Reader:
         self.channel = Channel(info["name"], said["address"], said["firmware"], said["model"])
         self.first: float | None = None
         self.last = 0.0
+        self._info = info
         self._periods: list[float] = []
         self._session = self._new_session()
 
-    def _new_session(self) -> PrimaryProtocol | RealtimeProtocol:
+    def _new_session(self) -> PacketProtocol:
+        if self.channel.name == "rtde":
+            return RtdeProtocol(recorded_plan(self._info, Outputs))
         return RealtimeProtocol() if self.channel.name == "realtime" else PrimaryProtocol()
 
     def take(self, record: Record) -> None:
@@ -182,6 +200,8 @@ class _Reader:
         except WrongPeer:
             channel.skipped += len(data)
             return
+        if frames and self._session.cycles is not None:
+            self._session.cycles.take(frames)
         for frame in frames:
             try:
                 name = type(self._session.decode(frame)).__name__
@@ -194,6 +214,8 @@ class _Reader:
         framer = self._session.framer
         self.channel.skipped += framer.skipped
         self.channel.unfinished += len(framer.rest)
+        if self._session.cycles is not None:
+            self.channel.missing = self._session.cycles.missing.plus(self.channel.missing or Missing())
         self._session = self._new_session()
 
     def finish(self) -> None:

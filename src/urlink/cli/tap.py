@@ -11,6 +11,7 @@ from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.policy import drop_oldest
 from linkcore.streaming.stream import Stream
 from linkcore.text import printable
+from linkcore.wire.cycles import Missing
 
 __all__ = ["Tap", "tell"]
 
@@ -80,6 +81,9 @@ class Tap:
             tell(f"{dropped} packets were dropped: the output was too slow for them")
         if stats.failed:
             tell(f"{stats.failed} packets could not be decoded")
+        if stats.missed:
+            missing = Missing(stats.missed, stats.gaps, stats.longest_gap)
+            tell(f"{missing.text(stats.received)} by the clock of the controller, which did not send them")
         if stats.skipped:
             tell(f"{stats.skipped} bytes belonged to no packet")
 

@@ -21,7 +21,7 @@ from linkcore.recording.index import Index
 from linkcore.recording.mcap_file import write_stretches
 from linkcore.recording.packets import Channel, Part, read_channel
 from linkcore.recording.records import Kind
-from linkcore.recording.table import Table
+from linkcore.recording.table import PeerClock, Table
 from linkcore.recording.table_files import TABLE_WRITERS
 from linkcore.recording.topics import Topic
 from linkcore.wire.packet import State
@@ -29,12 +29,12 @@ from linkcore.wire.protocol import PacketProtocol
 
 from ..firmware import Firmware
 from ..identity import described_identity
-from ..interfaces.primary.protocol import PrimaryProtocol
+from ..interfaces.primary.protocol import STATE_PERIODS, PrimaryProtocol
 from ..interfaces.primary.robot_message import RobotMessage
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
-from ..interfaces.realtime.protocol import RealtimeProtocol
-from ..interfaces.rtde.protocol import RtdeProtocol
+from ..interfaces.realtime.protocol import RealtimeProtocol, periods_of
+from ..interfaces.rtde.protocol import CLOCK, RtdeProtocol, package_periods
 from ..interfaces.rtde.recipes import Outputs
 from ..kinematics import Arm
 from ..rtde.outputs import recorded_plan
@@ -151,7 +151,9 @@ class Recording:
         Raises:
             BadRecording: the recording does not hold them.
         """
-        return self._table("realtime", self._channel("realtime", RealtimeProtocol, RealtimeState))
+        channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
+        size = channel.parts[0].layout.size if channel.parts else 0
+        return self._table("realtime", channel, PeerClock("time", 1.0, periods_of(size)))
 
     @cached_property
     def primary(self) -> RobotStates:
@@ -179,7 +181,11 @@ class Recording:
             BadRecording: the recording does not hold them.
         """
         plan = recorded_plan(self._info("rtde"), Outputs)
-        return self._table("rtde", self._channel("rtde", lambda: RtdeProtocol(plan), Outputs))
+        channel = self._channel("rtde", lambda: RtdeProtocol(plan), Outputs)
+        number = None if plan.recorded is None else plan.recorded.number
+        return self._table(
+            "rtde", channel, PeerClock(CLOCK, 1.0, package_periods(plan.frequency, self.firmware, number))
+        )
 
     @property
     def tables(self) -> dict[str, Table]:
@@ -286,9 +292,12 @@ class Recording:
 
     def _robot_states(self, name: str) -> RobotStates:
         channel = self._channel(name, PrimaryProtocol, RobotState, is_uniform=False)
-        return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel))
+        clock = PeerClock("robot_mode_data.timestamp", 1e-6, STATE_PERIODS)
+        if self.firmware is None or self.firmware.is_cb2:
+            clock = None
+        return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel), clock)
 
-    def _table(self, name: str, channel: Channel) -> Table:
+    def _table(self, name: str, channel: Channel, clock: PeerClock) -> Table:
         records = _records(channel.parts)
         time, wall = self._timed(records)
         begins = np.searchsorted(records, channel.begins).tolist()
@@ -296,7 +305,7 @@ class Recording:
         columns = PacketColumns(channel.parts)
         if columns.partial:
             missing.append(f"only in some of its parts, since the firmware changed: {', '.join(columns.partial)}")
-        return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing)
+        return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing, clock)
 
     def _timed(self, records: Any) -> tuple[Any, Any]:
         """Times of records by their numbers: s since the recording began, and wall time."""

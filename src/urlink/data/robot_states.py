@@ -10,7 +10,7 @@ import numpy as np
 from linkcore.errors import BadValue
 from linkcore.recording.columns import ArrayColumns, Columns, JoinedColumns, PacketColumns, columns_of
 from linkcore.recording.packets import states_of
-from linkcore.recording.table import Table
+from linkcore.recording.table import PeerClock, Table
 from linkcore.wire.packet import State
 
 from ..interfaces.primary.robot_message import OtherPackage, RobotMessage
@@ -43,7 +43,13 @@ class RobotStates(Table):
     """
 
     def __init__(
-        self, name: str, decoded: Sequence[tuple[int, State]], timed: Timed, begins: list[int], missing: Sequence[str]
+        self,
+        name: str,
+        decoded: Sequence[tuple[int, State]],
+        timed: Timed,
+        begins: list[int],
+        missing: Sequence[str],
+        clock: PeerClock | None = None,
     ) -> None:
         self._decoded = decoded
         self._timed = timed
@@ -61,7 +67,7 @@ class RobotStates(Table):
         }
         time, wall = timed(records)
         begins = np.searchsorted(records, begins).tolist()
-        super().__init__(name, JoinedColumns(everywhere), time, wall, begins, missing)
+        super().__init__(name, JoinedColumns(everywhere), time, wall, begins, missing, clock)
         self.messages = [state for _, state in decoded if isinstance(state, (RobotMessage, OtherPackage))]
 
     @property

@@ -60,7 +60,7 @@ def silent_address(tmp_path: Path) -> str:
 def recording(tmp_path: Path) -> Path:
     """Half a second of both interfaces, with one gap, a number that is none, and hostile text."""
     realtime = [
-        bytes(RealtimeState("5.11", time=number / 100, q_actual=[number, -1.5, 0.0, float("nan"), 0.0, 3.0]))
+        bytes(RealtimeState("5.11", time=number / 500, q_actual=[number, -1.5, 0.0, float("nan"), 0.0, 3.0]))
         for number in range(20)
     ]
     primary = [

@@ -101,7 +101,7 @@ def test_json_is_strict_and_complete(run: Run, recording: Path) -> None:
     status, out, err = run("echo", played(recording), "--json")
     assert (status, err) == (0, "")
     records = list(map(strict, out.splitlines()))
-    assert [record["time"] for record in records] == [number / 100 for number in range(20)]
+    assert [record["time"] for record in records] == [number / 500 for number in range(20)]
     assert records[3]["q_actual"] == [3.0, -1.5, 0.0, None, 0.0, 3.0]
     assert records[0]["received"] == pytest.approx(1.7e9 + 1000.0)
 

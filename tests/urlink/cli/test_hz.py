@@ -16,6 +16,9 @@ _STATS = StreamStatistics(
     received=9,
     decoded=8,
     failed=1,
+    missed=7,
+    gaps=2,
+    longest_gap=0.4,
     slow_inline=0,
     reconnects=3,
     rate=0.0,
@@ -26,7 +29,7 @@ _STATS = StreamStatistics(
     tails=0,
     age=None,
 )
-_COUNTERS = "received 9 failed 1 reconnects 3"
+_COUNTERS = "received 9 missed 7 failed 1 reconnects 3"
 
 
 def test_figures() -> None:

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -33,6 +34,9 @@ _STATS = StreamStatistics(
     received=7,
     decoded=6,
     failed=1,
+    missed=7,
+    gaps=2,
+    longest_gap=0.4,
     slow_inline=0,
     reconnects=2,
     rate=125.0,
@@ -75,10 +79,10 @@ def test_lines_have_what_matters(run: Run, address: str) -> None:
     lines = out.splitlines()
     assert len(lines) == 3  # at once, after a second, and at the end
     for text in lines:
-        assert re.match(r"\d\d:\d\d:\d\d CONNECTED \| UR5e  firmware 5\.11 \| ", text)
+        assert re.match(r"\d\d:\d\d:\d\d (CONNECTED|SLOW) \| UR5e  firmware 5\.11 \| ", text)
         for part in ("age ", "q ", " deg", "tool ", "robot RUNNING", "safety NORMAL", "program PLAYING", "failed 0"):
             assert part in text
-    rate = re.search(r"([\d.]+) Hz", lines[-1])
+    rate = re.search(r"([\d.]+)(?: of 500)? Hz", lines[-1])
     assert rate is not None
     assert 100 < float(rate[1]) < 1000  # whatever else this machine is doing
     assert "- Hz" in lines[0]  # nothing can be said of the rate at first
@@ -172,6 +176,52 @@ def test_status(connection: ConnectionState, has_latest: bool, age: float | None
     assert status_of(connection, has_latest, reading) is status
 
 
+@pytest.mark.parametrize(
+    ("rate", "usual", "status"),
+    [
+        (500.0, 500.0, Status.CONNECTED),
+        (476.0, 500.0, Status.CONNECTED),
+        (474.0, 500.0, Status.SLOW),
+        (111.0, 500.0, Status.SLOW),
+        (9.4, 10.0, Status.SLOW),
+        (None, 500.0, Status.CONNECTED),
+        (111.0, None, Status.CONNECTED),
+    ],
+)
+def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | None, status: Status) -> None:
+    reading = Reading(urlink.Stamp.now(), q=[0.0] * 6)
+    seen = status_of(ConnectionState.CONNECTED, True, reading, rate, usual)
+    assert seen is status
+    glance = Glance("UR5e", "here", seen, reading, _STATS, rate, usual)
+    assert glance.is_fresh
+    if status is Status.SLOW:
+        assert f"SLOW   {rate:.1f} of {usual:g} Hz" in painted(glance).replace("  SLOW ", "SLOW")
+        assert f" SLOW | UR5e | {rate:.1f} of {usual:g} Hz | " in line(glance, "12:00:00")
+
+
+def test_a_controller_that_leaves_out_states_is_not_green(address: str, controller: Controller) -> None:
+    with urlink.connect(address) as robot:
+        glances = monitor.watch(robot, "realtime")
+        until(glances, lambda glance: glance.rate is not None)
+        finished = threading.Event()
+
+        def stall() -> None:
+            while not finished.is_set():
+                controller.faults.stall(0.1, "realtime")
+                finished.wait(0.15)
+
+        stalling = threading.Thread(target=stall)
+        stalling.start()
+        try:
+            glance = until(glances, lambda glance: glance.status is Status.SLOW)
+        finally:
+            finished.set()
+            stalling.join()
+            controller.faults.heal()
+        assert glance.usual == 500
+        assert glance.stats.missed
+
+
 def test_ages() -> None:
     assert [age_text(age) for age in (0.0021, 3.44, 90, 1200)] == ["2 ms", "3.4 s", "90.0 s", "20 min"]
 
@@ -234,7 +284,7 @@ def test_picture_shows_it_all() -> None:
         "CONNECTED", "125.0 Hz", "180.00", "3.1416", "nan", "inf", "1.25", "41.5", "FAULT", "UNKNOWN_99", "0.2000",
         "0.12", "robot RUNNING", "safety PROTECTIVE_STOP", "program PAUSED", "speed 50%",
         "0-7 ●○○○○○○○   8-15 ○●○○○○○○",
-        "and 0x10000000000", "16-17 ○●", "received 7", "failed 1", "reconnects 2", "skipped 3",
+        "and 0x10000000000", "16-17 ○●", "received 7", "missed 7", "failed 1", "reconnects 2", "skipped 3",
     ):  # fmt: skip
         assert part in text, part
     assert len(text.splitlines()) <= 24

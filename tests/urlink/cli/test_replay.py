@@ -22,8 +22,9 @@ def test_summary(run: Run, recording: Path) -> None:
     assert out.startswith(f"{recording}: 0.5 s, {recording.stat().st_size} bytes, complete\n")
     assert "realtime: UR5e, firmware 5.11, made\n" in out
     assert f" for 0.490 s, {20 * 1220} bytes\n" in out
-    assert "  20 RealtimeState, 38.8 packets/s\n  1 gap, the longest 0.310 s\n" in out
-    assert "  1 VersionMessage, 1 TextMessage, 1 RobotState, 100.0 packets/s\n  no gaps\n" in out
+    assert "  20 RealtimeState, 38.8 packets/s\n  1 silence, the longest 0.310 s\n" in out
+    assert "  1 VersionMessage, 1 TextMessage, 1 RobotState, 100.0 packets/s\n  no silence\n" in out
+    assert out.count("  no cycle is missing\n") == 2
 
 
 def test_summary_as_json(run: Run, recording: Path) -> None:
@@ -33,6 +34,7 @@ def test_summary_as_json(run: Run, recording: Path) -> None:
     realtime, primary = summary["channels"]
     assert realtime["packets"] == {"RealtimeState": 20}
     assert realtime["gaps"] == pytest.approx([0.31])
+    assert realtime["missing"] == {"cycles": 0, "gaps": 0, "longest": 0.0}
     assert primary["packets"] == {"VersionMessage": 1, "TextMessage": 1, "RobotState": 1}
 
 
@@ -91,7 +93,7 @@ def test_every_firmware(run: Run, tmp_path: Path, release: object) -> None:
 def test_played_like_echo(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "time", "robot_mode", "--count", "2")
     assert (status, err) == (0, "")
-    assert out == "time=0 robot_mode=DISCONNECTED\ntime=0.01 robot_mode=DISCONNECTED\n"
+    assert out == "time=0 robot_mode=DISCONNECTED\ntime=0.002 robot_mode=DISCONNECTED\n"
     status, out, _ = run("replay", str(recording), "--rate", "max", "--json", "--type", "TextMessage")
     assert strict(out)["text"] == HOSTILE
     assert_harmless(out)
@@ -123,3 +125,36 @@ def test_interface_that_was_not_recorded(run: Run, recording: Path) -> None:
 
 def test_unknown_field(run: Run, recording: Path) -> None:
     assert run("replay", str(recording), "--rate", "max", "nonsense")[0] == 2
+
+
+@pytest.fixture
+def with_holes(tmp_path: Path) -> Path:
+    """Real-time states that came at regular times, some of them missing by the controller's own clock."""
+    numbers = [*range(60), *range(80, 90), *range(130, 200)]
+    return write(tmp_path / "holes.urlog", {"realtime": [bytes(RealtimeState("5.11", time=n / 500)) for n in numbers]})
+
+
+HOLES = "60 of 200 cycles are missing (2 gaps, the longest 0.082 s)"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("replay", "{}"),
+        ("info", "replay://{}"),
+        ("export", "{}", "{}.csv", "q_actual"),
+        ("echo", "replay://{}?rate=max"),
+        ("hz", "replay://{}?rate=max"),
+        ("record", "replay://{}?rate=max", "{}.copy.urlog", "--interface", "realtime"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_what_is_missing_is_told(run: Run, with_holes: Path, command: tuple[str, ...]) -> None:
+    status, out, err = run(*(word.format(with_holes) for word in command))
+    assert status == 0
+    assert HOLES in out + err
+
+
+def test_what_is_missing_is_told_in_json(run: Run, with_holes: Path) -> None:
+    (said,) = strict(run("info", f"replay://{with_holes}", "--json")[1])["missing"]
+    assert said.startswith(f"realtime: {HOLES}: ")

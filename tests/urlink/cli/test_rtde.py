@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+import threading
 from pathlib import Path
 
 import pytest
 
+import urlink
 from tests.harm import strict
 from urlink.cli import doctor
 from urlink.simulator import Controller
@@ -96,6 +99,28 @@ def test_a_healthy_controller(run: Run, controller: Controller, address: str) ->
     }
     assert "Hz of 500" in findings["realtime data"]["seen"]
     assert "woken" in findings["computer"]["seen"]
+
+
+def test_missing_states_are_found(run: Run) -> None:
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        robot.realtime.wait()
+        finished = threading.Event()
+
+        def stall() -> None:
+            while not finished.is_set():
+                controller.faults.stall(0.05, "realtime")
+                finished.wait(0.2)
+
+        stalling = threading.Thread(target=stall)
+        stalling.start()
+        try:
+            out = run("doctor", controller.address, "--duration", "1")[1]
+        finally:
+            finished.set()
+            stalling.join()
+    (line,) = (line for line in out.splitlines() if "realtime data" in line)
+    assert not line.startswith("ok")
+    assert re.search(r"\d+ of \d+ cycles are missing \(\d+ gaps?, the longest 0\.\d+ s\) by its own clock", line), line
 
 
 def test_what_is_in_the_way_is_said(run: Run) -> None:

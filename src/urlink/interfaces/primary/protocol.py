@@ -7,17 +7,30 @@ tells the layouts of what follows; until then the sizes do (docs/protocols/prima
 from __future__ import annotations
 
 import logging
+import struct
 
 from linkcore.stamp import Stamp
+from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 
 from ...firmware import Firmware
+from ..enums import PackageType
 from .decoder import PackageDecoder
 from .framing import PackageBoundary
 from .robot_message import VersionMessage
+from .robot_state import RobotModeData
 
-__all__ = ["PrimaryProtocol"]
+__all__ = ["STATE_PERIODS", "PrimaryProtocol"]
+
+#: Seconds between two robot states.
+STATE_PERIODS = (0.1,)
+
+_ROBOT_STATE = int(PackageType.ROBOT_STATE)
+_HEAD = struct.Struct(">iB")
+_HEAD_AND_TIME = struct.Struct(">iBQ")
+#: Type of the sub-package that has the time, and its size on CB2.
+_MODES, _CB2_SIZE = 0, RobotModeData.LAYOUTS.all[0].size
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +44,7 @@ class PrimaryProtocol:
 
     def __init__(self) -> None:
         self.framer = Framer(PackageBoundary())
+        self.cycles: MissedCycles | None = MissedCycles(_moment, STATE_PERIODS)
         self._decoder = PackageDecoder(notice=_log.warning)
         self.firmware: Firmware | None = None
 
@@ -55,3 +69,14 @@ class PrimaryProtocol:
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             self._decoder.version = self.firmware
         return state
+
+
+def _moment(frame: bytes) -> float | None:
+    """The time of a robot state; None of other packages, and on CB2, which counts something unknown there."""
+    at = _HEAD.size if frame[4] == _ROBOT_STATE else len(frame)
+    while at + _HEAD_AND_TIME.size <= len(frame):
+        size, kind, time = _HEAD_AND_TIME.unpack_from(frame, at)
+        if kind == _MODES:
+            return time / 1e6 if size > _CB2_SIZE else None
+        at += max(size, _HEAD.size)
+    return None

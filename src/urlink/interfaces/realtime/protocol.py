@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Callable
 
 from linkcore.stamp import Stamp
+from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 
+from ...firmware import RELEASES
 from .framing import RealtimeBoundary
 from .packets import RealtimeState
 
-__all__ = ["RealtimeProtocol"]
+__all__ = ["RealtimeProtocol", "periods_of"]
+
+#: A packet begins with its size in four bytes, then its time.
+_TIME = struct.Struct(">4xd")
 
 _log = logging.getLogger(__name__)
 
@@ -24,6 +30,7 @@ class RealtimeProtocol:
 
     def __init__(self) -> None:
         self.framer = Framer(RealtimeBoundary(self._learn))
+        self.cycles: MissedCycles | None = None  # known with the size
         self.unknown = 0
         self.tails = 0
         self._size: int | None = None
@@ -31,6 +38,8 @@ class RealtimeProtocol:
 
     def _learn(self, size: int) -> None:
         """The frame boundary has learnt the size of this connection's packets, and the size tells the layout."""
+        if self.cycles is None:
+            self.cycles = MissedCycles(_moment, periods_of(size), is_uniform=True)
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
             _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
         elif self._size is None:
@@ -46,3 +55,14 @@ class RealtimeProtocol:
         state: RealtimeState = RealtimeState.LAYOUTS.decode(frame, None, stamp)
         self.tails += bool(state.tail)
         return state
+
+
+def periods_of(size: int) -> tuple[float, ...]:
+    """Seconds between two packets of this size; several, since some sizes are those of CB3 and of e-Series."""
+    rates = {release.since.rate for release in RELEASES if release.realtime == size}
+    return tuple(1.0 / rate for rate in rates or {RELEASES[-1].since.rate})
+
+
+def _moment(frame: bytes) -> float:
+    time: float = _TIME.unpack_from(frame)[0]
+    return time

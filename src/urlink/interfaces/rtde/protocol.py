@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import difflib
 import logging
+import math
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from linkcore.errors import BadValue, PacketError, RemoteError
 from linkcore.stamp import Stamp
+from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 
@@ -43,9 +46,24 @@ from .packets import (
 from .recipes import DATA_TYPE, Outputs, Recipe
 from .variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, TYPES
 
-__all__ = ["InputInUse", "NoSuchVariable", "Plan", "RtdeProtocol", "RtdeRefused", "check_names", "claim_of"]
+__all__ = [
+    "CLOCK",
+    "InputInUse",
+    "NoSuchVariable",
+    "Plan",
+    "RtdeProtocol",
+    "RtdeRefused",
+    "check_names",
+    "claim_of",
+    "package_periods",
+]
 
 _log = logging.getLogger(__name__)
+
+#: The output that is the controller's clock, s.
+CLOCK = "timestamp"
+#: Cycles between two data packages that are told apart: a frequency may be as low as the user likes.
+_SLOWEST = 1e9
 
 _LEVELS = {
     MessageLevel.EXCEPTION: logging.ERROR,
@@ -140,6 +158,7 @@ class RtdeProtocol:
         self.framer = Framer(RtdeBoundary(REPLY_SIZES))
         self.unknown = 0
         self.tails = 0
+        self.cycles: MissedCycles | None = None  # known with the recipe
         self.protocol: Protocol = 1
         self.controller: Firmware | None = None
         self.recipe: Recipe | None = None
@@ -260,7 +279,12 @@ class RtdeProtocol:
     def _use(self, recipe: Recipe) -> None:
         self.recipe = recipe
         self._size = recipe.size
-        self._decode = recipe.state_class(self._plan.kind, self.left_out).LAYOUTS.all[0].decode
+        layout = recipe.state_class(self._plan.kind, self.left_out).LAYOUTS.all[0]
+        self._decode = layout.decode
+        self.cycles = None
+        if CLOCK in layout.places:
+            periods = package_periods(self._plan.frequency, self.controller, recipe.number)
+            self.cycles = MissedCycles(_moment_of(layout.places[CLOCK].offset, recipe.size), periods)
 
     # -- packages of a stream ---------------------------------------------------------------------
 
@@ -287,6 +311,32 @@ class RtdeProtocol:
             level = _LEVELS.get(packet.level, logging.INFO)
             _log.log(level, "the controller says: %r (%s)", packet.message, packet.source or "no source")
         return packet
+
+
+def package_periods(frequency: float | None, controller: Firmware | None, number: int | None) -> tuple[float, ...]:
+    """Seconds between two data packages: each possibility, where the controller is not known.
+
+    With protocol 2 it sends in every floor(rate / frequency)-th cycle (docs/protocols/rtde.md, section Rules).
+
+    Args:
+        frequency: that was asked for; None for the most.
+        controller: its firmware; None where it is not known, as in a recording that began later.
+        number: of the recipe; None under protocol 1, which sends at 125 Hz.
+    """
+    if number is None:
+        return (1 / 125,)
+    rates = (125, 500) if controller is None else (controller.rate,)
+    return tuple({max(math.floor(min(rate / (frequency or rate), _SLOWEST)), 1) / rate for rate in rates})
+
+
+def _moment_of(offset: int, size: int) -> Callable[[bytes], float | None]:
+    """What reads the time out of data packages."""
+    time = struct.Struct(f">{offset}xd")
+
+    def moment(frame: bytes) -> float | None:
+        return time.unpack_from(frame)[0] if frame[2] == DATA_TYPE and len(frame) == size else None
+
+    return moment
 
 
 def claim_of(names: Sequence[str], reply: InputsReply) -> Recipe:

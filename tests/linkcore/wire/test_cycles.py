@@ -1,0 +1,86 @@
+"""Cycles that are missing by the peer's own clock, counted alike while packets come and in columns of a recording."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linkcore.wire.cycles import MissedCycles, Missing, gaps_of
+
+_TIME = struct.Struct(">d")
+
+
+def moment(frame: bytes) -> float | None:
+    return _TIME.unpack(frame)[0] if frame else None
+
+
+def counted(times: list[float | None], *periods: float, cuts: int = 1, is_uniform: bool = False) -> Missing:
+    counter = MissedCycles(moment, periods, is_uniform=is_uniform)
+    frames = [b"" if time is None else _TIME.pack(time) for time in times]
+    for at in range(0, len(frames), cuts):
+        counter.take(frames[at : at + cuts])
+    return counter.missing
+
+
+@pytest.mark.property
+@given(
+    st.lists(st.integers(0, 40), min_size=1, max_size=60),
+    st.sampled_from([0.002, 0.008, 0.04, 0.1]),
+    st.floats(0, 1e6),
+    st.integers(1, 7),
+    st.booleans(),
+)
+def test_received_and_missing_are_all_cycles_of_the_clock(
+    missing: list[int], period: float, start: float, cuts: int, is_uniform: bool
+) -> None:
+    cycles = np.concatenate([[0], np.cumsum([each + 1 for each in missing])])
+    times = start + cycles * period
+    live = counted(times.tolist(), period, cuts=cuts, is_uniform=is_uniform)
+    assert live.cycles == cycles[-1] + 1 - len(times) == sum(missing)
+    gaps = gaps_of(times, times, (period,))
+    assert [gap.cycles for gap in gaps] == [each for each in missing if each]
+    if cuts == 1:
+        assert live.gaps == len(gaps)
+        assert live.longest == max((gap.seconds for gap in gaps), default=0.0)
+
+
+@pytest.mark.parametrize(("step", "period"), [(0.002, 0.002), (0.008, 0.008)])
+def test_the_period_is_learnt_where_it_is_one_of_two(step: float, period: float) -> None:
+    times = [number * step for number in range(20) if number not in (7, 8, 15)]
+    assert counted(list(times), 0.002, 0.008) == pytest.approx((3, 2, 3 * step))
+    found = gaps_of(np.array(times), np.array(times), (0.002, 0.008))
+    assert [(gap.cycles, gap.start, gap.end) for gap in found] == [
+        (2, pytest.approx(6 * step), pytest.approx(9 * step)),
+        (1, pytest.approx(14 * step), pytest.approx(16 * step)),
+    ]
+
+
+def test_a_late_state_is_not_a_missing_one() -> None:
+    """Of 12.5 cycles of 8 ms, robot states come after 12 and 13."""
+    assert counted([0.0, 0.096, 0.2, 0.304, 0.4], 0.1) == Missing()
+    assert counted([0.0, 0.104, 0.296, 0.4], 0.1).cycles == 1
+
+
+def test_another_clock_is_no_gap() -> None:
+    """It was started again, or jumped: no cycle of it is known to be missing."""
+    assert counted([100.0, 100.002, 0.0, 0.002, 0.004], 0.002) == Missing()
+    assert counted([0.0, 5000.0, 5000.002, float("inf"), 1.0, float("nan"), 1.002], 0.002) == Missing()
+    assert gaps_of(np.array([1.0, 1.002, 0.0, 0.002, 9000.0]), np.arange(5.0), (0.002,)) == []
+
+
+def test_what_has_no_time_is_passed_over() -> None:
+    assert counted([0.0, None, 0.002, None, None, 0.008], 0.002) == (2, 1, pytest.approx(0.006))
+
+
+def test_before_a_connection_nothing_is_missing() -> None:
+    times = np.array([0.0, 0.002, 0.4, 0.402, 0.5])
+    assert [gap.cycles for gap in gaps_of(times, times, (0.002,), begins=[2])] == [48]
+
+
+def test_for_people() -> None:
+    assert Missing(363, 2, 0.4).text(112) == "363 of 475 cycles are missing (2 gaps, the longest 0.400 s)"
+    assert Missing(1, 1, 0.004).text(9) == "1 of 10 cycles is missing (1 gap, the longest 0.004 s)"
