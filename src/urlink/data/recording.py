@@ -292,9 +292,8 @@ class Recording:
 
     def _robot_states(self, name: str) -> RobotStates:
         channel = self._channel(name, PrimaryProtocol, RobotState, is_uniform=False)
-        clock = PeerClock("robot_mode_data.timestamp", 1e-6, STATE_PERIODS)
-        if self.firmware is None or self.firmware.is_cb2:
-            clock = None
+        is_known = self.firmware is not None and not self.firmware.is_cb2
+        clock = PeerClock("robot_mode_data.timestamp", 1e-6, STATE_PERIODS) if is_known else None
         return RobotStates(name, channel.others, self._timed, channel.begins, self._missing(name, channel), clock)
 
     def _table(self, name: str, channel: Channel, clock: PeerClock) -> Table:

@@ -53,10 +53,8 @@ def test_the_period_is_learnt_where_it_is_one_of_two(step: float, period: float)
     times = [number * step for number in range(20) if number not in (7, 8, 15)]
     assert counted(list(times), 0.002, 0.008) == pytest.approx((3, 2, 3 * step))
     found = gaps_of(np.array(times), np.array(times), (0.002, 0.008))
-    assert [(gap.cycles, gap.start, gap.end) for gap in found] == [
-        (2, pytest.approx(6 * step), pytest.approx(9 * step)),
-        (1, pytest.approx(14 * step), pytest.approx(16 * step)),
-    ]
+    assert [gap.cycles for gap in found] == [2, 1]
+    assert [(gap.start, gap.end) for gap in found] == [(times[6], times[7]), (times[12], times[13])]
 
 
 def test_a_late_state_is_not_a_missing_one() -> None:
@@ -73,7 +71,7 @@ def test_another_clock_is_no_gap() -> None:
 
 
 def test_what_has_no_time_is_passed_over() -> None:
-    assert counted([0.0, None, 0.002, None, None, 0.008], 0.002) == (2, 1, pytest.approx(0.006))
+    assert counted([-0.002, None, 0.0, None, None, 0.006], 0.002) == Missing(2, 1, 0.006)
 
 
 def test_before_a_connection_nothing_is_missing() -> None:
