@@ -8,10 +8,33 @@ from typing import Any
 
 from .errors import BadValue
 
-__all__ = ["check_callable", "check_choice", "check_seconds", "check_wait", "check_whole"]
+__all__ = [
+    "check_callable",
+    "check_choice",
+    "check_number",
+    "check_seconds",
+    "check_wait",
+    "check_whole",
+    "other_unit",
+]
 
 #: Seconds that `wait=True` waits.
 _WAIT = 60.0
+
+#: Beyond every quantity of a robot.
+_LARGEST = 1e9
+_DEGREES = 180.0 / math.pi
+#: The unit that a value out of range was perhaps given in, and how many of it are one of the unit that was expected.
+_OTHER_UNITS = {
+    "m": ("mm", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "m/s²": ("mm/s²", 1e3),
+    "rad": ("degrees", _DEGREES),
+    "rad/s": ("degrees/s", _DEGREES),
+    "rad/s²": ("degrees/s²", _DEGREES),
+    "kg": ("g", 1e3),
+    "s": ("ms", 1e3),
+}
 
 
 def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool = False) -> float:
@@ -45,6 +68,51 @@ def check_wait(value: bool | float) -> float:
     if isinstance(value, bool):
         return _WAIT if value else 0.0
     return check_seconds(value, "wait", finite=True)
+
+
+def check_number(
+    value: Any, name: str, least: float = -_LARGEST, most: float = _LARGEST, unit: str = "", limit_of: str = ""
+) -> float:
+    """A finite number from `least` to `most`.
+
+    Args:
+        value: what the caller was given.
+        name: what the caller calls it.
+        least, most: the limits.
+        unit: of the value and the limits, such as ``"m/s"``; empty for a number without one.
+        limit_of: whose limits these are, for the message; empty if they hold everywhere.
+
+    Raises:
+        BadValue: it is none, or out of range; the message has value, limits and unit, and asks for another unit if
+            the value were within the limits in that one.
+    """
+    try:
+        if isinstance(value, (bool, str, bytes)):
+            raise TypeError
+        real = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise BadValue(f"{name} is {value!r}; expected a number") from None
+    if not math.isfinite(real):
+        raise BadValue(f"{name} is {value!r}; expected a finite number")
+    of_unit = unit and f" {unit}"
+    if not least <= real <= most:
+        limits = f"{least:g} to {most:g}{of_unit}{limit_of and f', the limits of {limit_of}'}"
+        raise BadValue(
+            f"{name} is {real:g}{of_unit}; expected a number from {limits}{other_unit(real, unit, least, most)}"
+        )
+    return real
+
+
+def other_unit(value: float, unit: str, least: float, most: float) -> str:
+    """The question at the end of a message whether a value out of range is in millimetres, degrees, ...; else empty.
+
+    >>> other_unit(50.0, "m/s", 0.001, 5.0)
+    ' (in mm/s?)'
+    >>> other_unit(1e6, "m/s", 0.001, 5.0)
+    ''
+    """
+    name, factor = _OTHER_UNITS.get(unit, ("", 1.0))
+    return f" (in {name}?)" if name and least <= value / factor <= most else ""
 
 
 def check_whole(value: Any, name: str, least: int, most: int) -> None:

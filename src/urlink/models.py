@@ -37,6 +37,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from .inertias import INERTIAS
@@ -138,9 +139,7 @@ class Model:
     def check_joints(self, q: FloatArray) -> None:
         """Raise `BadValue` unless joint positions (6, rad) are within the position limits."""
         for joint, (value, (low, high)) in enumerate(zip(q.tolist(), self.position_limits.tolist(), strict=True)):
-            if not low <= value <= high:
-                reach = f"a {self.name} reaches {low:.4f} to {high:.4f} rad"
-                raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; {reach}")
+            check_number(value, f"q[{joint}] ({JOINTS[joint]})", low, high, "rad", f"a {self.name}")
 
 
 def _arm(

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
-from linkcore.arguments import check_callable, check_choice
+from linkcore.arguments import check_callable, check_choice, check_number
 from linkcore.errors import BadValue, Closed, LocalError
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
@@ -23,7 +23,7 @@ from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
 from .source import Source, networked
-from .urscript.text import checked, integer
+from .urscript.text import integer
 from .urscript.wrapping import StartPlace
 
 if TYPE_CHECKING:
@@ -189,12 +189,12 @@ def check(
     Raises:
         BadAddress, BadValue: as `connect`.
     """
-    timeout = checked(timeout, "timeout", _SHORTEST)
-    silence = checked(silence, "silence", _SHORTEST)
+    timeout = check_number(timeout, "timeout", _SHORTEST)
+    silence = check_number(silence, "silence", _SHORTEST)
     options = Options(
         require_enable,
-        checked(stale_after, "stale_after", _SHORTEST),
-        checked(start_timeout, "start_timeout", _SHORTEST),
+        check_number(stale_after, "stale_after", _SHORTEST),
+        check_number(start_timeout, "start_timeout", _SHORTEST),
         _start_place(start_register, start_flags),
         _host(reverse_host, "reverse_host"),
         int(integer(reverse_port, 0, 65535, "reverse_port")),

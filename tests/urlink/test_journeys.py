@@ -12,6 +12,7 @@ from urlink.simulator import Controller
 #: Checks of arguments and facts about the robot: a reader looks them up, and the command does not go through them.
 LOOKED_UP = {
     "linkcore.arguments",
+    "urlink.bounds",
     "urlink.vectors",
     "urlink.urscript.text",
     "urlink.identity",

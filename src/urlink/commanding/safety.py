@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from linkcore.arguments import check_callable
+from linkcore.arguments import check_callable, check_number
 from linkcore.errors import LinkError, LinkTimeout
 
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
-from ..urscript.text import checked
 from .interlock import Interlock, Policy, Status
 from .monitor import SafetyMonitor
 
@@ -107,7 +106,7 @@ class Safety:
         Raises:
             BadValue, LocalError: as `wait_until_clear`.
         """
-        timeout = checked(timeout, "timeout", 0.0)
+        timeout = check_number(timeout, "timeout", 0.0)
         self._monitor.listen()
         seen: list[LinkError] = []  # since it may be over before this thread asks again
 
@@ -142,7 +141,7 @@ class Safety:
             return interlock.statuses
 
     def _wait(self, in_the_way: Callable[[Interlock], LinkError | None], timeout: float) -> None:
-        timeout = checked(timeout, "timeout", 0.0)
+        timeout = check_number(timeout, "timeout", 0.0)
         monitor = self._monitor
         monitor.listen()
         if not monitor.wait_for(lambda interlock: monitor.is_connected and in_the_way(interlock) is None, timeout):

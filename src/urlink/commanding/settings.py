@@ -18,9 +18,11 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_number, other_unit
 from linkcore.errors import BadValue, LinkError, LocalError
 from linkcore.streaming.connection import Connection
 
+from ..bounds import COG, TOOL_LENGTH, check_pose
 from ..errors import NotConfirmed
 from ..firmware import Firmware
 from ..identity import KnownIdentity
@@ -29,7 +31,6 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..models import indistinguishable
 from ..poses import to_matrix
 from ..urscript import commands
-from ..urscript.text import checked
 from ..urscript.wrapping import StartPlace
 from .section import Section
 from .setting_channel import SettingChannel, Values
@@ -106,13 +107,16 @@ class Settings:
         """See `Robot.set_payload`."""
         identity = self._who.identity
         statement = commands.payload(identity.firmware, mass, cog, inertia)
+        for axis, metres in zip("xyz", () if cog is None else cog, strict=False):
+            check_number(metres, f"{axis} of the payload's cog", -COG.most, COG.most, COG.unit)
         arm = identity.arm
         if arm is not None:
             arms = indistinguishable(arm)
             most = max(each.payload for each in arms)
             if mass > most * _PAYLOAD_MARGIN:
                 names = " or ".join(each.name for each in arms)
-                raise BadValue(f"payload mass is {mass:g} kg; a {names} carries {most:g} kg at most")
+                asked = other_unit(mass, "kg", 0.1, most)
+                raise BadValue(f"payload mass is {mass:g} kg; a {names} carries {most:g} kg at most{asked}")
         wanted = [mass, *(() if cog is None else cog)]
 
         def shown(state: RealtimeState) -> list[Any] | None:
@@ -126,7 +130,7 @@ class Settings:
 
     def tcp(self, pose: Sequence[float], confirm: float | None) -> None:
         """See `Robot.set_tcp`."""
-        text = commands.secondary(commands.tcp(pose))
+        text = commands.secondary(commands.tcp(check_pose(pose, "tcp", TOOL_LENGTH).tolist()))
         wanted = to_matrix(pose)
 
         def shown(info: CartesianInfo) -> list[float] | None:
@@ -183,7 +187,7 @@ class Settings:
             NotConfirmed: the robot does not show it in time.
             RemoteError: it could not be sent.
         """
-        timeout = None if confirm is None else checked(confirm, "confirm", 1e-3)
+        timeout = None if confirm is None else check_number(confirm, "confirm", 1e-3)
         if timeout is None or echo is None:
             self._channel.send(text, values, wait=False)
             return

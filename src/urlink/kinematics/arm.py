@@ -8,9 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from linkcore.errors import LocalError
+from linkcore.arguments import other_unit
+from linkcore.errors import BadValue
 
 from .. import rigid
+from ..bounds import TURN, check_length, check_rotations
 from ..models import Model
 from ..models import model as model_called
 from ..rigid import FLOATS, ROWS, FloatArray, Functions, Number, Rigid
@@ -26,7 +28,7 @@ __all__ = ["Arm", "Unreachable"]
 _SAME = 1e-6
 
 
-class Unreachable(LocalError, ValueError):
+class Unreachable(BadValue):
     """The pose is out of reach: no joint positions put the tool there."""
 
 
@@ -182,7 +184,8 @@ class Arm:
 
         Raises:
             Unreachable: a single pose was given, and it is out of reach.
-            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast.
+            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast; a
+                rotation vector is of more than one turn, as one in degrees is.
         """
         if rigid.is_single(pose) and rigid.is_single(near):
             target, close = _target(_pose(pose), tcp), _one(near)
@@ -190,7 +193,7 @@ class Arm:
             if found is None:
                 raise self._unreachable(target, pose)
             return np.array(self._in_turn(found, close, is_limited))
-        given, close_to = rigid.rows(pose, (6,), "poses"), rigid.rows(near, (6,), "joint positions")
+        given, close_to = _poses(pose), rigid.rows(near, (6,), "joint positions")
         (poses, nears), shape = rigid.aligned(given, close_to)
         q = closest_of_rows(self._geometry, _target(rigid.from_poses(poses), tcp), nears)
         q = nears + around(q - nears)
@@ -221,7 +224,7 @@ class Arm:
         """
         if rigid.is_single(pose):
             return _table(branches(self._geometry, _target(_pose(pose), tcp)))
-        given = rigid.rows(pose, (6,), "poses")
+        given = _poses(pose)
         targets = _target(rigid.from_poses(given.reshape(-1, 6)), tcp)
         return branches_of_rows(self._geometry, targets)[0].reshape(*given.shape[:-1], BRANCHES, 6)
 
@@ -269,7 +272,7 @@ class Arm:
             Unreachable: a pose is out of reach; the message names its row.
             BadValue: an argument does not have this shape, or holds a number that is not finite.
         """
-        given = rigid.rows(poses, (6,), "poses").reshape(-1, 6)
+        given = _poses(poses).reshape(-1, 6)
         before = _one(near)
         targets = _target(rigid.from_poses(given), tcp)
         ways: list[list[list[float]]] = [[] for _ in given]
@@ -378,7 +381,11 @@ class Arm:
         wrist = target[9] - d6 * target[2], target[10] - d6 * target[5], target[11] - d6 * target[8]
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
         if distance > furthest:
-            why = f"its wrist would be {distance:.3f} m from the shoulder, and comes {furthest:.3f} m far at most"
+            # Nothing is closer to the base than a centimetre: 1.5 m are no 1.5 mm.
+            asked = other_unit(distance, "m", 0.01, furthest)
+            why = (
+                f"its wrist would be {distance:.3f} m from the shoulder, and comes {furthest:.3f} m far at most{asked}"
+            )
         elif math.hypot(*wrist[:2]) < d4:
             why = (
                 f"its wrist would be {math.hypot(*wrist[:2]):.3f} m from the axis of the base, and comes to {d4:.3f} m"
@@ -403,7 +410,15 @@ def _rows(q: FloatArray) -> Angles[FloatArray]:
 
 
 def _pose(pose: ArrayLike) -> Rigid[float]:
-    return rigid.from_pose(rigid.floats(pose, 6, "a pose"))
+    numbers = rigid.floats(pose, 6, "a pose")
+    check_length(numbers[3:], "the rotation vector in the pose", TURN)
+    return rigid.from_pose(numbers)
+
+
+def _poses(poses: ArrayLike) -> FloatArray:
+    given = rigid.rows(poses, (6,), "poses")
+    check_rotations(given.reshape(-1, 6), "the poses")
+    return given
 
 
 def _tool(tcp: ArrayLike) -> Rigid[float]:

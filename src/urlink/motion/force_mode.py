@@ -8,11 +8,12 @@ from functools import partial
 
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
+from ..bounds import POSITION, TOOL_SPEED, TOOL_TURN, TURN, check_pose
 from ..firmware import Firmware
 from ..urscript import yielding
-from ..urscript.text import checked
 from ..vectors import FloatArray, six
 from .context import MotionContext
 from .kept_word import KeptWord
@@ -23,8 +24,8 @@ __all__ = ["ForceMode", "Pressing", "axes_of", "frame_of"]
 
 #: N and Nm; no arm exerts more.
 _LARGEST = 1000.0
-#: m/s, rad/s, m and rad; a larger limit has the wrong unit.
-_WIDEST = 10.0
+#: m and rad, m/s and rad/s; a smaller limit holds the tool where it is.
+_LEAST = 1e-6
 #: The first releases with force mode, with damping (CB3), and with gain.
 _FORCE_MODE = Firmware(3, 0)
 _DAMPING_CB, _GAIN = Firmware(3, 5), Firmware(5, 0)
@@ -61,14 +62,16 @@ class Pressing:
             raise LocalError(f"force mode is used from firmware {_FORCE_MODE} on, not on {firmware}")
         if self.kind not in (1, 2, 3):
             raise BadValue(f"kind is {self.kind!r}; expected 1, 2 or 3")
-        for name, limit in zip(_NAMES, self.limits, strict=True):
-            checked(limit, f"limits[{name}]", 1e-6, _WIDEST)
+        for index, (name, limit, is_free) in enumerate(zip(_NAMES, self.limits, self.selection, strict=True)):
+            speed, deviation = (TOOL_SPEED, POSITION) if index < 3 else (TOOL_TURN, TURN)
+            bound = speed if is_free else deviation
+            check_number(limit, f"limits[{name}]", _LEAST, bound.most, bound.unit)
         if self.damping is not None:
-            checked(self.damping, "damping", 0.0, 1.0)
+            check_number(self.damping, "damping", 0.0, 1.0)
             if firmware < _DAMPING_CB:
                 raise LocalError(f"firmware {firmware} takes no damping; {_DAMPING_CB} is the first")
         if self.gain is not None:
-            checked(self.gain, "gain", 0.0, 2.0)
+            check_number(self.gain, "gain", 0.0, 2.0)
             if firmware < _GAIN:
                 raise LocalError(f"firmware {firmware} takes no gain; {_GAIN} is the first")
 
@@ -98,7 +101,7 @@ def frame_of(context: MotionContext, frame: ArrayLike | str) -> tuple[float, ...
         if frame == "tool":
             return tuple(context.state().tool_vector_actual.tolist())
         raise BadValue(f"frame is {frame!r}; expected 'base', 'tool', or a pose in the base frame")
-    return tuple(six(frame, "frame").tolist())
+    return tuple(check_pose(frame, "frame").tolist())
 
 
 class ForceMode(LinkedBlock):
@@ -124,7 +127,7 @@ class ForceMode(LinkedBlock):
                 kind=pressing.kind,
                 damping=pressing.damping,
                 gain=pressing.gain,
-                watchdog=checked(watchdog, "watchdog", 0.05, 10.0),
+                watchdog=check_number(watchdog, "watchdog", 0.05, 10.0),
             ),
             _wrench(wrench).tolist(),
         )
@@ -151,5 +154,5 @@ class ForceMode(LinkedBlock):
 def _wrench(wrench: ArrayLike) -> FloatArray:
     values = six(wrench, "wrench")
     for name, value in zip(_NAMES, values.tolist(), strict=True):
-        checked(value, f"wrench[{name}]", -_LARGEST, _LARGEST)
+        check_number(value, f"wrench[{name}]", -_LARGEST, _LARGEST, "Nm" if name.startswith("r") else "N")
     return values

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ..firmware import Firmware
 from ..urscript import yielding
-from ..urscript.text import checked
 from .context import MotionContext
 from .kept_word import KeptWord
 from .linked import Link
@@ -52,6 +52,6 @@ class Freedrive(LinkedBlock):
             raise BadValue("no axis is free; expected one at least")
         if axes is not None and firmware < _AXES:
             raise LocalError(f"firmware {firmware} frees all axes or none; {_AXES} is the first that takes axes")
-        seconds = checked(watchdog, "watchdog", 0.05, 10.0)
+        seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
         body = partial(yielding.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
         super().__init__(context, "freedrive", KeptWord(body, _NOTHING), open_link)

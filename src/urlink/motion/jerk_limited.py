@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from linkcore.errors import BadValue
+from linkcore.arguments import check_number
 
 from ..models import Model
 from ..vectors import JOINTS, six_limits
@@ -65,10 +65,8 @@ def joint_limits(
             ("speed", "acceleration"), rows, (model.max_speed, model.max_acceleration), strict=False
         ):
             for joint, (value, limit) in enumerate(zip(values.tolist(), most.tolist(), strict=True)):
-                if value > limit:
-                    raise BadValue(
-                        f"{name}[{joint}] ({JOINTS[joint]}) is {value:g}; a {model.name} reaches {limit:.4g} at most"
-                    )
+                unit = "rad/s" if name == "speed" else "rad/s²"
+                check_number(value, f"{name}[{joint}] ({JOINTS[joint]})", 0.0, limit, unit, f"a {model.name}")
     return tuple(JointLimit(*values) for values in zip(*(row.tolist() for row in rows), strict=True))
 
 

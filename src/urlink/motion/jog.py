@@ -8,15 +8,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..bounds import check_speeds
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.jogging import jogging
 from ..urscript.links import InputRegisters, ReverseSocket
-from ..urscript.text import checked
-from ..vectors import JOINTS, FloatArray, six
+from ..vectors import FloatArray
 from .context import MotionContext
 from .linked import Link
 from .linked_block import LinkedBlock
 from .setpoints import STOP_WORD, WAIT_WORD, setpoint
+from .speed_limit import check_joint_speeds
 
 __all__ = ["FrameName", "Jog"]
 
@@ -24,8 +25,6 @@ __all__ = ["FrameName", "Jog"]
 FrameName = Literal["joints", "base", "tool"]
 
 _REST = np.zeros(6)
-#: m/s and rad/s of a tool; a larger number is a mistake: no arm is faster.
-_FASTEST_TOOL, _FASTEST_TURN = 5.0, 10.0
 
 
 class _Jogging:
@@ -99,14 +98,7 @@ class Jog(LinkedBlock):
         super().__init__(context, "jog", self._dialogue, open_link)
         self.frame: FrameName = frame
         self.timeout = timeout
-        if frame == "joints":
-            names: tuple[str, ...] = JOINTS
-            most = [_FASTEST_TURN] * 6 if identity.arm is None else identity.arm.max_speed.tolist()
-        else:
-            names, most = ("x", "y", "z", "rx", "ry", "rz"), [_FASTEST_TOOL] * 3 + [_FASTEST_TURN] * 3
-        self._bounds = [
-            (f"speeds[{number}] ({name})", limit) for number, (name, limit) in enumerate(zip(names, most, strict=True))
-        ]
+        self._arm = identity.arm
 
     def move(self, speeds: ArrayLike) -> None:
         """Move at these speeds until others come, or `timeout` seconds are over. Does not wait.
@@ -120,9 +112,11 @@ class Jog(LinkedBlock):
             LocalError: not within the block.
         """
         self._check_open()
-        values = six(speeds, "speeds")
-        for value, (name, limit) in zip(values.tolist(), self._bounds, strict=True):
-            checked(value, name, -limit, limit)
+        values = (
+            check_joint_speeds(speeds, "speeds", self._arm)
+            if self.frame == "joints"
+            else check_speeds(speeds, "speeds")
+        )
         self._dialogue.told = values, self._context.clock()
 
     def stop(self) -> None:

@@ -9,16 +9,16 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from linkcore.arguments import check_choice, check_wait
+from linkcore.arguments import check_choice, check_number, check_wait
 from linkcore.errors import BadValue, LocalError
 from linkcore.handle import Motion
 
-from .. import poses
+from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
 from ..interfaces.realtime.packets import RealtimeState
+from ..models import Model
 from ..urscript import programs, yielding
-from ..urscript.text import checked
-from ..vectors import JOINTS, FloatArray, numbers, six
+from ..vectors import FloatArray, numbers, six
 from .contact import ContactMotion
 from .context import MotionContext
 from .follower import Follower
@@ -28,10 +28,10 @@ from .freedrive import Freedrive
 from .jerk_limited import joint_limits
 from .jog import FrameName, Jog
 from .linked import Link, LinkedProgram
-from .path import PathMotion, Rates, Waypoint, plan
+from .path import PathMotion, Rates, Waypoint, plan, shown_tcp
 from .servo import Servo
 from .setpoints import Servoing
-from .speed_limit import largest_speeds
+from .speed_limit import check_joint_speeds, largest_speeds
 from .torque import Torque
 from .trajectory import Trajectory
 from .waypoints import WaypointServer
@@ -40,8 +40,6 @@ __all__ = ["Motions"]
 
 #: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
-#: rad/s² and m/s²; a larger number is a mistake.
-_HARDEST = 100.0
 #: The first releases that have the registers from 24 on (RTDE guide of the vendor).
 _REGISTERS_CB, _REGISTERS_E = Firmware(3, 9), Firmware(5, 3)
 #: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
@@ -104,10 +102,7 @@ class Motions:
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-            checked(speed, "speed", _LEAST, float(model.max_speed.max()))
-        body = programs.move_joints(
-            goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
-        )
+        body = programs.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), _time(time))
         return _waited(self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual)), seconds)
 
     def move_linear(
@@ -129,10 +124,9 @@ class Motions:
             wait: see `Motions`.
         """
         seconds = check_wait(wait)
-        goal = six(pose, "pose")
-        body = programs.move_linear(
-            goal.tolist(), *_rates(speed, acceleration), None if time is None else checked(time, "time", _LEAST, _HOUR)
-        )
+        goal = check_pose(pose, "pose")
+        body = programs.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), _time(time))
+        self._check_reach(goal)
         # Only the position of the pose: one rotation has more than one rotation vector.
         motion = self._upload("move_linear", body, _arriving(goal[:3], lambda state: state.tool_vector_actual[:3]))
         return _waited(motion, seconds)
@@ -158,10 +152,11 @@ class Motions:
         from ..curves import Arc
 
         seconds = check_wait(wait)
-        between, goal = six(via, "via").tolist(), six(to, "to").tolist()
-        body = programs.move_circular(between, goal, *_rates(speed, acceleration))
+        between, goal = check_pose(via, "via"), check_pose(to, "to")
+        body = programs.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
+        self._check_reach(goal)
         # From where the arm is now; if it still moves, it stops not far from here.
-        arc = Arc(self._context.state().tool_vector_actual.tolist(), between, goal)
+        arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
         motion = self._upload("move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()))
         return _waited(motion, seconds)
 
@@ -193,14 +188,12 @@ class Motions:
             LinkTimeout: no state comes, so the position of the arm is not known.
         """
         seconds = check_wait(wait)
-        joint_rates = Rates(
-            checked(joint_speed, "joint_speed", _LEAST, _HARDEST),
-            checked(joint_acceleration, "joint_acceleration", _LEAST, _HARDEST),
-        )
         context = self._context
         identity = context.who.identity
         arm = None if identity.arm is None else identity.kinematics
-        planned = plan(list(waypoints), joint_rates, Rates(*_rates(speed, acceleration)), arm, context.state())
+        joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
+        tool_rates = Rates(*_tool_rates(speed, acceleration))
+        planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
         life = context.programs.life("path")
         life.brake = lambda: context.programs.stop(life)
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
@@ -219,15 +212,11 @@ class Motions:
             acceleration: rad/s², for changes of speed and for braking.
             duration: seconds until it brakes.
         """
-        speeds = six(qd, "qd")
-        model = self._context.who.identity.arm
-        if model is not None:
-            for joint, (value, limit) in enumerate(zip(speeds.tolist(), model.max_speed.tolist(), strict=True)):
-                checked(value, f"qd[{joint}] ({JOINTS[joint]})", -limit, limit)
-        duration = checked(duration, "duration", _LEAST, _HOUR)
-        body = programs.speed_joints(
-            self._context.who.identity.firmware, speeds.tolist(), _acceleration(acceleration), duration
-        )
+        identity = self._context.who.identity
+        speeds = check_joint_speeds(qd, "qd", identity.arm)
+        duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
+        hardest = _joint_acceleration(identity.arm, acceleration)
+        body = programs.speed_joints(identity.firmware, speeds.tolist(), hardest, duration)
         return self._speed("speed_joints", body, duration)
 
     def speed_linear(self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5) -> Motion:
@@ -238,11 +227,10 @@ class Motions:
             acceleration: m/s².
             duration: seconds until it brakes.
         """
-        speeds = six(xd, "xd")
-        duration = checked(duration, "duration", _LEAST, _HOUR)
-        body = programs.speed_linear(
-            self._context.who.identity.firmware, speeds.tolist(), _acceleration(acceleration), duration
-        )
+        speeds = check_speeds(xd, "xd")
+        duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
+        hardest = TOOL_ACCELERATION.check(acceleration, "acceleration")
+        body = programs.speed_linear(self._context.who.identity.firmware, speeds.tolist(), hardest, duration)
         return self._speed("speed_linear", body, duration)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
@@ -252,7 +240,7 @@ class Motions:
         `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
         """
         seconds = check_wait(wait)
-        body = programs.stop(_acceleration(acceleration))
+        body = programs.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
         return _waited(self._upload("stop", body, is_stop=True), seconds)
 
     # -- motions that last, linked to a program on the robot ---------------------------------------------
@@ -314,10 +302,10 @@ class Motions:
         if low_bandwidth and delay is not None:
             raise LocalError("low_bandwidth takes no delay: the robot is led by its own clock")
         tolerances = Tolerances(
-            None if path_tolerance is None else checked(path_tolerance, "path_tolerance", 1e-6, 100.0),
-            checked(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
-            checked(goal_time, "goal_time", 0.0, _HOUR),
-            checked(start_tolerance, "start_tolerance", 1e-6, 1.0),
+            None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),
+            check_number(goal_tolerance, "goal_tolerance", 1e-6, 100.0),
+            check_number(goal_time, "goal_time", 0.0, _HOUR),
+            check_number(start_tolerance, "start_tolerance", 1e-6, 1.0),
         )
         servoing = self._servoing(watchdog, lookahead_time, gain)
         model = context.who.identity.arm
@@ -369,7 +357,7 @@ class Motions:
             lookahead_time, gain, link: see `follow`.
         """
         firmware = self._context.who.identity.firmware
-        pace = float(firmware.rate) if rate is None else checked(rate, "rate", 0.1, 10_000.0)
+        pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, 10_000.0)
         # With a filter, a set-point is made in each cycle, however often targets come.
         servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
@@ -406,12 +394,15 @@ class Motions:
             link: see `follow`.
         """
         check_choice(frame, "frame", get_args(FrameName))
+        arm = self._context.who.identity.arm
         return Jog(
             self._context,
             frame,
-            _acceleration(acceleration),
-            checked(timeout, "timeout", 0.01, 60.0),
-            checked(watchdog, "watchdog", 0.01, 10.0),
+            _joint_acceleration(arm, acceleration)
+            if frame == "joints"
+            else TOOL_ACCELERATION.check(acceleration, "acceleration"),
+            check_number(timeout, "timeout", 0.01, 60.0),
+            check_number(watchdog, "watchdog", 0.01, 10.0),
             self._opener(link),
         )
 
@@ -456,14 +447,14 @@ class Motions:
             raise BadValue(f"direction is {way.tolist()}; expected three finite numbers, not all of them zero")
         if force is None and identity.firmware < _TOOL_CONTACT:
             force = _CONTACT_FORCE
-        longest = checked(distance, "distance", 1e-3, 10.0)
+        longest = check_number(distance, "distance", _LEAST, 10.0, "m")
         body = yielding.until_contact(
             identity.firmware,
             (way / length).tolist(),
-            checked(speed, "speed", _LEAST, 1.0),
-            _acceleration(acceleration),
+            TOOL_SPEED.check(speed, "speed", 1.0),
+            TOOL_ACCELERATION.check(acceleration, "acceleration"),
             longest,
-            force=None if force is None else checked(force, "force", 1.0, 500.0),
+            force=None if force is None else check_number(force, "force", 1.0, 500.0, "N"),
             retracts=bool(retract),
         )
         life = context.programs.life("until_contact")
@@ -561,10 +552,17 @@ class Motions:
         if identity.arm is None or state is None:
             return None
         arm = identity.kinematics
-        tcp = poses.compose(poses.invert(arm.forward(state.q_actual)), state.tool_vector_actual)
-        return arm.forward(q, tcp)
+        return arm.forward(q, shown_tcp(arm, state))
 
     # ----------------------------------------------------------------------------------------------------
+
+    def _check_reach(self, goal: FloatArray) -> None:
+        """Raise `Unreachable` if the arm cannot bring its TCP to a pose; if the arm is not known, it is not checked."""
+        identity = self._context.who.identity
+        if identity.arm is not None:
+            state = self._context.state()
+            arm = identity.kinematics
+            arm.inverse(goal, state.q_target, shown_tcp(arm, state))
 
     def _upload(
         self,
@@ -637,9 +635,9 @@ class Motions:
         return Servoing(
             self._context.who.identity.firmware,
             largest_speeds(self._context.who.identity.arm),
-            checked(watchdog, "watchdog", 0.01, 10.0),
-            checked(lookahead_time, "lookahead_time", 0.03, 0.2),
-            checked(gain, "gain", 100.0, 2000.0),
+            check_number(watchdog, "watchdog", 0.01, 10.0),
+            check_number(lookahead_time, "lookahead_time", 0.03, 0.2),
+            check_number(gain, "gain", 100.0, 2000.0),
             period,
         )
 
@@ -676,15 +674,25 @@ def _reporter(
 
 
 def _delay(delay: float | None) -> float | None:
-    return None if delay is None else checked(delay, "delay", 0.0, 1.0)
+    return None if delay is None else check_number(delay, "delay", 0.0, 1.0)
 
 
-def _rates(speed: float, acceleration: float) -> tuple[float, float]:
-    return checked(speed, "speed", _LEAST, _HARDEST), _acceleration(acceleration)
+def _tool_rates(speed: float, acceleration: float) -> tuple[float, float]:
+    return TOOL_SPEED.check(speed, "speed"), TOOL_ACCELERATION.check(acceleration, "acceleration")
 
 
-def _acceleration(value: float) -> float:
-    return checked(value, "acceleration", _LEAST, _HARDEST)
+def _joint_rates(arm: Model | None, speed: float, acceleration: float, prefix: str = "") -> tuple[float, float]:
+    most, whose = (None, "") if arm is None else (float(arm.max_speed.max()), f"a {arm.name}")
+    return JOINT_SPEED.check(speed, f"{prefix}speed", most, whose), _joint_acceleration(arm, acceleration, prefix)
+
+
+def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> float:
+    most, whose = (None, "") if arm is None else (float(arm.max_acceleration.max()), f"a {arm.name}")
+    return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
+
+
+def _time(time: float | None) -> float | None:
+    return None if time is None else check_number(time, "time", _LEAST, _HOUR, "s")
 
 
 def _waited(motion: M, seconds: float) -> M:

@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 from linkcore.handle import Lifecycle, Motion
 
+from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs
-from ..urscript.text import checked
 from ..vectors import JOINTS, FloatArray, six
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ __all__ = ["Circular", "Joint", "Linear", "PathMotion", "Plan", "Rates", "Sectio
 
 #: m; a larger blend has the wrong unit, since no arm is longer.
 _WIDEST = 2.0
-#: m/s, rad/s and m/s², rad/s²; a number outside this range is a mistake.
-_SLOWEST, _HARDEST = 1e-3, 100.0
 #: Most waypoints of a path. The limit of a controller is not known; the text of so many has 200 kB.
 _MOST = 1000
 #: m and rad between two places at which a line or an arc is checked, and how many there are at most.
@@ -72,9 +71,10 @@ class Waypoint:
     """
 
     def __init__(self, blend: float, speed: float | None, acceleration: float | None) -> None:
-        self.blend = checked(blend, "blend", 0.0, _WIDEST)
-        self._speed = None if speed is None else checked(speed, "speed", _SLOWEST, _HARDEST)
-        self._acceleration = None if acceleration is None else checked(acceleration, "acceleration", _SLOWEST, _HARDEST)
+        bounds = (JOINT_SPEED, JOINT_ACCELERATION) if isinstance(self, Joint) else (TOOL_SPEED, TOOL_ACCELERATION)
+        self.blend = check_number(blend, "blend", 0.0, _WIDEST, "m")
+        self._speed = None if speed is None else bounds[0].check(speed, "speed")
+        self._acceleration = None if acceleration is None else bounds[1].check(acceleration, "acceleration")
 
     @property
     def has_motion_of_its_own(self) -> bool:
@@ -120,7 +120,7 @@ class Linear(Waypoint):
         self, pose: ArrayLike, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
     ) -> None:
         super().__init__(blend, speed, acceleration)
-        self.pose = six(pose, "pose")
+        self.pose = check_pose(pose, "pose")
 
     def __repr__(self) -> str:
         return f"Linear({self.pose.tolist()}, blend={self.blend:g})"
@@ -147,7 +147,7 @@ class Circular(Waypoint):
         acceleration: float | None = None,
     ) -> None:
         super().__init__(blend, speed, acceleration)
-        self.via, self.to = six(via, "via"), six(to, "to")
+        self.via, self.to = check_pose(via, "via"), check_pose(to, "to")
 
     def __repr__(self) -> str:
         return f"Circular({self.via.tolist()}, {self.to.tolist()}, blend={self.blend:g})"
@@ -247,7 +247,7 @@ def plan(
         try:
             sections.append(planner.section(waypoint, rate, before))
         except BadValue as error:
-            raise BadValue(f"waypoint {number}: {error}") from None
+            raise type(error)(f"waypoint {number}: {error}") from None
         before = waypoint.blend
     return Plan(body, sections)
 
@@ -289,7 +289,10 @@ class _Planner:
     def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> Section:
         model = self._arm.model
         model.check_joints(waypoint.q)
-        checked(rate.speed, "speed", _SLOWEST, float(model.max_speed.max()))
+        JOINT_SPEED.check(rate.speed, "speed", float(model.max_speed.max()), f"a {model.name}")
+        JOINT_ACCELERATION.check(
+            rate.acceleration, "acceleration", float(model.max_acceleration.max()), f"a {model.name}"
+        )
         start, way = self._q, waypoint.q - self._q
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
         _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
@@ -322,7 +325,8 @@ class _Planner:
         """The joint positions at its end, if the arm can follow it.
 
         Raises:
-            BadValue: out of reach, beyond a position limit, or too fast for a joint.
+            Unreachable: out of reach.
+            BadValue: beyond a position limit, or too fast for a joint.
         """
         from ..kinematics import Unreachable
 
@@ -334,7 +338,7 @@ class _Planner:
             rows = self._arm.inverse_path(poses, self._q, self._tcp)
         except Unreachable as error:
             # Without the number of the row: the message has the pose.
-            raise BadValue(f"the way there is out of reach: {str(error).partition(': ')[2]}") from None
+            raise Unreachable(f"the way there is out of reach: {str(error).partition(': ')[2]}") from None
         low, high = model.position_limits.T
         beyond = (rows < low) | (rows > high)
         if beyond.any():

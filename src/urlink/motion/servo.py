@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.links import InputRegisters, ReverseSocket
-from ..urscript.text import checked, integer
+from ..urscript.text import integer
 from ..vectors import JOINTS, six
 from .context import MotionContext
 from .filtered_targets import FilteredTargets
@@ -129,7 +129,7 @@ class Servo(LinkedBlock):
         self._sent_at: float
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
-        self._ranges = [(-math.inf, math.inf)] * 6 if model is None else model.position_limits.tolist()
+        self._model = model
         self._limit = SpeedLimit(model, 1.0 / rate)
         self._cycle = cycle
 
@@ -187,7 +187,7 @@ class Servo(LinkedBlock):
             raise LocalError("a servo with a target filter takes targets by send; schedule needs one without")
         if self._schedule is None and self._last is not None:
             raise LocalError("set-points were sent in this block; it is either send or schedule")
-        time = checked(at, "at")
+        time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
             model = self._context.who.identity.arm
@@ -245,8 +245,8 @@ class Servo(LinkedBlock):
             self._context.realtime,
             self.send,
             int(integer(joint, 0, 5, "joint")),
-            checked(amplitude, "amplitude", -0.5, 0.5),
-            checked(duration, "duration", 0.1, 60.0),
+            check_number(amplitude, "amplitude", -0.5, 0.5),
+            check_number(duration, "duration", 0.1, 60.0),
         )
 
     def _count_one(self, values: list[float], now: float) -> None:
@@ -281,11 +281,11 @@ class Servo(LinkedBlock):
         return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
 
     def _in_range(self, q: ArrayLike) -> list[float]:
-        values: list[float] = six(q, "q").tolist()
-        for joint, (value, (low, high)) in enumerate(zip(values, self._ranges, strict=True)):
-            if not low <= value <= high:
-                raise BadValue(f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad; expected {low:.4f} to {high:.4f}")
-        return values
+        values = six(q, "q")
+        if self._model is not None:
+            self._model.check_joints(values)
+        plain: list[float] = values.tolist()
+        return plain
 
     def _check_step(self, values: list[float], now: float) -> None:
         if self._last is not None:

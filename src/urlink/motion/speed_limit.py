@@ -16,10 +16,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..models import Model
-from ..vectors import JOINTS
+from numpy.typing import ArrayLike
 
-__all__ = ["EARLY", "LATE", "LONGEST_PERIOD", "SpeedLimit", "largest_speeds"]
+from linkcore.arguments import check_number
+
+from ..bounds import JOINT_SPEED
+from ..models import Model
+from ..vectors import JOINTS, FloatArray, six
+
+__all__ = ["EARLY", "LATE", "LONGEST_PERIOD", "SpeedLimit", "check_joint_speeds", "largest_speeds"]
 
 #: Seconds by which a set-point may be early. Chosen: more than the jitter of a sleep in Python, and little enough that
 #: the simulated arm, led at its largest speed, does not stop because of it.
@@ -29,15 +34,26 @@ LATE = 0.01
 #: Longest period that counts, s: in a slower loop a step may be no larger than with it, since the arm takes it at once.
 LONGEST_PERIOD = 0.02
 
-#: rad/s of the fastest joint of all known arms, for unknown ones.
-_FASTEST = 2.0 * math.pi
 #: rad; set-points are rounded to millionths, which must not count as speed.
 _SLACK = 2e-6
 
 
 def largest_speeds(model: Model | None) -> tuple[float, ...]:
     """(6,) rad/s; for an arm that is not known, those of the fastest arm."""
-    return (_FASTEST,) * 6 if model is None else tuple(model.max_speed.tolist())
+    return (JOINT_SPEED.most,) * 6 if model is None else tuple(model.max_speed.tolist())
+
+
+def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
+    """Speeds of the joints as (6,) numbers, rad/s, read-only.
+
+    Raises:
+        BadValue: not six finite numbers, or faster than the arm; if that is not known, than the fastest arm.
+    """
+    speeds = six(values, name)
+    for joint, (value, limit) in enumerate(zip(speeds.tolist(), largest_speeds(model), strict=True)):
+        whose = "the fastest arm" if model is None else f"a {model.name}"
+        check_number(value, f"{name}[{joint}] ({JOINTS[joint]})", -limit, limit, "rad/s", whose)
+    return speeds
 
 
 class SpeedLimit:

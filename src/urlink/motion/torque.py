@@ -7,11 +7,11 @@ from functools import partial
 
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 from linkcore.wire.version import Since
 
 from ..urscript import yielding
-from ..urscript.text import checked
 from ..vectors import JOINTS, six
 from .context import MotionContext
 from .kept_word import KeptWord, word
@@ -56,8 +56,8 @@ class Torque(LinkedBlock):
         if limits is not None:
             self._limits = six(limits, "limits").tolist()
             for joint, (limit, largest) in enumerate(zip(self._limits, most, strict=True)):
-                checked(limit, f"limits[{joint}] ({JOINTS[joint]})", 0.0, largest)
-        seconds = checked(watchdog, "watchdog", 0.01, 1.0)
+                check_number(limit, f"limits[{joint}] ({JOINTS[joint]})", 0.0, largest)
+        seconds = check_number(watchdog, "watchdog", 0.01, 1.0)
         self._told = KeptWord(
             partial(yielding.torque, firmware, friction_compensation=bool(friction_compensation), watchdog=seconds)
         )

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.arguments import other_unit
 from linkcore.errors import BadValue
 
 from ..models import Model
@@ -412,6 +413,7 @@ class Trajectory:
             f"{where} (t = {t:.4f} s): {name} of {JOINTS[joint]} (joint {joint}) is "
             f"{values[segment, place, joint]:.4f} {unit}; the limit of a {model.name} is "
             f"{limits[segment, place, joint]:.4f} {unit}"
+            + other_unit(abs(values[segment, place, joint]), unit, 0.0, abs(limits[segment, place, joint]))
         )
 
 

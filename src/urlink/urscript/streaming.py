@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from linkcore.arguments import check_number
+
 from ..firmware import Firmware
 from .links import InputRegisters, ReverseSocket, missable, word_loop
-from .text import checked, each, indented, lines, number
+from .text import each, indented, lines, number
 
 __all__ = ["COASTING", "servo_cycle", "streaming"]
 
@@ -51,7 +53,7 @@ def streaming(
     most_missed = missable(watchdog, firmware.rate)
     most_coasted = missable(min(watchdog, coasting), firmware.rate)
     cycle = number(1.0 / firmware.rate)
-    ways = [number(checked(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
+    ways = [number(check_number(speed, "speed", 1e-3) / firmware.rate) for speed in speeds]
     if firmware.is_cb2:
         easing = _eased(firmware)
         move = f"moved = [{each('eased(aim[{i}], q[{i}], pace[{i}], moved[{i}], {way})', ways)}]"

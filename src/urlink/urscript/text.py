@@ -7,17 +7,16 @@ characters: URScript has no escapes that are known of, and a backslash before th
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from textwrap import dedent, indent
 from typing import Any
 
+from linkcore.arguments import check_number
 from linkcore.errors import BadValue
 
 __all__ = [
     "boolean",
-    "checked",
     "each",
     "identifier",
     "indented",
@@ -72,26 +71,7 @@ def integer(value: Any, least: int, most: int, what: str = "value") -> str:
     return str(whole)
 
 
-def checked(value: Any, what: str = "value", least: float = -_LARGEST, most: float = _LARGEST) -> float:
-    """A finite number, not below `least` and not above `most`.
-
-    Raises:
-        BadValue: it is none, or out of range.
-    """
-    try:
-        if isinstance(value, (bool, str, bytes)):
-            raise TypeError
-        real = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise BadValue(f"{what} is {value!r}; expected a number") from None
-    if not math.isfinite(real):
-        raise BadValue(f"{what} is {value!r}; expected a finite number")
-    if not least <= real <= most:
-        raise BadValue(f"{what} is {value!r}; expected a number from {least:g} to {most:g}")
-    return real
-
-
-def number(value: Any, what: str = "value", least: float = -_LARGEST, most: float = _LARGEST) -> str:
+def number(value: Any, what: str = "value", least: float = -_LARGEST, most: float = _LARGEST, unit: str = "") -> str:
     """A finite number, not below `least` and not above `most`, as one that has a point.
 
     >>> number(0.5), number(2), number(-1e-12), number(1 / 3)
@@ -100,7 +80,7 @@ def number(value: Any, what: str = "value", least: float = -_LARGEST, most: floa
     Raises:
         BadValue: it is none, or out of range.
     """
-    digits = f"{checked(value, what, least, most):.{_DIGITS}f}".rstrip("0")
+    digits = f"{check_number(value, what, least, most, unit):.{_DIGITS}f}".rstrip("0")
     digits += "0" if digits.endswith(".") else ""
     return "0.0" if digits == "-0.0" else digits
 

@@ -205,7 +205,7 @@ def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
 @pytest.mark.parametrize(
     ("limits", "message"),
     [
-        ((4.0, 1.0, 1.0), r"speed\[0\] \(base\) is 4; a UR5e reaches 3.142 at most"),
+        ((4.0, 1.0, 1.0), r"speed\[0\] \(base\) is 4 rad/s; expected .* 3.14159 rad/s, the limits of a UR5e"),
         ((1.0, [1, 1, 1, 50, 1, 1], 1.0), r"acceleration\[3\] \(wrist 1\) is 50"),
         ((1.0, 1.0, 0.0), "jerk is .* expected positive limits"),
         ((1.0, [1, 2], 1.0), "shape"),

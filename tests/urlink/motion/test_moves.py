@@ -365,7 +365,7 @@ def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
 
 
 def test_failed_on_the_controller(robot: Rehearsal) -> None:
-    motion = robot.motion.move_linear([9, 0, 0, 0, 0, 0])
+    motion = robot.motion.move_linear([0.4, 0.2, 0.3, 0, 0, 0])
     robot.begin()
     robot.exception(3, 1, "no inverse kinematics")
     robot.vanish()

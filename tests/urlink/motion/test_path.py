@@ -84,8 +84,8 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
     ([Joint(READY)] * 1001, "a path of 1001 waypoints"),
     ([[0.0] * 6], r"waypoint 0 is \[0.0, .*; expected a Joint, Linear or Circular"),  # type: ignore[list-item]
     ([Linear(moved(z=0.1), blend=0.01)], "waypoint 0 is the last"),
-    ([Joint(READY), Joint([7.0, *READY[1:]])], r"waypoint 1: q\[0\] \(base\) is 7.0000 rad"),
-    ([Joint(READY, speed=4.0)], "waypoint 0: speed is 4.0"),
+    ([Joint(READY), Joint([7.0, *READY[1:]])], r"waypoint 1: q\[0\] \(base\) is 7 rad"),
+    ([Joint(READY, speed=4.0)], "waypoint 0: speed is 4 rad/s"),
     ([Linear(moved(x=-3.0))], "waypoint 0: the way there is out of reach: a UR5e cannot bring its tool to"),
     # The end can be reached, and what is between is within the base.
     ([Linear(compose([0, 0, 0, 0, 0, math.pi], moved()))], "out of reach: .* from the axis of the base"),
@@ -111,8 +111,8 @@ def test_no_such_figures(bad: dict[str, float]) -> None:
 
 
 def test_the_largest_and_the_smallest_figures() -> None:
-    planned([Linear(moved(), blend=2.0, speed=100.0, acceleration=1e-3), *[Joint(READY)] * 999], arm=None)
-    for bad in ({"blend": 2.1}, {"speed": 101.0}, {"speed": 9e-4}, {"acceleration": 101.0}, {"acceleration": 9e-4}):
+    planned([Linear(moved(), blend=2.0, speed=5.0, acceleration=1e-3), *[Joint(READY)] * 999], arm=None)
+    for bad in ({"blend": 2.1}, {"speed": 6.3}, {"speed": 9e-4}, {"acceleration": 41.0}, {"acceleration": 9e-4}):
         with pytest.raises(BadValue, match=next(iter(bad))):
             Joint(READY, **bad)
 
@@ -208,7 +208,7 @@ def test_how_closely_a_way_is_looked_at() -> None:
     from_there(q, Linear(arm.forward(q)), arm=arm)
     assert len(arm.poses) == 2
     with pytest.raises(BadValue, match="out of reach"):
-        from_there(q, Linear([1e3, 0, 0, 0, 0, 0]), arm=arm)
+        from_there(q, Linear([9.9, 0, 0, 0, 0, 0]), arm=arm)
     assert len(arm.poses) == 2001
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from urlink import poses
+from urlink import poses, rigid
 from urlink.kinematics import Unreachable
 
 from ..errors import Fault, type_error
@@ -180,7 +180,11 @@ def solution(thread: ScriptThread, x: Sequence[float], near: Sequence[float], tc
     """The joint positions for a pose that are closest to `near`; None if it is out of reach."""
     thread.machine.spend(_INVERSE)
     try:
-        found: list[float] = thread.world.kinematics.inverse(x, near, _tool(thread, tcp), is_limited=False).tolist()
+        # A controller takes any rotation vector; `Arm.inverse` takes those of up to one turn.
+        turned = rigid.to_pose(rigid.from_pose(list(x)))
+        found: list[float] = thread.world.kinematics.inverse(
+            turned, near, _tool(thread, tcp), is_limited=False
+        ).tolist()
     except Unreachable:
         return None
     return found
