@@ -5,8 +5,9 @@ servoc) begin where the arm can come to rest, and a blend is added that takes ov
 the present speed; servoj follows its set-point from there.
 
 Guesses, because a controller's algorithm is not published: how hard it brakes without a command, or when a path move
-preempts another movement (a quarter of the model's acceleration), that the speed slider changes over 0.1 s, and that
-it has no effect on servoj.
+preempts another movement (a quarter of the model's acceleration), and that the speed slider changes over 0.1 s.
+
+Not as on a controller: the slider does not scale servoj here (docs/protocols/urscript.md, Speed scaling).
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class MotionGenerator:
 
     Attributes:
         setpoint: that of this cycle.
-        speed_fraction: of the speed slider, in [0, 1]. It scales everything but servoj and stops.
+        speed_fraction: of the speed slider, in [0, 1]. It scales everything but stops, and servoj, which a
+            controller scales (docs/protocols/urscript.md, Speed scaling).
     """
 
     def __init__(self, kinematics: Arm, setpoint: Setpoint) -> None:

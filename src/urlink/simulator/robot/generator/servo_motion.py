@@ -7,7 +7,8 @@ and 300. It never overshoots a set-point that stands still. Firmware without the
 set-point.
 
 A set-point that holds for several cycles is approached on a straight line over them. If none follows, the arm
-comes to rest on the last one. The speed slider has no effect.
+comes to rest on the last one. The speed slider does not scale it here, as it does on a controller
+(docs/protocols/urscript.md, Speed scaling).
 """
 
 from __future__ import annotations
