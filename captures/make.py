@@ -73,7 +73,7 @@ def golden_of(path: Path) -> Path:
 def record(path: Path, firmware: str) -> None:
     """Some hundred real-time packets, and the primary interface meanwhile."""
     e_series = Firmware.parse(firmware).is_e_series
-    with urlink.connect(f"sim://{'UR5e' if e_series else 'UR5'}?firmware={firmware}") as robot:
+    with urlink.connect(f"sim://{'UR5e' if e_series else 'UR5'}?firmware={firmware}&motion=demo") as robot:
         assert robot.controller is not None
         robot.controller.signals.set_digital_input(2, True)
         robot.controller.signals.set_digital_output(5, True)

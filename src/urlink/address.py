@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, get_args
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from linkcore.errors import BadAddress, BadVersion
@@ -13,7 +14,10 @@ from linkcore.errors import BadAddress, BadVersion
 from .firmware import Firmware, release_of
 from .ports import PORTS
 
-__all__ = ["Address", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
+__all__ = ["Address", "Motion", "RecordingAddress", "RobotAddress", "SimulatorAddress", "parse_address"]
+
+#: Whether a simulated arm stands still until a program commands it, or moves slowly about its home posture.
+Motion = Literal["still", "demo"]
 
 
 @dataclass(frozen=True)
@@ -34,10 +38,11 @@ class RobotAddress:
 
 @dataclass(frozen=True)
 class SimulatorAddress:
-    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4``."""
+    """The built-in simulator: ``sim://``, ``sim://ur10?firmware=3.4&motion=demo``; a motion of None is "still"."""
 
     model: str | None = None
     firmware: Firmware | None = None
+    motion: Motion | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
         BadAddress: says what is wrong and what was expected.
 
     >>> parse_address("sim://ur5e?firmware=5.11")
-    SimulatorAddress(model='ur5e', firmware=Firmware(major=5, minor=11, bugfix=0, build=0))
+    SimulatorAddress(model='ur5e', firmware=Firmware(major=5, minor=11, bugfix=0, build=0), motion=None)
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
@@ -110,16 +115,18 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
 
 
 def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
-    firmware = options.pop("firmware", None)
+    firmware, motion = options.pop("firmware", None), options.pop("motion", None)
     if options:
-        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware")
+        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware or motion")
+    if motion not in (None, "still", "demo"):
+        raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
     try:
         version = None if firmware is None else Firmware.parse(firmware)
         if version is not None:
             release_of(version)
     except BadVersion as error:
         raise BadAddress(f"{text!r}: {error}") from None
-    return SimulatorAddress(model or None, version)
+    return SimulatorAddress(model or None, version, motion)
 
 
 def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:

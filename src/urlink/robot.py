@@ -220,9 +220,10 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     Raises:
         UnknownModel, BadValue: no such arm, or it does not run the firmware.
     """
-    from .simulator import Controller
+    from .simulator import Controller, Demonstration
 
-    controller = Controller(model=place.model, firmware=place.firmware)
+    motion = Demonstration() if place.motion == "demo" else None
+    controller = Controller(model=place.model, firmware=place.firmware, motion=motion)
     controller.start()
     return controller, RobotAddress(controller.host, dict(controller.ports))
 

@@ -48,6 +48,8 @@ def test_ports_of_a_robot() -> None:
         ("sim:///UR10e", SimulatorAddress("UR10e")),
         ("sim://?firmware=3.4", SimulatorAddress(None, Firmware(3, 4))),
         ("sim://ur5e?firmware=5.11.1", SimulatorAddress("ur5e", Firmware(5, 11, 1))),
+        ("sim://?motion=still", SimulatorAddress(None, None, "still")),
+        ("sim://ur10?motion=demo&firmware=3.4", SimulatorAddress("ur10", Firmware(3, 4), "demo")),
     ],
 )
 def test_simulators(text: str, place: SimulatorAddress) -> None:
@@ -96,7 +98,9 @@ def test_recordings(text: str, path: str, rate: float) -> None:
         ("ur://host?realtime=-1", "is not a port"),
         ("ur://host?realtime=" + "9" * 5000, "is not a port"),
         ("ur://host#30003", "nothing is known of #30003"),
-        ("sim://?speed=3", "unknown option 'speed'; expected firmware"),
+        ("sim://?speed=3", "unknown option 'speed'; expected firmware or motion"),
+        ("sim://?motion=dance", "motion='dance'; expected still or demo"),
+        ("sim://?motion=", "motion=''; expected still or demo"),
         ("sim://?firmware=new", "'new' is not a version"),
         ("sim://?firmware=0.1", "nothing is known of firmware 0.1"),
         ("sim://?firmware=5", "not a version"),

@@ -16,7 +16,7 @@ from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 
-from ..address import RecordingAddress, parse_address
+from ..address import RecordingAddress, SimulatorAddress, parse_address
 from ..interfaces.primary.robot_message import RobotMessage, UnnamedMessage12, VersionMessage
 from ..robot import Robot, connect
 from .glance import Glance, Status, status_of
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         RemoteError: the robot cannot be connected to, or no state came.
     """
-    with connect(args.address, timeout=args.connect_timeout) as robot:
+    with connect(_with_motion(args.address), timeout=args.connect_timeout) as robot:
         glances = watch(robot, args.interface)
         next(glances)  # connects: an error is printed before anything is drawn
         show, pause = _painter(args.plain)
@@ -82,6 +82,14 @@ def run(args: argparse.Namespace) -> int:
                 + ("" if glance.trouble is None else f" ({glance.trouble})")
             )
     return 0
+
+
+def _with_motion(address: str) -> str:
+    """The address; that of a simulated arm which says nothing of its motion with the demonstration, to have a view."""
+    place = parse_address(address)
+    if not isinstance(place, SimulatorAddress) or place.motion is not None:
+        return address
+    return f"{address}{'&' if '?' in address else '?'}motion=demo"
 
 
 def _await_first(glances: Iterator[Glance], interruption: Interruption, until: float | None) -> None:

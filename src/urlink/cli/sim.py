@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import get_args
 
 from linkcore.cli.interruption import Interruption
 
+from ..address import Motion
 from .options import Subparsers, add_command, seconds
 from .tap import tell
 
@@ -17,9 +19,10 @@ _DESCRIPTION = """\
 Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
 It serves the primary, secondary and real-time interface, their read-only twins, RTDE and the dashboard, each to a
-hundred clients, in the wire format of the firmware. The arm moves slowly about a home posture until a
-program is sent, which it then runs. With --ports standard it has the ports of a real controller, where other
-programs expect them.
+hundred clients, in the wire format of the firmware. The arm stands still, or with --motion demo moves slowly
+about a home posture, until a program is sent, which it then runs. With --ports standard it has the ports of a
+real controller, where other programs expect them. --like ursim makes it begin as URSim, the vendor's simulator,
+does: in URSim's posture, in local control, and with "Default program" loaded.
 
 Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
 """
@@ -30,7 +33,11 @@ _EXAMPLES = (
     "urlink sim --fault protective_stop@5 --fault clear@8 --fault reboot=5.12@15",
     "urlink sim --duration 60 --fault garbage=100@2 --fault stall=3@10",
     "urlink sim --program pick.urp=pick.script",
+    "urlink sim --like ursim --ports standard --noise off",
 )
+#: rad. The joints of URSim when it starts, as the vendor's integration tests find them.
+_URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)
+_URSIM_PROGRAM = "Default program"
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -55,6 +62,14 @@ def add_parser(subparsers: Subparsers) -> None:
         metavar="NAME=FILE",
         help="a URScript file that the dashboard can load as NAME; can be repeated",
     )
+    parser.add_argument(
+        "--motion",
+        choices=get_args(Motion),
+        default="still",
+        help="stand still until a program is sent, or move about a home posture (still)",
+    )
+    parser.add_argument("--noise", choices=("on", "off"), default="on", help="noise of the sensors (on)")
+    parser.add_argument("--like", choices=("ursim",), help="begin as URSim does")
     parser.add_argument(
         "--local-control", action="store_true", help="as an e-Series in local control: commands only from the pendant"
     )
@@ -91,11 +106,24 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         LocalError: no such model, firmware or fault, or the ports are taken.
     """
-    from ..simulator import Controller, parse_fault
+    from ..simulator import HOME, Controller, Demonstration, Still, parse_fault
 
     faults = [parse_fault(text) for text in args.fault]
-    controller = Controller(args.model, args.firmware, host=args.host, ports=args.ports, files=dict(args.program))
-    controller.remote_control = not args.local_control
+    posture, files = HOME, dict(args.program)
+    if args.like == "ursim":
+        posture, files = _URSIM_POSTURE, {_URSIM_PROGRAM: f"def {_URSIM_PROGRAM.replace(' ', '_')}():\nend\n", **files}
+    controller = Controller(
+        args.model,
+        args.firmware,
+        host=args.host,
+        ports=args.ports,
+        files=files,
+        motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
+        noise=args.noise == "on",
+    )
+    if args.like == "ursim":
+        controller.pendant.load(_URSIM_PROGRAM)
+    controller.remote_control = not args.local_control and args.like is None
     controller.schedule(*faults)
     with Interruption() as interruption, controller:
         until = None if args.duration is None else time.monotonic() + args.duration

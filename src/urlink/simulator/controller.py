@@ -40,7 +40,7 @@ from .robot.gripper import SimulatedGripper
 from .robot.modbus import ModbusSignals
 from .robot.modes import Modes
 from .robot.signals import Signals
-from .robot.sources import Demonstration, SetpointSource
+from .robot.sources import SetpointSource, Still
 from .robot.surroundings import Surroundings
 from .state import ControllerState, Counters, firmware_for
 from .stepped_clock import SteppedClock, passing
@@ -82,8 +82,10 @@ class Controller:
             for the Robot API of PolyScope X, may need rights), or a mapping from names in
             `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
         seed: of the noise on the sensors and of random garbage.
+        noise: whether the sensors are noisy; without noise the actual joints of an arm that stands are its targets.
         serial: serial number of the arm.
-        motion: the source of set-points until a program commands the arm; None for the slow demonstration.
+        motion: the source of set-points until a program commands the arm: `Demonstration` moves it slowly, `Still` has
+            a posture to stand in; None to stand in `HOME`.
         output_limit: bytes that may wait for one client, besides what the network has buffered. Beyond it, packets of
             the primary, secondary and real-time interface are left out, and a client of the dashboard is disconnected.
         files: path -> URScript of the programs that are saved at the pendant.
@@ -115,6 +117,7 @@ class Controller:
         host: str = "127.0.0.1",
         ports: Literal["free", "standard"] | Mapping[str, int] = "free",
         seed: int = 0,
+        noise: bool = True,
         serial: str = "20230000001",
         motion: SetpointSource | None = None,
         output_limit: int = 1 << 20,
@@ -142,9 +145,9 @@ class Controller:
         self._messages: deque[bytes] = deque()
 
         def source() -> SetpointSource:
-            return motion or Demonstration()
+            return motion or Still()
 
-        self._state = state = ControllerState(kinematics, chosen, source(), serial=serial, seed=seed)
+        self._state = state = ControllerState(kinematics, chosen, source(), serial=serial, seed=seed, noise=noise)
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})

@@ -114,6 +114,7 @@ class ControllerState:
         firmware: the first one.
         serial: serial number of the arm.
         seed: of the noise on the sensors.
+        noise: whether there is any.
 
     Attributes:
         kinematics, serial: as given.
@@ -148,11 +149,18 @@ class ControllerState:
     """
 
     def __init__(
-        self, kinematics: Kinematics, firmware: Firmware, source: SetpointSource, *, serial: str, seed: int
+        self,
+        kinematics: Kinematics,
+        firmware: Firmware,
+        source: SetpointSource,
+        *,
+        serial: str,
+        seed: int,
+        noise: bool,
     ) -> None:
         self.kinematics = kinematics
         self.serial = serial
-        self.seed = seed
+        self._noise_seed = seed if noise else None
         self.cycle = 0
         self.cycles_down = 0
         self.signals = Signals()
@@ -164,7 +172,7 @@ class ControllerState:
         self.counters = Counters()
         self.outbox = Outbox(self.counters)
         self.surroundings = Surroundings()
-        self.arm = Arm(kinematics, source.advance(0.0), seed, self.surroundings)
+        self.arm = Arm(kinematics, source.advance(0.0), self._noise_seed, self.surroundings)
         self._next_firmware = firmware
         self._begin(firmware, source)
 
@@ -202,7 +210,7 @@ class ControllerState:
         """
         before = self.arm
         source.start(before.setpoint.q)
-        self.arm = Arm(self.kinematics, source.advance(0.0), self.seed, self.surroundings)
+        self.arm = Arm(self.kinematics, source.advance(0.0), self._noise_seed, self.surroundings)
         self.arm.take_tool_of(before)
         self._begin(self._next_firmware, source)
 

@@ -96,6 +96,16 @@ def test_old_firmware_lacks_fields_and_says_nothing_of_them(run: Run, old_addres
     assert ("program" in out) is (interface == "primary")
 
 
+@pytest.mark.parametrize(
+    ("address", "program"),
+    [("sim://", "PLAYING"), ("sim://ur10?firmware=3.4", "PLAYING"), ("sim://?motion=still", "STOPPED")],
+)
+def test_a_simulated_arm_moves_unless_it_is_to_stand(run: Run, address: str, program: str) -> None:
+    status, out, _ = run("monitor", address, "--plain", "--duration", "0.5", "--interface", "primary")
+    assert status == 0
+    assert f"program {program}" in out.splitlines()[-1]
+
+
 def test_recording_ends_by_itself(run: Run, recording: Path) -> None:
     status, out, _ = run("monitor", f"replay://{str(recording).replace(' ', '%20')}", "--plain")
     assert status == 0

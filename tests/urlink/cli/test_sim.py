@@ -115,6 +115,26 @@ def test_local_control(spawn: Spawn) -> None:
             robot.dashboard.power_off()
 
 
+@pytest.mark.parametrize(("argv", "is_moving"), [((), False), (("--motion", "demo"), True)])
+def test_the_arm_stands_still_unless_it_is_to_move(spawn: Spawn, argv: tuple[str, ...], is_moving: bool) -> None:
+    process = spawn("sim", *argv)
+    assert process.stdout is not None
+    with urlink.connect(process.stdout.readline().strip()) as robot:
+        assert robot.dashboard.running() is is_moving
+        until(lambda: robot.realtime.wait().qd_target.any() == is_moving)
+
+
+def test_like_the_simulator_of_the_vendor(spawn: Spawn) -> None:
+    process = spawn("sim", "--like", "ursim", "--noise", "off")
+    assert process.stdout is not None
+    with urlink.connect(process.stdout.readline().strip()) as robot:
+        state = robot.realtime.wait()
+        assert state.q_actual.tolist() == [-1.6, -1.72, -2.2, -0.8, 1.6, 0.03]
+        assert robot.dashboard.is_in_remote_control() is False
+        assert robot.dashboard.loaded_program() == "Default program"
+        assert robot.dashboard.program_state().name == "Default program"
+
+
 @pytest.mark.parametrize("option", ["pick.urp", "=x", "pick.urp=/nowhere/pick.script"])
 def test_programs_that_are_none(run: Run, option: str) -> None:
     status, _, err = run("sim", "--program", option)

@@ -34,7 +34,7 @@ def column(states: list[RealtimeState], name: str) -> np.ndarray[tuple[int, int]
 
 @pytest.mark.parametrize("name", MODELS)
 def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
-    controller = Controller(name)
+    controller = Controller(name, motion=Demonstration())
     controller.arm.tcp = [0.01, -0.02, 0.15, 0.3, -0.2, 0.1]
     controller.step(500)
     for state in run(controller, 3):
@@ -50,7 +50,7 @@ def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "firmware"), [("UR5e", "5.11"), ("UR10", "3.14"), ("UR5", "1.8")])
 def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> None:
-    controller = Controller(name, firmware)
+    controller = Controller(name, firmware, motion=Demonstration())
     # Past the ramp, and for long enough that every joint turns back once.
     states = run(controller, 14 * controller.firmware.rate)
     dt = 1.0 / controller.firmware.rate
@@ -128,7 +128,7 @@ def test_the_demonstration_comes_from_wherever_the_arm_stands() -> None:
 @pytest.mark.parametrize(("name", "firmware"), [("UR20", "5.14"), ("UR5", "1.8")])
 @pytest.mark.parametrize("fault", ["protective_stop", "emergency_stop", "power_off"])
 def test_a_stop_is_a_brake_path_and_not_a_freeze(name: str, firmware: str, fault: str) -> None:
-    controller = Controller(name, firmware)
+    controller = Controller(name, firmware, motion=Demonstration())
     controller.step(3 * controller.firmware.rate)
     states = run(controller, 1)
     getattr(controller.faults, fault)()
@@ -147,7 +147,7 @@ def test_a_stop_is_a_brake_path_and_not_a_freeze(name: str, firmware: str, fault
 
 
 def test_after_a_protective_stop_the_motion_goes_on_from_rest() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.step(1500)
     controller.faults.protective_stop()
     before = run(controller, 500)[-1]
@@ -175,7 +175,7 @@ def test_another_motion_can_be_followed() -> None:
             speed, change = 0.1 * math.sin(self.time), 0.1 * math.cos(self.time)
             return Setpoint([self.begin[0] + turn, *self.begin[1:]], [speed] + [0.0] * 5, [change] + [0.0] * 5)
 
-    controller = Controller("UR5e")
+    controller = Controller("UR5e", motion=Demonstration())
     controller.step(1500)
     before = run(controller, 1)
     assert np.abs(column(before, "qd_target")).max() > 0.1
@@ -215,7 +215,7 @@ def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
 
 
 def test_moments_grow_with_acceleration() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     states = run(controller, 1000)
     for state in states[::100]:
         held = Dynamics(controller.model).gravity_torque(state.q_target)
@@ -224,7 +224,7 @@ def test_moments_grow_with_acceleration() -> None:
 
 
 def test_momentum_is_that_of_a_mass_that_moves() -> None:
-    controller = Controller("UR10e", "5.11")
+    controller = Controller("UR10e", "5.11", motion=Demonstration())
     controller.step(1500)
     (moving,) = run(controller, 1)
     most = controller.model.link_masses.sum() * np.linalg.norm(moving.tcp_speed_actual[:3])
@@ -235,7 +235,7 @@ def test_momentum_is_that_of_a_mass_that_moves() -> None:
 
 
 def test_temperatures_rise_slowly() -> None:
-    controller = Controller("UR5", "3.14")
+    controller = Controller("UR5", "3.14", motion=Demonstration())
     cold = run(controller, 1)[0].motor_temperatures
     controller.step(60 * 125)
     warmer = run(controller, 1)[0].motor_temperatures
@@ -248,7 +248,7 @@ def test_temperatures_rise_slowly() -> None:
 
 
 def test_without_power_there_is_no_current() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.step(100)
     controller.faults.power_off()
     state = run(controller, 500)[-1]
@@ -261,7 +261,7 @@ def test_without_power_there_is_no_current() -> None:
 
 def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
     def last(seed: int, looks: int) -> tuple[bytes, bytes]:
-        controller = Controller("UR10e", "5.11", seed=seed)
+        controller = Controller("UR10e", "5.11", seed=seed, motion=Demonstration())
         controller.schedule("protective_stop@1", "clear@1.5")
         for cycle in range(1500):
             controller.step()
@@ -274,7 +274,7 @@ def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
 
 
 def test_the_joints_alone_are_those_of_the_sample() -> None:
-    controller = Controller("UR5e")
+    controller = Controller("UR5e", motion=Demonstration())
     arm = controller.arm
     for stop in (controller.faults.clear, controller.faults.protective_stop, controller.faults.power_off):
         stop()

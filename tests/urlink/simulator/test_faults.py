@@ -15,7 +15,7 @@ from urlink.firmware import Firmware
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_message import SafetyModeMessage, VersionMessage
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.simulator import Controller, ScheduledFault, parse_fault
+from urlink.simulator import Controller, Demonstration, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
 from urlink.simulator.faults.corruption import Segmenter, with_garbage_inside, with_sub_package, with_tail, with_tails
 
@@ -110,7 +110,7 @@ def test_every_fault_on_the_list_is_a_method() -> None:
 
 
 def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.schedule("clear@0.2", "protective_stop@0.1")
     modes = []
     for cycles in (49, 1, 49, 1):
@@ -121,7 +121,7 @@ def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
 
 
 def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.schedule(ScheduledFault("cut", ("modbus",), 0.01), "protective_stop@0.02")
     controller.step(10)
     assert "no port is called 'modbus'" in caplog.text
@@ -132,7 +132,7 @@ def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptur
 
 def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> None:
     # The clock wakes ten times a second for these ports, and for what is scheduled between.
-    with Controller("UR5e", "5.11") as controller:
+    with Controller("UR5e", "5.11", motion=Demonstration()) as controller:
         link = connect(controller, "primary")
         controller.schedule("protective_stop@0.55", "clear@0.75", "protective_stop@0.95")
         before_state = []
@@ -147,7 +147,7 @@ def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> No
 
 
 def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     with pytest.raises(BadValue, match=r"does not run firmware 3\.14"):
         controller.schedule("reboot=3.14@1")
     with pytest.raises(BadValue, match=r"does not run firmware 3\.14"):
@@ -179,7 +179,7 @@ def test_wrong_arguments_are_refused(wrong: Callable[[Any], None]) -> None:
 
 
 def test_a_tail_is_what_a_newer_release_would_append() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     packet, state = controller.realtime_packet(), controller.state_package()
     grown = with_tail(packet, b"12345678")
     assert grown[4:] == packet[4:] + b"12345678"
@@ -223,7 +223,7 @@ def test_segments_lose_and_change_nothing(packets: list[bytes], sizes: list[int]
 
 @pytest.fixture
 def controller() -> Any:
-    with Controller("UR5e", "5.11") as controller:
+    with Controller("UR5e", "5.11", motion=Demonstration()) as controller:
         yield controller
 
 
@@ -251,7 +251,7 @@ def test_garbage_inside_shifts_what_follows(controller: Controller, connect: Con
 def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
     sent = []
     for _ in range(2):
-        with Controller("UR5e", "5.11", seed=5) as controller:
+        with Controller("UR5e", "5.11", seed=5, motion=Demonstration()) as controller:
             link = connect(controller, "primary")
             link.until(lambda package: package[4] == 16)
             controller.faults.garbage(64)
@@ -378,7 +378,7 @@ def test_who_waits_for_the_end_of_a_reboot_can_connect(controller: Controller, c
 
 
 def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
-    controller = Controller("UR10", "3.14")
+    controller = Controller("UR10", "3.14", motion=Demonstration())
     controller.step(500)
     controller.arm.tcp = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
     controller.arm.payload = 3.0

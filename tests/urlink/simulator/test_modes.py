@@ -14,7 +14,7 @@ from urlink.interfaces.enums import (
 )
 from urlink.interfaces.primary.robot_state import MasterboardData, RobotModeData, ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 
 CASES = [
     # name, firmware, robot modes of: running, protective stop, emergency stop, power off
@@ -70,7 +70,7 @@ def second(controller: Controller) -> None:
 
 @pytest.mark.parametrize(("name", "firmware", "modes"), CASES)
 def test_flags_and_modes_of_every_event(name: str, firmware: str, modes: list[int]) -> None:
-    controller = Controller(name, firmware)
+    controller = Controller(name, firmware, motion=Demonstration())
     running, protective, emergency, off = modes
     second(controller)
 
@@ -112,7 +112,7 @@ def test_flags_and_modes_of_every_event(name: str, firmware: str, modes: list[in
 
 
 def test_powering_on_goes_step_by_step() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.faults.power_off()
     second(controller)
     controller.faults.power_on()
@@ -135,7 +135,7 @@ def test_powering_on_goes_step_by_step() -> None:
 
 
 def test_the_arm_is_powered_until_it_stands() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     second(controller)
     second(controller)
     controller.faults.emergency_stop()
@@ -154,7 +154,7 @@ def test_the_arm_is_powered_until_it_stands() -> None:
 
 
 def test_program_states_of_a_protective_stop() -> None:
-    controller = Controller("UR3", "3.14")
+    controller = Controller("UR3", "3.14", motion=Demonstration())
     second(controller)
     second(controller)
     assert realtime(controller).program_state == ProgramState.PLAYING
@@ -174,7 +174,7 @@ def test_program_states_of_a_protective_stop() -> None:
 
 
 def test_a_protective_stop_does_not_hide_an_emergency_stop() -> None:
-    controller = Controller("UR5e")
+    controller = Controller("UR5e", motion=Demonstration())
     controller.faults.emergency_stop()
     controller.faults.protective_stop()
     second(controller)
@@ -182,7 +182,7 @@ def test_a_protective_stop_does_not_hide_an_emergency_stop() -> None:
 
 
 def test_a_robot_without_power_has_no_protective_stop() -> None:
-    controller = Controller("UR5e")
+    controller = Controller("UR5e", motion=Demonstration())
     controller.faults.power_off()
     second(controller)
     controller.faults.protective_stop()
@@ -191,7 +191,7 @@ def test_a_robot_without_power_has_no_protective_stop() -> None:
 
 
 def test_the_masterboard_of_cb2_has_states_of_its_own() -> None:
-    controller = Controller("UR10", "1.8")
+    controller = Controller("UR10", "1.8", motion=Demonstration())
     board = masterboard(controller)
     assert (board.master_safety_state, board.master_on_off_state) == (MasterSafetyState.OK, MasterOnOffState.ON)
     second(controller)

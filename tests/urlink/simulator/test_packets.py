@@ -29,7 +29,7 @@ from urlink.interfaces.primary.robot_state import (
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import MODELS, UnknownModel
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 from urlink.simulator.ports.form import Form
 from urlink.simulator.ports.primary import _CHANGING, _UNCHANGING
 from urlink.simulator.ports.realtime import _fields
@@ -74,7 +74,7 @@ def decoded(part: bytes, firmware: Firmware) -> SubPackage:
 
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
 def test_packets_of_every_firmware_and_model_have_the_sizes_of_the_table(release: Release, name: str) -> None:
-    controller = Controller(name, release.since)
+    controller = Controller(name, release.since, motion=Demonstration())
     controller.step(40)
 
     packet = controller.realtime_packet()
@@ -101,7 +101,7 @@ def test_packets_of_every_firmware_and_model_have_the_sizes_of_the_table(release
 
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
 def test_forms_give_the_bytes_of_the_slow_encoder(release: Release, name: str) -> None:
-    controller = Controller(name, release.since)
+    controller = Controller(name, release.since, motion=Demonstration())
     controller.signals.set_digital_output(3, True)
     controller.signals.set_digital_input(16, True)
     controller.step(77)
@@ -120,7 +120,7 @@ def test_a_form_refuses_a_layout_with_text() -> None:
 
 
 def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
-    controller = Controller("UR10e", "5.11")
+    controller = Controller("UR10e", "5.11", motion=Demonstration())
     controller.arm.tcp = [0.0, 0.01, 0.1, 0.1, 0.2, 0.3]
     controller.signals.digital_inputs = 0x10102
     controller.signals.digital_outputs = 0x20001
@@ -166,7 +166,7 @@ def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
 
 
 def test_the_first_state_tells_geometry_and_limits() -> None:
-    controller = Controller("UR20", "5.25")
+    controller = Controller("UR20", "5.25", motion=Demonstration())
     subs = [decoded(part, NEWEST) for part in parts(controller.state_package(first=True)).values()]
     (chain,) = (sub for sub in subs if isinstance(sub, KinematicsInfo))
     (limits,) = (sub for sub in subs if isinstance(sub, ConfigurationData))
@@ -210,7 +210,7 @@ def test_message_12_and_the_tolerances_are_those_captured() -> None:
 
 
 def test_the_primary_interface_tells_of_a_stop() -> None:
-    controller = Controller("UR5e", "5.11")
+    controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.faults.protective_stop()
     controller.step()
     report, change = controller.take_messages()
@@ -225,7 +225,7 @@ def test_the_primary_interface_tells_of_a_stop() -> None:
 
 
 def test_cb2_has_no_safety_mode_message() -> None:
-    controller = Controller("UR5", "1.8")
+    controller = Controller("UR5", "1.8", motion=Demonstration())
     controller.faults.emergency_stop()
     controller.step()
     (report,) = controller.take_messages()

@@ -16,7 +16,7 @@ from urlink.simulator import Controller
 from urlink.simulator.ports.dashboard import UNLOCK_AFTER
 from urlink.simulator.programs.runner import MOST_SECONDARY
 from urlink.simulator.robot.modes import Power
-from urlink.simulator.robot.sources import HOME, Still
+from urlink.simulator.robot.sources import HOME, Demonstration, Still
 
 TURN = "def turn():\n  movej([0.5, -1.2, 1.2, -1.2, -1.2, 0.3], a=1, v=0.5)\nend\n"
 SPIN = "def spin():\n  speedj([0.5, 0, 0, 0, 0, 0], 1, 60)\nend\n"
@@ -235,7 +235,7 @@ def test_a_new_program_takes_over_at_speed(watched: Watched) -> None:
 
 
 def test_a_new_program_takes_over_from_the_demonstration() -> None:
-    watched = Watched(motion=None)
+    watched = Watched(motion=Demonstration())
     watched.step(3)
     assert watched.moves()
     watched.take(TURN).step(6)
@@ -428,7 +428,7 @@ def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -
 
 
 def test_a_demonstration_that_was_paused_begins_anew_after_an_emergency_stop() -> None:
-    watched = Watched(motion=None)
+    watched = Watched(motion=Demonstration())
     watched.step(2)
     assert watched.dashboard("pause") == "Pausing program"
     watched.step(1)
@@ -700,7 +700,7 @@ def test_loading_ends_what_runs() -> None:
 
 
 def test_stop_ends_the_demonstration() -> None:
-    watched = Watched(motion=None)
+    watched = Watched(motion=Demonstration())
     watched.step(2)
     assert watched.dashboard("running") == "Program running: true"
     assert watched.dashboard("stop") == "Stopped"
@@ -710,6 +710,17 @@ def test_stop_ends_the_demonstration() -> None:
     assert watched.story == []
     watched.step(3)
     assert not watched.moves()
+
+
+def test_stop_program_ends_the_demonstration_too() -> None:
+    # What the UR Client Library sends over the primary interface before its own program.
+    watched = Watched(motion=Demonstration())
+    watched.step(2)
+    assert watched.dashboard("programState") == "PLAYING <unnamed>"
+    watched.take("stop program\n").step(1)
+    assert watched.dashboard("programState") == "STOPPED <unnamed>"
+    assert not watched.moves()
+    assert watched.take(TURN).step(6).story == ["started turn", "stopped turn"]
 
 
 # -- the same again ------------------------------------------------------------------------------------
@@ -786,7 +797,7 @@ _EVENTS = st.one_of(
 def test_whatever_happens_what_is_started_is_stopped(
     events: list[tuple[str, Any]], firmware: str, has_demonstration: bool
 ) -> None:
-    motion = None if has_demonstration else Still()
+    motion = Demonstration() if has_demonstration else Still()
     watched = Watched(firmware, motion=motion, files={"a.urp": TURN})
     controller = watched.controller
     model = controller.model

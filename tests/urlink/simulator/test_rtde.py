@@ -15,7 +15,7 @@ from tests.urlink.simulator.rtde_peer import Peer, package, step, types_of
 from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
-from urlink.simulator import Controller, Still
+from urlink.simulator import Controller, Demonstration, Still
 from urlink.simulator.ports.rtde import MOST_NAMES, UNREAD
 
 FIRMWARES = ["3.4", "3.9", "3.15", "5.0", "5.4", "5.11", "5.25", "10.12"]
@@ -370,7 +370,7 @@ REALTIME = {
 
 @pytest.mark.parametrize("firmware", ["3.5", "3.15", "5.4", "5.11", "5.25"])
 def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: str) -> None:
-    sim = controller(firmware, motion=None)
+    sim = controller(firmware, motion=Demonstration())
     peer = Peer(sim)
     names = [name for name, variable in OUTPUTS.items() if variable.is_in(sim.firmware)]
     here = [name for name in names if "_register" not in name]
@@ -409,7 +409,7 @@ def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: st
 
 
 def test_accelerations_of_the_tool_are_the_derivative_of_its_speed() -> None:
-    sim = controller(motion=None)
+    sim = controller(motion=Demonstration())
     peer = Peer(sim)
     peer.outputs("target_TCP_acceleration", "target_TCP_speed", "control_step")
     assert peer.start()

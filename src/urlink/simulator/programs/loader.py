@@ -83,14 +83,14 @@ class LineAssembler:
 def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
     """Execute a line that is a command to the controller and not URScript; False if it is none.
 
-    Such lines are known from a forum and from public drivers; the UR Client Library ends programs with `stop program`.
-    What a real controller answers is not known; this one does not answer. `set robotmode freedrive` is accepted and has
-    no effect.
+    Such lines are known from a forum and from public drivers; the UR Client Library ends programs with `stop program`,
+    which ends whatever runs, whoever started it (docs/protocols/urscript.md, Sending a program). What a real controller
+    answers is not known; this one does not answer. `set robotmode freedrive` is accepted and has no effect.
     """
     words = " ".join(line.split())
     speed = _SPEED.fullmatch(words)
     if words == "stop program":
-        runner.stop()
+        runner.stop_all()
     elif speed:
         state.speed_fraction = min(max(float(speed[1]), 0.0), 1.0)
     elif words == "power on":

@@ -9,7 +9,6 @@ import logging
 from collections.abc import Mapping
 
 from ...interfaces.enums import ProgramState
-from ..robot.sources import Still
 from ..state import ControllerState
 from ..urscript import ScriptError, compile_script
 from .runner import ProgramRunner
@@ -91,12 +90,5 @@ class Pendant:
         return True
 
     def stop(self) -> bool:
-        """End what the arm follows, the demonstration too; False if there is nothing."""
-        state = self._state
-        if not self._runner.stop():
-            if not state.source.is_program:
-                return False
-            state.is_paused = False
-            self._runner.follow(Still())
-        state.update_modes(0.0)
-        return True
+        """End what runs; False if nothing does. See `ProgramRunner.stop_all`."""
+        return self._runner.stop_all()

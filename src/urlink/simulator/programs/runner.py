@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from ...interfaces.enums import ControlMode
 from .. import messages
 from ..robot.generator import Drive, LimitViolation
-from ..robot.sources import Setpoint, SetpointSource
+from ..robot.sources import Setpoint, SetpointSource, Still
 from ..state import ControllerState
 from ..urscript import Execution, Script, ScriptError
 from ..urscript.machine import StatementCode
@@ -157,6 +157,17 @@ class ProgramRunner:
         if self.main is None or not self.main.is_program:
             return False
         self.main.end()
+        return True
+
+    def stop_all(self) -> bool:
+        """End whatever counts as a running program, a demonstration too. False without one."""
+        state = self._state
+        if not self.stop():
+            if not state.source.is_program:
+                return False
+            state.is_paused = False
+            self.follow(Still())
+        state.update_modes(0.0)
         return True
 
     def follow(self, source: SetpointSource) -> None:

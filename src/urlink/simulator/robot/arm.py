@@ -29,7 +29,7 @@ class Arm:
     Args:
         kinematics: of a model, as published or calibrated.
         setpoint: initial targets.
-        seed: of the noise on its sensors.
+        seed: of the noise on its sensors; None for none.
         surroundings: what acts on its tool; None for nothing.
 
     Attributes:
@@ -44,7 +44,11 @@ class Arm:
     """
 
     def __init__(
-        self, kinematics: Kinematics, setpoint: Setpoint, seed: int = 0, surroundings: Surroundings | None = None
+        self,
+        kinematics: Kinematics,
+        setpoint: Setpoint,
+        seed: int | None = 0,
+        surroundings: Surroundings | None = None,
     ) -> None:
         self.kinematics = kinematics
         self.model = kinematics.model

@@ -118,10 +118,10 @@ class Sensors:
     Args:
         kinematics: of the arm.
         q: (6,) rad, joint positions from which the temperature of each joint is computed.
-        seed: of the noise.
+        seed: of the noise; None for none.
     """
 
-    def __init__(self, kinematics: Kinematics, q: Sequence[float], seed: int) -> None:
+    def __init__(self, kinematics: Kinematics, q: Sequence[float], seed: int | None) -> None:
         model = kinematics.model
         self._model, self._kinematics = model, kinematics
         # The payload, and the dynamics with it.
@@ -287,6 +287,8 @@ def _inertia(model: Model) -> list[float]:
 
 
 @lru_cache(maxsize=32)
-def _noise(seed: int) -> tuple[float, ...]:
+def _noise(seed: int | None) -> tuple[float, ...]:
+    if seed is None:
+        return (0.0,) * (_NOISE_LENGTH + 6)
     numbers: list[float] = np.random.default_rng(seed).standard_normal(_NOISE_LENGTH).tolist()
     return (*numbers, *numbers[:6])

@@ -1,6 +1,6 @@
 """The sources of the arm's set-points, cycle by cycle.
 
-A controller begins with the slow `Demonstration`; a program that runs is a source as well.
+A controller begins with `Still` or another source that it is given; a program that runs is a source as well.
 """
 
 from __future__ import annotations
@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
+
+from linkcore.errors import BadValue
 
 __all__ = ["BRAKING", "HOME", "Demonstration", "Setpoint", "SetpointSource", "Still"]
 
@@ -51,12 +53,16 @@ class SetpointSource(Protocol):
 
 
 class Still:
-    """The arm stands still, and no program runs."""
+    """The arm stands still, in six joint positions in rad, and no program runs.
+
+    Raises:
+        BadValue: not six finite numbers.
+    """
 
     is_program = False
 
-    def __init__(self) -> None:
-        self._setpoint = Setpoint(list(HOME), _REST, _REST)
+    def __init__(self, q: Sequence[float] = HOME) -> None:
+        self.start(_posture(q))
 
     def start(self, q: Sequence[float]) -> None:
         """Stand at six joint positions in rad."""
@@ -72,6 +78,9 @@ class Demonstration:
 
     No joint goes faster than 0.45 rad/s or accelerates by more than 0.7 rad/s², a small part of what any model can do.
     Joint speeds are continuous; accelerations are too, once the movement to the home posture is over.
+
+    Raises:
+        BadValue: the home posture is not six finite numbers.
     """
 
     is_program = True
@@ -90,7 +99,7 @@ class Demonstration:
     APPROACH_LEAST = 2.0
 
     def __init__(self, home: Sequence[float] = HOME) -> None:
-        self._home = list(home)
+        self._home = _posture(home)
         self._waves = [
             (h, a, 2.0 * math.pi * n / self.PERIOD) for h, a, n in zip(home, self.AMPLITUDES, self.WAVES, strict=True)
         ]
@@ -140,3 +149,10 @@ class Demonstration:
             qd.append(slope * scaling)
             qdd.append(slope * change - omega * omega * wave * scaling * scaling)
         return Setpoint(q, qd, qdd)
+
+
+def _posture(q: Sequence[float]) -> list[float]:
+    values = [float(value) for value in q]
+    if len(values) != 6 or not all(map(math.isfinite, values)):
+        raise BadValue(f"a posture is six finite numbers in rad, not {q!r}")
+    return values
