@@ -45,7 +45,9 @@ class Supervisor:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Watch limits and a deadline.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot, simulator or recording (sim://)")
+    parser.add_argument(
+        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (a simulator)"
+    )
     parser.add_argument("--speed", type=float, default=1.0, help="largest joint speed, rad/s (1.0)")
     parser.add_argument("--deadline", type=float, default=0.1, help="longest silence, s (0.1)")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")

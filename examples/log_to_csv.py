@@ -25,7 +25,9 @@ HEAD = ["wall", "time", *(f"q{joint}" for joint in range(6)), "Fx", "Fy", "Fz", 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Log real-time states as CSV.")
     parser.add_argument("file", help="CSV file to write")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot, simulator or recording (sim://)")
+    parser.add_argument(
+        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (a simulator)"
+    )
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
     args = parser.parse_args()
 

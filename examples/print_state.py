@@ -13,7 +13,9 @@ import urlink
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Print joint positions and modes.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot, simulator or recording (sim://)")
+    parser.add_argument(
+        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (a simulator)"
+    )
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
     args = parser.parse_args()
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from linkcore.errors import BadAddress, BadVersion
@@ -126,7 +126,7 @@ def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddre
             release_of(version)
     except BadVersion as error:
         raise BadAddress(f"{text!r}: {error}") from None
-    return SimulatorAddress(model or None, version, motion)
+    return SimulatorAddress(model or None, version, cast("Motion | None", motion))
 
 
 def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:

@@ -32,7 +32,7 @@ from urlink import (
 from urlink.address import RobotAddress
 from urlink.firmware import RELEASES, Firmware, release_of
 from urlink.models import MODELS
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 
 QUICK = Backoff(first=0.01, most=0.1)
 
@@ -44,7 +44,7 @@ def connect(controller: Controller, **options: object) -> urlink.Robot:
 @pytest.fixture
 def controller() -> Iterator[Controller]:
     before = set(threading.enumerate())
-    with Controller("UR5e", "5.11") as controller:
+    with Controller("UR5e", "5.11", motion=Demonstration()) as controller:
         yield controller
     assert set(threading.enumerate()) <= before
 

@@ -80,7 +80,7 @@ def test_lines_have_what_matters(run: Run, address: str) -> None:
     assert len(lines) == 3  # at once, after a second, and at the end
     for text in lines:
         assert re.match(r"\d\d:\d\d:\d\d (CONNECTED|SLOW) \| UR5e  firmware 5\.11 \| ", text)
-        for part in ("age ", "q ", " deg", "tool ", "robot RUNNING", "safety NORMAL", "program PLAYING", "failed 0"):
+        for part in ("age ", "q ", " deg", "tool ", "robot RUNNING", "safety NORMAL", "program STOPPED", "failed 0"):
             assert part in text
     rate = re.search(r"([\d.]+)(?: of 500)? Hz", lines[-1])
     assert rate is not None

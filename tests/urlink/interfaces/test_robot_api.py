@@ -83,10 +83,8 @@ def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller
         robot.dashboard.load("nothing")
     assert refused.value.command == "PUT /program/v1/loaded nothing"
     assert refused.value.reply.startswith("404 Not Found")
-    controller.faults.protective_stop()
-    with pytest.raises(DashboardRefused, match=r"409 Conflict.*Cannot unlock protective stop"):
-        robot.dashboard.unlock_protective_stop()
-    controller.faults.clear()
+    with pytest.raises(DashboardRefused, match=r"409 Conflict.*Failed to execute: pause"):
+        robot.dashboard.pause()
     controller.remote_control = False
     assert not robot.dashboard.is_in_remote_control()
     with pytest.raises(DashboardRefused, match=r"PUT /program/v1/state play.*403 Forbidden"):
@@ -95,21 +93,56 @@ def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller
         robot.set_payload(1.0)
 
 
+def test_a_protective_stop_is_unlocked_at_once(controller: Controller, robot: urlink.Robot) -> None:
+    controller.faults.protective_stop()
+    assert robot.dashboard.safety_mode() is SafetyMode.PROTECTIVE_STOP
+    robot.dashboard.unlock_protective_stop()
+    assert robot.dashboard.safety_mode() is SafetyMode.NORMAL
+
+
+def test_power_commands_are_carried_out_in_their_order(robot: urlink.Robot) -> None:
+    desk, modes = robot.dashboard, []
+    desk.power_off()
+    desk.power_on()
+    desk.brake_release()
+    until(lambda: modes.append(desk.robot_mode()) or modes[-2:] == [RobotMode.IDLE, RobotMode.RUNNING])  # type: ignore[func-returns-value]
+    assert RobotMode.POWER_ON in modes
+
+
+def urpx(name: Any) -> bytes:
+    """A file of a program, as far as it is known what such a file holds."""
+    return json.dumps({"program": {"programInformation": {"name": name}, "children": []}}).encode()
+
+
 def test_programs_are_listed_stored_and_fetched(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
-    desk, file = robot.dashboard, tmp_path / "pl ace.urpx"
-    file.write_text("def place():\n  sleep(30)\nend\n", newline="")
+    desk, file = robot.dashboard, tmp_path / "any.urpx"
+    file.write_bytes(urpx("pl ace"))
     assert desk.upload_program(file) == "pl ace"
     assert [each.name for each in desk.programs()] == ["pick", "pl ace"]
+    pick, place = desk.programs()
+    assert (pick.description, pick.created, pick.last_modified, pick.last_saved) == ("", 0, None, 0)
+    assert place.created == place.last_saved != 0
+    assert place.state == "STOPPED"
     assert desk.download_program("pl ace") == file.read_bytes()
     desk.load("pl ace")
     assert desk.loaded_program() == "pl ace"
-    with pytest.raises(DashboardRefused, match=r"POST /programs/v1/.*409 Conflict"):
+    with pytest.raises(DashboardRefused, match=r"POST /programs/v1/.*400 Bad Request.*pl ace is there"):
         desk.upload_program(file)
-    file.write_bytes(b"sync()\n")
+    file.write_bytes(urpx("pl ace") + b"\n")
     assert desk.upload_program(file, replace=True) == "pl ace"
-    assert desk.download_program("pl ace") == b"sync()\n"
+    assert desk.download_program("pl ace") == urpx("pl ace") + b"\n"
+    place = desk.programs()[1]
+    assert place.last_modified == place.last_saved
+    assert place.created is not None
+    assert place.last_modified is not None
+    assert place.last_modified >= place.created
+    file.write_bytes(urpx("new"))
     with pytest.raises(DashboardRefused, match="404 Not Found"):
-        desk.upload_program(file.rename(tmp_path / "new.urpx"), replace=True)
+        desk.upload_program(file, replace=True)
+    for nameless in (b"", b"def place():\nend\n", b"[1]", urpx(None), urpx(""), urpx(3), b'{"program": "place"}'):
+        file.write_bytes(nameless)
+        with pytest.raises(DashboardRefused, match="400 Bad Request"):
+            desk.upload_program(file)
     with pytest.raises(DashboardRefused, match=r"GET /programs/v1/no%2Fwhere.*404"):
         desk.download_program("no/where")
     with pytest.raises(BadValue, match="cannot read"):
@@ -117,9 +150,10 @@ def test_programs_are_listed_stored_and_fetched(controller: Controller, robot: u
     with pytest.raises(BadValue, match="needs the name of a program"):
         desk.download_program("")
     controller.remote_control = False
-    with pytest.raises(DashboardRefused, match="403"):
-        desk.upload_program(tmp_path / "new.urpx")
-    del controller.pendant.files["pl ace"]
+    file.write_bytes(urpx("new"))
+    assert desk.upload_program(file) == "new"
+    for name in ("pl ace", "new"):
+        del controller.pendant.files[name]
     for firmware, error in (
         (X11, "has the programs on it is 10.12"),
         (Firmware(5, 11), "has a dashboard server, which"),

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from tests.urlink.interfaces.dashboard_desk import FIRMWARES, StandIn
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.enums import SafetyMode
+from urlink.simulator import Demonstration
 from urlink.simulator.robot.modes import Power, Stop
 
 ARGUMENTS = {
@@ -121,6 +122,54 @@ def test_power_on_twice_changes_nothing() -> None:
     assert dashboard.reply("robotmode") == "Robotmode: RUNNING"
 
 
+@pytest.mark.parametrize(
+    ("lines", "reached"),
+    [
+        (["power off", "power on", "brake release"], Power.RUNNING),
+        (["power off", "power on"], Power.IDLE),
+        (["power off", "brake release"], Power.RUNNING),
+        (["power off", "brake release", "power on"], Power.RUNNING),
+        (["power off", "power on", "power off"], Power.OFF),
+        (["power off", "power off", "power on", "power on"], Power.IDLE),
+        (["restart safety", "power on", "brake release"], Power.RUNNING),
+        (["brake release", "power on"], Power.RUNNING),
+    ],
+)
+def test_power_commands_are_carried_out_in_their_order(lines: list[str], reached: Power) -> None:
+    """While the arm still brakes for `power off` the next one may come: the vendor's client sends them at once."""
+    host = StandIn("5.11")
+    host.controller.follow(Demonstration())
+    host.wait(2)
+    assert any(host.controller.arm.setpoint.qd)
+    seen = [host.modes.power]
+    for line in lines:
+        host.dashboard.reply(line)
+    for _ in range(2 * host.firmware.rate):
+        host.controller.step()
+        if host.modes.power is not seen[-1]:
+            seen.append(host.modes.power)
+    begun = [] if "off" not in lines[0] and "safety" not in lines[0] else [Power.OFF, Power.BOOTING, Power.IDLE]
+    assert (
+        seen
+        == {
+            Power.RUNNING: [Power.RUNNING, *begun, Power.RUNNING] if begun else [Power.RUNNING],
+            Power.IDLE: [Power.RUNNING, *begun],
+            Power.OFF: [Power.RUNNING, Power.OFF],
+        }[reached]
+    )
+
+
+def test_an_emergency_stop_takes_a_power_on_back() -> None:
+    host = StandIn("5.11")
+    host.dashboard.reply("power off")
+    host.dashboard.reply("brake release")
+    host.modes.emergency_stop()
+    host.wait(0.1)
+    host.modes.clear()
+    host.wait(5)
+    assert host.modes.power is Power.OFF
+
+
 def test_brake_release_powers_on() -> None:
     host = StandIn("3.0")
     host.modes.power_off()
@@ -188,7 +237,7 @@ def test_load_play_pause_stop() -> None:
     assert dashboard.reply("running") == "Program running: false"  # likewise
     assert dashboard.reply("play") == "Failed to execute: play"
     assert dashboard.reply("pause") == "Failed to execute: pause"
-    assert dashboard.reply("stop") == "Failed to execute: stop"
+    assert dashboard.reply("stop") == "Stopped"  # likewise: other clients need it
     assert dashboard.reply("load nothing.urp") == "File not found: nothing.urp"
     assert dashboard.reply("load /programs/place it.urp") == "Loading program: /programs/place it.urp"
     assert dashboard.reply("get loaded program") == "Loaded program: /programs/place it.urp"
@@ -256,6 +305,14 @@ def test_who_it_is() -> None:
     assert dashboard.reply("get serial number") == "20215500001"
     assert dashboard.reply("version") == "5.11.0.0"
     assert str(dashboard.reply("PolyscopeVersion")).startswith("URSoftware 5.11.0.0 (")
+
+
+def test_reports() -> None:
+    dashboard = StandIn("5.11").dashboard
+    assert dashboard.reply("generate flight report system") == "Flight Report generated with id: 1"
+    # As the vendor's own client sends it.
+    assert dashboard.reply("generate flight report") == "Flight Report generated with id: 2"
+    assert dashboard.reply("generate flight report me") == "could not understand: 'generate flight report me'"
 
 
 def test_upper_and_lower_case_are_alike() -> None:

@@ -17,7 +17,8 @@ import pytest
 import urlink
 from linkcore.errors import BadAddress, BadValue, LocalError
 from tests.waiting import until
-from urlink.interfaces.primary.robot_message import VersionMessage
+from urlink.interfaces.enums import SafetyMode
+from urlink.interfaces.primary.robot_message import RobotCommMessage, SafetyModeMessage, VersionMessage
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.simulator import PORTS, Controller, Still
 from urlink.simulator.ports.port import LONGEST_LINE
@@ -96,6 +97,33 @@ def test_packages_come_with_a_head_and_ten_times_a_second(port: str, connect: Co
     gaps = [after - before for before, after in itertools.pairwise(stamps)]
     assert set(gaps) == {96_000, 104_000}
     assert sum(gaps[:6]) == 600_000
+
+
+def test_a_state_that_shows_the_stop_comes_before_its_message(connect: Connect) -> None:
+    """The vendor's primary client waits for the message, and then reads the state that it has."""
+    with Controller("UR5e", "5.25", stepped=True) as controller:
+        link = connect(controller, "primary")
+        controller.step(100)
+        link.until(lambda packet: packet[4] == 16)
+        # At any time between two states, of which there is one in 50 cycles.
+        for cycles in (1, 7, 49, 50, 51, 20):
+            controller.step(cycles)
+            for change, mode in (
+                (controller.faults.protective_stop, SafetyMode.PROTECTIVE_STOP),
+                (controller.faults.clear, SafetyMode.NORMAL),
+            ):
+                change()
+                controller.step()
+                newest, kinds = None, set()
+                while SafetyModeMessage not in kinds:
+                    for package in urlink.decode(link.packet(), "primary", "5.25"):
+                        kinds.add(type(package))
+                        newest = package if isinstance(package, urlink.RobotState) else newest
+                        if isinstance(package, (SafetyModeMessage, RobotCommMessage)):
+                            assert isinstance(newest, urlink.RobotState)
+                            assert newest.robot_mode_data is not None
+                            assert newest.robot_mode_data.is_protective_stopped is (mode is SafetyMode.PROTECTIVE_STOP)
+                assert (RobotCommMessage in kinds) is (mode is SafetyMode.PROTECTIVE_STOP)
 
 
 def test_all_clients_of_a_port_get_the_same_bytes(connect: Connect) -> None:

@@ -1,7 +1,7 @@
 """The programs that a PolyScope X holds, as its Robot API lists and takes them (`/programs/v1/`, from 10.12 on).
 
-Source: the vendor's own client library. A file goes as the one part "file" of a form (RFC 7578). What a file of a
-program (.urpx) holds is not known here; it goes as it is.
+Source: the vendor's own client library. A file goes as the one part "file" of a form (RFC 7578). A file of a program
+(.urpx) is JSON that holds the program's name; what else it holds is not known here, and it goes as it is.
 """
 
 from __future__ import annotations
@@ -12,7 +12,15 @@ from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue, PacketError
 
-__all__ = ["PROGRAMS", "StoredProgram", "encode_form", "parse_form", "parse_programs", "parse_uploaded"]
+__all__ = [
+    "PROGRAMS",
+    "StoredProgram",
+    "encode_form",
+    "parse_form",
+    "parse_programs",
+    "parse_uploaded",
+    "program_name",
+]
 
 #: Below `urlink.interfaces.dashboard.robot_api.BASE`.
 PROGRAMS = "/programs/v1/"
@@ -28,7 +36,7 @@ class StoredProgram(NamedTuple):
 
     Attributes:
         name: by which it is loaded.
-        description: of who wrote it; None where there is none, as for all that follow.
+        description: of who wrote it, or empty; None where the controller sends null, as for all that follow.
         created, last_modified, last_saved: as the controller says it, a whole number; of which unit is not known here.
         state: as the controller says it.
     """
@@ -61,6 +69,20 @@ def parse_uploaded(text: str) -> str | None:
     """
     name = _object(text).get("programName") if text else None
     return name if isinstance(name, str) else None
+
+
+def program_name(content: bytes) -> str:
+    """The name of a program, which stands in its file: `program.programInformation.name`.
+
+    Raises:
+        PacketError: the file is no JSON with a name there.
+    """
+    said: Any = _object(content.decode("utf-8", "backslashreplace"))
+    for key in ("program", "programInformation", "name"):
+        said = said.get(key) if isinstance(said, dict) else None
+    if not isinstance(said, str) or not said:
+        raise PacketError("no text at program.programInformation.name", packet="file of a program")
+    return said
 
 
 def _object(text: str) -> dict[str, Any]:

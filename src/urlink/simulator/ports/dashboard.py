@@ -8,6 +8,7 @@ in `urlink.interfaces.dashboard.commands`. Commands act through the controller. 
 - that commands which have nothing to do (`power on` with the power on, `close popup` without a popup, `unlock
   protective stop` without a stop) are answered as if they had;
 - that `power on` and `brake release` in an emergency stop are answered with a yes, although nothing happens;
+- that a `power on` or `brake release` that comes before `power off` has been carried out is carried out after it;
 - that a paused program does not count as running, and one that is being stopped as stopped;
 - `Robotmode: ` before the number that a CB2 controller says;
 - the date of the software, the ids and names of reports, and that these are done at once;
@@ -28,7 +29,7 @@ from urlink.interfaces.dashboard.commands import (
 from urlink.interfaces.enums import ProgramState
 
 from ..programs.pendant import Pendant
-from ..robot.modes import Power, Stop
+from ..robot.modes import Stop
 from ..state import ControllerState
 from .port import AnsweringPort, Client, LineReceiver
 
@@ -119,9 +120,7 @@ class DashboardPort(AnsweringPort):
     # -- power ---------------------------------------------------------------------------------------
 
     def _power_on(self, _: str) -> str:
-        modes = self._state.modes
-        if modes.power is Power.OFF:
-            modes.power_on(release_brakes=False)
+        self._state.modes.power_on(release_brakes=False)
         return "Powering on"
 
     def _power_off(self, _: str) -> str:
@@ -129,9 +128,7 @@ class DashboardPort(AnsweringPort):
         return "Powering off"
 
     def _brake_release(self, _: str) -> str:
-        modes = self._state.modes
-        if modes.power is not Power.RUNNING:
-            modes.power_on(release_brakes=True)
+        self._state.modes.power_on(release_brakes=True)
         return "Brake releasing"
 
     def _shutdown(self, _: str) -> str:
@@ -160,7 +157,9 @@ class DashboardPort(AnsweringPort):
         return "Pausing program" if self._pendant.pause() else "Failed to execute: pause"
 
     def _stop(self, _: str) -> str:
-        return "Stopped" if self._pendant.stop() else "Failed to execute: stop"
+        # Also where nothing runs: two clients send it then, and take any other answer for a failure.
+        self._pendant.stop()
+        return "Stopped"
 
     def _running(self, _: str) -> str:
         return f"Program running: {_truth(self._program_state == 'PLAYING')}"
@@ -200,8 +199,9 @@ class DashboardPort(AnsweringPort):
         state = self._state
         if state.modes.stop is Stop.PROTECTIVE:
             since = state.stopped_since
-            # One that no cycle has seen yet has just begun.
-            if since is None or state.time - since < UNLOCK_AFTER:
+            # One that no cycle has seen yet has just begun. PolyScope X does not make its client wait.
+            is_early = since is None or state.time - since < UNLOCK_AFTER
+            if is_early and not state.firmware.is_polyscope_x:
                 return _TOO_EARLY
             state.modes.clear()
         state.popup = None
@@ -276,7 +276,8 @@ class DashboardPort(AnsweringPort):
         return self._state.model.name.removesuffix("e")
 
     def _generate_flight_report(self, kind: str) -> str:
-        if kind.lower() not in COMMANDS["generate flight report"].choices:
+        # The vendor's own client sends no kind; that it then gets the report of the system is a guess.
+        if kind and kind.lower() not in COMMANDS["generate flight report"].choices:
             return _not_understood(f"generate flight report {kind}")
         self._reports += 1
         return f"Flight Report generated with id: {self._reports}"

@@ -43,6 +43,8 @@ class RobotStates:
         self._unchanging: dict[int, bytes] = {}
         # The packet that both interfaces send in one cycle, and the cycle.
         self._made: tuple[int, bytes] = (-1, b"")
+        # The safety mode of the latest packet.
+        self._shown: SafetyMode | None = None
 
     def next_cycle(self, cycle: int) -> int:
         """The first cycle after this one in which a state is sent."""
@@ -53,9 +55,19 @@ class RobotStates:
         """The state, if one is sent in this cycle."""
         if self.next_cycle(cycle - 1) != cycle:
             return []
+        return [self.of_cycle(cycle)]
+
+    def of_cycle(self, cycle: int) -> bytes:
+        """The state of this cycle, the same bytes for both interfaces."""
         if self._made[0] != cycle:
             self._made = cycle, self.package()
-        return [self._made[1]]
+            self._shown = self._state.modes.safety_mode
+        return self._made[1]
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the safety mode has changed since the latest state."""
+        return self._shown is not self._state.modes.safety_mode
 
     def package(self, first: bool = False) -> bytes:
         """The state of this cycle; with `first`, that of a new connection, with kinematics and configuration."""
@@ -125,7 +137,13 @@ class PrimaryPort(SecondaryPort):
     _NAME = "primary"
 
     def packets(self, cycle: int) -> list[bytes]:
-        return [*self._state.outbox.take(), *super().packets(cycle)]
+        # Messages come after the state that they speak of, so a change of the safety mode brings one of its own: the
+        # vendor's primary client takes the message for the sign that the state it holds shows the stop. How a real
+        # controller orders the two is not known.
+        messages, states = self._state.outbox.take(), super().packets(cycle)
+        if messages and not states and self._states.is_outdated:
+            states = [self._states.of_cycle(cycle)]
+        return [*states, *messages]
 
     def skip(self) -> None:
         self._state.outbox.take()

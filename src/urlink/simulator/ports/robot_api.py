@@ -1,10 +1,12 @@
 """The Robot API of a simulated PolyScope X: one HTTP request, one answer in JSON, and the connection ends.
 
 Its requests are in the table of `urlink.interfaces.dashboard.robot_api`; each does what the dashboard's command of that
-name does. All of these are guesses: status and body of an answer that refuses (400 if it cannot be read, 403 in local
-control, 404 if nothing is there, 405 for another method, 409 if it cannot be done now); that actions are answered at
-once; the version of the API before 10.12; the name of the control mode that is not REMOTE; that an uploaded program
-has the name of its file, and is sent back unchanged; and that nothing else is known of it.
+name does. By the vendor's integration tests, programs are uploaded in local control too, a new one whose name is there
+is refused with 400, and a protective stop is unlocked at once. All of these are guesses: status and body of the other
+answers that refuse (400 if it cannot be read, 403 in local control, 404 if nothing is there, 405 for another method,
+409 if it cannot be done now); that actions are answered at once; the version of the API before 10.12; the name of the
+control mode that is not REMOTE; that an uploaded program is sent back unchanged; and the dates and the state of a
+program in the list.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from linkcore.errors import PacketError
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.dashboard.robot_api import BASE, REQUESTS, ROBOT_API, STORED_PROGRAMS, ApiRequest, find
-from urlink.interfaces.dashboard.stored_programs import PROGRAMS, parse_form
+from urlink.interfaces.dashboard.stored_programs import PROGRAMS, parse_form, program_name
 
 from ..programs.pendant import Pendant
 from ..state import ControllerState
@@ -55,6 +57,9 @@ class RobotApiPort(AnsweringPort):
         self._state = state
         self._pendant = pendant
         self._dashboard = dashboard
+        # Name of an uploaded program -> ms since the controller came up: when it was first stored, and replaced.
+        self._created: dict[str, int] = {}
+        self._modified: dict[str, int] = {}
         self.operational_mode = "AUTOMATIC"
 
     def is_offered(self) -> bool:
@@ -94,24 +99,41 @@ class RobotApiPort(AnsweringPort):
                 return _refusal(404, f"there is no program {wanted[:200]}")
             return HttpResponse(200, _REASONS[200], {"Content-Type": "text/plain"}, files[wanted].encode())
         if request.method == "GET":
-            absent = dict.fromkeys(("description", "createdDate", "lastModifiedDate", "lastSavedDate", "programState"))
-            return _answer(200, {"programs": [{"name": each, **absent} for each in files]})
+            return _answer(200, {"programs": list(map(self._described, files))})
         if request.method not in ("POST", "PUT"):
             return _refusal(405, f"{request.method} is not taken there")
-        if not self._state.remote_control:
-            return _refusal(403, "the robot is not in remote control")
         try:
-            file_name, content = parse_form(request.headers.get("content-type", ""), request.body)
-            text = content.decode("utf-8")
+            content = parse_form(request.headers.get("content-type", ""), request.body)[1]
+            stored, text = program_name(content), content.decode("utf-8")
         except (PacketError, UnicodeDecodeError) as error:
             return _refusal(400, str(error))
-        stored = file_name.removesuffix(".urpx")
-        if (stored in files) is (request.method == "POST"):
-            return _refusal(
-                409 if stored in files else 404, f"{stored[:200]} is {'' if stored in files else 'not '}there"
-            )
+        if request.method == "POST":
+            if stored in files:
+                return _refusal(400, f"{stored[:200]} is there")
+            self._created[stored] = self._now
+        elif stored not in files:
+            return _refusal(404, f"{stored[:200]} is not there")
+        else:
+            self._modified[stored] = self._now
         files[stored] = text
         return _answer(200, {"programName": stored})
+
+    @property
+    def _now(self) -> int:
+        return round(1000 * self._state.time)
+
+    def _described(self, name: str) -> dict[str, str | int | None]:
+        """A program in the list: strings and numbers are never null, but for a date of what never happened."""
+        created, modified = self._created.get(name, 0), self._modified.get(name)
+        is_loaded = self._state.loaded == name
+        return {
+            "name": name,
+            "description": "",
+            "createdDate": created,
+            "lastModifiedDate": modified,
+            "lastSavedDate": created if modified is None else modified,
+            "programState": self._value("programState") if is_loaded else "STOPPED",
+        }
 
     def _change(self, fitting: Mapping[str, ApiRequest], body: bytes) -> HttpResponse:
         try:

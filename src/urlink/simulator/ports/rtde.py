@@ -6,7 +6,8 @@ Known from the vendor's documents and from clients that run against real control
   such a recipe is refused with the number 0, or under protocol 1 with the word alone;
 - output packages come in every floor(rate / frequency)-th cycle; a second output recipe replaces the first;
 - input recipes count from 1 in the order of the requests, refused ones too (a client counts on that); there are 255;
-- data packages are taken before a start and without an output recipe; packages that do not fit their recipe do no harm;
+- data packages are taken before a start and without an output recipe; those that are longer than their recipe as far
+  as it goes, and packages that do not fit otherwise do no harm;
 - the controller drops data packages rather than queue them, and closes the connection of a client that does not read.
 
 Guesses: requests that are not of their size, unknown types and text messages are left without an answer; a package that
@@ -337,7 +338,9 @@ class RtdeSession:
             self._ignore(f"data of the unknown recipe {package.recipe}")
             return
         try:
-            values = recipe.decode(bytes(package))
+            # The rest of one that is longer is not read: ur_rtde sends 104 bytes for a recipe of 56, and waits for the
+            # result of its command.
+            values = recipe.decode(bytes(package)[: recipe.size])
         except PacketError as error:
             self._ignore(str(error))
             return

@@ -105,6 +105,8 @@ class Modes:
         self._is_paused = False
         self._is_standing = True
         self._is_switching_off = False
+        # Whether to power on as soon as the power is off.
+        self._powers_on = False
         self._releases_brakes = False
         self._wait = 0.0
 
@@ -118,7 +120,7 @@ class Modes:
     def emergency_stop(self) -> None:
         """The arm brakes and stands still, then loses its power."""
         self.stop = Stop.EMERGENCY
-        self._is_switching_off = True
+        self.power_off()
 
     def clear(self) -> None:
         """Unlock a protective stop, or release the emergency stop button, which leaves the power off."""
@@ -127,19 +129,22 @@ class Modes:
     def power_off(self) -> None:
         """The arm brakes and stands still, then loses its power."""
         self._is_switching_off = True
+        self._powers_on = self._releases_brakes = False
 
     def power_on(self, release_brakes: bool = True) -> None:
-        """Power the joints up to idle, and with `release_brakes` to running.
+        """Power the joints up to idle, and with `release_brakes` to running; after switching off, if that is under way.
 
         Without effect while an emergency stop holds, as on a real controller.
         """
         if self.stop is Stop.EMERGENCY:
             return
-        self._is_switching_off = False
-        self._releases_brakes = release_brakes
-        if self.power is Power.OFF:
+        releases_now = release_brakes and not self._releases_brakes
+        self._releases_brakes |= release_brakes
+        if self._is_switching_off:
+            self._powers_on = True
+        elif self.power is Power.OFF:
             self.power, self._wait = Power.BOOTING, self.BOOT_TIME
-        elif self.power is Power.IDLE:
+        elif self.power is Power.IDLE and releases_now:
             self._wait = self.BRAKE_RELEASE_TIME
 
     def advance(self, seconds: float, is_standing: bool, has_program: bool, is_paused: bool = False) -> None:
@@ -150,7 +155,10 @@ class Modes:
         if self._is_switching_off:
             if is_standing:
                 self._is_switching_off = False
-                self.power = Power.OFF
+                self.power, self._wait = Power.OFF, 0.0
+        elif self._powers_on:
+            self._powers_on = False
+            self.power_on(self._releases_brakes)
         elif self._wait > 0.0:
             self._wait -= seconds
             if self._wait <= 0.0:
