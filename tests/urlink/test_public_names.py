@@ -288,8 +288,8 @@ DEFAULTS = {
         "rate=None, target_filter=None, speed=1.05, acceleration=3.0, jerk=30.0, delay=None, watchdog=0.1, "
         "lookahead_time=0.03, gain=300.0, link='reverse'"
     ),
-    "robot.motion.speed_joints": "acceleration=1.4, duration=0.5",
-    "robot.motion.speed_linear": "acceleration=1.2, duration=0.5",
+    "robot.motion.speed_joints": "acceleration=1.4, duration=0.5, link='reverse'",
+    "robot.motion.speed_linear": "acceleration=1.2, duration=0.5, link='reverse'",
     "robot.motion.stop": "acceleration=2.0, wait=False",
     "robot.motion.torque": "limits=None, friction_compensation=True, watchdog=0.05, link='reverse'",
     "robot.motion.until_contact": ("speed=0.02, acceleration=0.5, distance=0.3, force=None, retract=True, wait=False"),

@@ -1,4 +1,4 @@
-"""Jogging: speeds of the joints or of the tool, each of which expires unless it is sent again."""
+"""Speeds of the joints or of the tool over a link: jogging, and a speed for a while (`HeldSpeed`)."""
 
 from __future__ import annotations
 
@@ -8,23 +8,29 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from linkcore.handle import Motion
+
 from ..bounds import check_speeds
+from ..commanding.section import Section
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.jogging import jogging
 from ..urscript.links import InputRegisters, ReverseSocket
 from ..vectors import FloatArray
 from .context import MotionContext
-from .linked import Link
+from .linked import Link, LinkedProgram
 from .linked_block import LinkedBlock
 from .setpoints import STOP_WORD, WAIT_WORD, setpoint
 from .speed_limit import check_joint_speeds
 
-__all__ = ["FrameName", "Jog"]
+__all__ = ["UNLED", "FrameName", "HeldSpeed", "Jog"]
 
 #: The frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
 
 _REST = np.zeros(6)
+#: Seconds for which an arm may go on at a speed that nobody wants any more: the longest time of a speed that is sent as
+#: one program, and the watchdog of a longer one.
+UNLED = 0.5
 
 
 class _Jogging:
@@ -126,3 +132,93 @@ class Jog(LinkedBlock):
             LinkError: as for `move`.
         """
         self.move(_REST)
+
+
+class _Holding:
+    """Answers each state with one speed, until it has been held for its time.
+
+    Args:
+        section: of the robot.
+        write: makes the lines of the program.
+        speeds: (6,) of the joints, or of the tool in the base frame.
+        duration: s from the first word on.
+    """
+
+    farewell = STOP_WORD
+    survives_its_program = False
+
+    def __init__(
+        self,
+        section: Section,
+        write: Callable[[ReverseSocket | InputRegisters], list[str]],
+        speeds: FloatArray,
+        duration: float,
+    ) -> None:
+        self._section = section
+        self._write = write
+        self._speeds = speeds
+        self._duration = duration
+        self._began: float | None = None
+        self.is_over = False
+
+    def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
+        return self._write(link)
+
+    def change(self, speeds: FloatArray, duration: float) -> bool:
+        """Hold another speed from the next state on; False if the last word has been decided on."""
+        with self._section:
+            if not self.is_over:
+                self._speeds, self._duration, self._began = speeds, duration, None
+            return not self.is_over
+
+    def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
+        with self._section:
+            if self._began is None:
+                self._began = now
+            self.is_over = now - self._began >= self._duration
+            return setpoint(self._speeds.tolist(), _REST.tolist())
+
+    def part(self, now: float) -> float:
+        """The part of its time that is over."""
+        with self._section:
+            return 0.0 if self._began is None else (now - self._began) / self._duration
+
+    def conclude(self) -> None: ...
+
+
+class HeldSpeed(Motion):
+    """A speed for longer than `UNLED`: the robot brakes by itself that long after the last word of this computer.
+
+    Args:
+        context: the robot.
+        name: of the motion.
+        is_tool: a speed of the tool in the base frame, rather than of the joints.
+        speeds, acceleration, duration: see `Motions.speed_joints`.
+        open_link: opens the link to its program.
+    """
+
+    def __init__(
+        self,
+        context: MotionContext,
+        name: str,
+        is_tool: bool,
+        speeds: FloatArray,
+        acceleration: float,
+        duration: float,
+        open_link: Callable[[], Link],
+    ) -> None:
+        def write(link: ReverseSocket | InputRegisters) -> list[str]:
+            firmware = context.who.identity.firmware
+            return jogging(firmware, link, is_tool=is_tool, acceleration=acceleration, watchdog=UNLED)
+
+        self._acceleration = acceleration
+        self._dialogue = _Holding(context.section, write, speeds, duration)
+        life = context.programs.life(name)
+        super().__init__(life, lambda: self._dialogue.part(context.clock()))
+        LinkedProgram(life, context, self._dialogue, open_link).begin()
+
+    def change(self, name: str, speeds: FloatArray, acceleration: float, duration: float) -> bool:
+        """Go on at another speed, without a stop; False if another program is needed for it."""
+        if self.done or (name, acceleration) != (self.name, self._acceleration):
+            return False
+        return self._dialogue.change(speeds, duration)

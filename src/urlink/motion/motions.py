@@ -26,7 +26,7 @@ from .following import Following, Tolerances, TrajectoryFeedback, stands
 from .force_mode import ForceMode, Pressing, axes_of, frame_of
 from .freedrive import Freedrive
 from .jerk_limited import joint_limits
-from .jog import FrameName, Jog
+from .jog import UNLED, FrameName, HeldSpeed, Jog
 from .linked import Link, LinkedProgram
 from .path import PathMotion, Rates, Waypoint, plan, shown_tcp
 from .servo import Servo
@@ -201,37 +201,42 @@ class Motions:
         context.programs.start(wrapped, life, left_alone=_MAY_GO_ON, on_text=motion._hear)
         return _waited(motion, seconds)
 
-    def speed_joints(self, qd: ArrayLike, acceleration: float = 1.4, *, duration: float = 0.5) -> Motion:
+    def speed_joints(
+        self, qd: ArrayLike, acceleration: float = 1.4, *, duration: float = 0.5, link: LinkName = "reverse"
+    ) -> Motion:
         """Move the joints at a speed, and brake after `duration`.
 
         To go on, call it again before: the arm changes from one speed to the next without stopping. If no more calls
-        come, because this program has ended or the connection is lost, the robot brakes by itself.
+        come, because this program has ended or the connection is lost, the robot brakes by itself, after 0.5 s at most:
+
+        - A `duration` up to 0.5 s is one program that is sent. A call that follows another one is not held back by the
+          start permission: if the controller hangs, it **may still be carried out**, for its `duration`.
+        - A longer one is held over a `link` whose watchdog is 0.5 s. A call for 0.5 s or more that follows it with the
+          same `acceleration` changes its speed and its time, and returns the same handle.
 
         Args:
             qd: (6,) rad/s.
             acceleration: rad/s², for changes of speed and for braking.
             duration: seconds until it brakes.
+            link: see `follow`; has no effect up to 0.5 s.
         """
-        identity = self._context.who.identity
-        speeds = check_joint_speeds(qd, "qd", identity.arm)
-        duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
-        hardest = _joint_acceleration(identity.arm, acceleration)
-        body = programs.speed_joints(identity.firmware, speeds.tolist(), hardest, duration)
-        return self._speed("speed_joints", body, duration)
+        arm = self._context.who.identity.arm
+        speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
+        return self._speed("speed_joints", programs.speed_joints, speeds, hardest, duration, link)
 
-    def speed_linear(self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5) -> Motion:
+    def speed_linear(
+        self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5, link: LinkName = "reverse"
+    ) -> Motion:
         """Move the tool at a speed in the base frame, and brake after `duration`; see `speed_joints`.
 
         Args:
             xd: (6,) m/s, and rad/s about the three axes.
             acceleration: m/s².
             duration: seconds until it brakes.
+            link: see `follow`; has no effect up to 0.5 s.
         """
-        speeds = check_speeds(xd, "xd")
-        duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
-        hardest = TOOL_ACCELERATION.check(acceleration, "acceleration")
-        body = programs.speed_linear(self._context.who.identity.firmware, speeds.tolist(), hardest, duration)
-        return self._speed("speed_linear", body, duration)
+        speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
+        return self._speed("speed_linear", programs.speed_linear, speeds, hardest, duration, link)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
         """Brake all joints, at `acceleration` in rad/s². Done when the arm stands still.
@@ -588,16 +593,34 @@ class Motions:
         context.programs.start(wrapped, life, is_stop=is_stop, left_alone=left_alone)
         return motion
 
-    def _speed(self, name: str, body: Sequence[str], duration: float) -> Motion:
+    def _speed(
+        self,
+        name: str,
+        write: Callable[[Firmware, Sequence[float], float, float], list[str]],
+        speeds: FloatArray,
+        acceleration: float,
+        duration: float,
+        link: LinkName,
+    ) -> Motion:
+        context = self._context
+        duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
+        open_link = self._opener(link)
+        held = self.current
+        if isinstance(held, HeldSpeed) and duration >= UNLED:
+            context.channel.check()
+            if held.change(name, speeds, acceleration, duration):
+                return held
+        if duration > UNLED:
+            return HeldSpeed(context, name, name == "speed_linear", speeds, acceleration, duration, open_link)
         # A speed that follows another one asks for no start permission: that would make the arm stutter, and if calls
         # come faster than permissions, none would ever move it. A call that the controller reads too late moves the arm
         # for no longer than `duration`.
-        goes_on = any(life.name.startswith("speed_") for life in self._context.programs.permitted)
-        clock = self._context.clock
+        goes_on = any(life.name.startswith("speed_") for life in context.programs.permitted)
+        clock = context.clock
         began = clock()
         return self._upload(
             name,
-            body,
+            write(context.who.identity.firmware, speeds.tolist(), acceleration, duration),
             lambda state: (clock() - began) / duration,
             asks=not goes_on,
             left_alone=f"the arm brakes by itself, {duration:g} s after it began",

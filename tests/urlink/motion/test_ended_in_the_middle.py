@@ -108,11 +108,19 @@ def jog(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
 
 
 def speed_joints(robot: Robot, block: contextlib.ExitStack) -> Motion:
-    return robot.motion.speed_joints([0.2] * 6, duration=1.5)
+    return robot.motion.speed_joints([0.2] * 6, duration=0.5)
 
 
 def speed_linear(robot: Robot, block: contextlib.ExitStack) -> Motion:
-    return robot.motion.speed_linear([0, 0, 0.05, 0, 0, 0], duration=1.5)
+    return robot.motion.speed_linear([0, 0, 0.05, 0, 0, 0], duration=0.5)
+
+
+def speed_joints_held(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
+    return robot.motion.speed_joints([0.2] * 6, duration=5.0, **way)
+
+
+def speed_linear_held(robot: Robot, block: contextlib.ExitStack) -> Motion:
+    return robot.motion.speed_linear([0, 0, 0.05, 0, 0, 0], duration=5.0)
 
 
 def force_mode(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
@@ -196,6 +204,9 @@ MODES = {
     "jog_rtde": Mode(partial(jog, link="rtde"), _REGISTERS, link="rtde"),
     "speed_joints": Mode(speed_joints),
     "speed_linear": Mode(speed_linear),
+    "speed_joints_held": Mode(speed_joints_held, link="own"),
+    "speed_joints_held_rtde": Mode(partial(speed_joints_held, link="rtde"), _REGISTERS, link="rtde"),
+    "speed_linear_held": Mode(speed_linear_held, link="own"),
     "force_mode": Mode(force_mode, _CB3, link="own"),
     "force_mode_rtde": Mode(partial(force_mode, link="rtde"), _REGISTERS, link="rtde"),
     "freedrive": Mode(freedrive, _CB3, link="own", is_pushed=True),
@@ -218,7 +229,7 @@ def cancel(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack)
 
 def leave(desk: Lockstep, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
     """Its block, or one around the handle."""
-    if mode.link in ("own", "rtde") and not motion.name.startswith("follow"):
+    if mode.link in ("own", "rtde") and not motion.name.startswith(("follow", "speed")):
         block.close()
         return None
     with contextlib.suppress(ZeroDivisionError), motion:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, Cancelled, LocalError
-from linkcore.handle import Phase
+from linkcore.handle import Motion, Phase
 from tests.urlink.motion.bench import Bench
-from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, WAIT, Rehearsal
+from tests.urlink.motion.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal
 from tests.urlink.motion.test_servo import Beside
+from tests.waiting import until
 from urlink.errors import SafetyStop
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import SafetyMode
@@ -146,6 +147,68 @@ class TestWhatIsSaid:
                 jog.wait(10)
             with pytest.raises(SafetyStop):
                 jog.move([0.1] * 6)
+
+
+class TestHeldSpeeds:
+    """A speed for longer than its program may go on unled."""
+
+    def test_is_held_for_its_time_and_then_ends(self, robot: Rehearsal) -> None:
+        motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=0.6)
+        assert "speedj(" in robot.uploaded
+        robot.connect()
+        began, told = robot.time, answers(robot)
+        assert next(told) == pytest.approx([0.3, 0, 0, 0, 0, 0])
+        robot.time = began + 0.3
+        assert next(told) == pytest.approx([0.3, 0, 0, 0, 0, 0])
+        assert 0.4 < motion.progress < 0.6
+        while (word := robot.obey()) is not None and word[1] != STOP:
+            assert robot.time - began < 0.8
+        assert word is not None
+        robot.finish()
+        motion.wait(TIMEOUT)
+
+    def test_the_next_call_changes_it_without_another_program(self, robot: Rehearsal) -> None:
+        motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=3600.0)
+        robot.connect()
+        told = answers(robot)
+        next(told)
+        sent = len(robot.sent)
+        assert robot.motion.speed_joints([0, 0.2, 0, 0, 0, 0], duration=0.5) is motion
+        assert next(each for each in told if each[0] == 0.0) == pytest.approx([0, 0.2, 0, 0, 0, 0])
+        assert len(robot.sent) == sent
+        robot.time += 0.5
+        while (word := robot.obey()) is not None and word[1] != STOP:
+            pass
+        assert word is not None  # its last word: what comes after it needs another program
+        assert robot.motion.speed_joints([0, 0.2, 0, 0, 0, 0], duration=5.0) is not motion
+
+    @pytest.mark.parametrize(
+        "other",
+        [
+            lambda m: m.speed_joints([0.1] * 6, 2.0, duration=5.0),
+            lambda m: m.speed_linear([0.1, 0, 0, 0, 0, 0], 1.4, duration=5.0),
+            lambda m: m.speed_joints([0.1] * 6, duration=0.3),
+        ],
+        ids=["acceleration", "tool", "short"],
+    )
+    def test_what_needs_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
+        motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
+        robot.connect()
+        next(answers(robot))
+        assert other(robot.motion) is not motion
+        robot.begin()
+        until(lambda: motion.done)
+        with pytest.raises(Cancelled, match="preempted"):
+            motion.wait(TIMEOUT)
+
+    def test_a_stop_refuses_the_next_call(self, robot: Rehearsal) -> None:
+        motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
+        robot.connect()
+        next(answers(robot))
+        robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+        until(lambda: motion.done)
+        with pytest.raises(SafetyStop):
+            robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
 
 
 def bench(firmware: Firmware, is_tool: bool = False) -> Bench:

@@ -36,9 +36,9 @@ MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
         "speedj([0.1, 0.1, 0.1, 0.1, 0.1, 0.1], 1.4, 0.5)\n  stopj(1.4)",
     ),
     (
-        lambda r: r.motion.speed_linear([0.1, 0, 0, 0, 0, 0], duration=2),
+        lambda r: r.motion.speed_linear([0.1, 0, 0, 0, 0, 0], duration=0.2),
         "speed_linear",
-        "speedl([0.1, 0.0, 0.0, 0.0, 0.0, 0.0], 1.2, 2.0)\n  stopl(1.2)",
+        "speedl([0.1, 0.0, 0.0, 0.0, 0.0, 0.0], 1.2, 0.2)\n  stopl(1.2)",
     ),
     (lambda r: r.motion.stop(), "stop", "stopj(2.0)"),
 ]
@@ -313,7 +313,7 @@ def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
     ("move", "left"),
     [
         (lambda r: r.motion.move_joints(HOME), "the arm may still move, to the end of the motion"),
-        (lambda r: r.motion.speed_joints([0.1] * 6, duration=3), "the arm brakes by itself, 3 s after it began"),
+        (lambda r: r.motion.speed_joints([0.1] * 6, duration=0.3), "the arm brakes by itself, 0.3 s after it began"),
     ],
 )
 def test_a_robot_that_is_lost_says_what_may_still_move(
