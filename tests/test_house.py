@@ -38,6 +38,7 @@ AWAITED = {
 #: The only modules that may start threads.
 THREADS = {
     "linkcore.callbacks",  # calls back what users handed over, one for each robot that has something to call
+    "linkcore.net.recall",  # takes back what was given up, for as long as there is anything
     "linkcore.runnable",  # one for each host or server that does not run in its caller's
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import Closed, LocalError
+from linkcore.net.recall import Recall
 from linkcore.streaming.stream import Stream
 from linkcore.wire.version import Since
 
@@ -88,7 +89,8 @@ class Control:
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
-        channel = CommandChannel(slow, monitor, section)
+        self._recall = recall = Recall(host)
+        channel = CommandChannel(slow, monitor, section, recall=recall)
         self._programs = programs = Programs(
             slow,
             channel,
@@ -111,6 +113,7 @@ class Control:
             channel,
             callbacks,
             lambda: who.identity.firmware,
+            recall,
             timeout,
         )
         self.io = IO(self.settings, primary, realtime)
@@ -142,6 +145,7 @@ class Control:
             lambda: self._who.identity.firmware,
             api_port=self._ports.get("robot_api"),
             timeout=timeout,
+            recall=self._recall,
         )
 
     @property
@@ -164,6 +168,7 @@ class Control:
             self._ports["gripper"],
             timeout=self._timeout,
             refused=lambda: "a Robotiq gripper is served by the URCap that is installed for it",
+            recall=self._recall,
         )
         return self._grippers.setdefault("one", made)
 
@@ -180,6 +185,7 @@ class Control:
         """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
         until = time.monotonic() + timeout
         self._is_closed = True
+        self._recall.close()
         self._programs.close()
         self._monitor.close()
         for dashboard in self._dashboards.values():

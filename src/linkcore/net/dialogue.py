@@ -12,7 +12,8 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from ..errors import Closed, ConnectionLost, LinkTimeout
+from ..errors import Closed, ConnectionLost, LinkTimeout, WrongPeer
+from .recall import MAY_STILL
 from .transport import TcpTransport
 
 __all__ = ["Dialogue", "DialogueProtocol"]
@@ -70,6 +71,7 @@ class Dialogue:
         timeout: float,
         stays: Callable[[str], bool] = lambda answer: True,
         gate: Callable[[Callable[[], object]], object] = lambda send: send(),
+        given_up: Callable[[], object] | None = None,
     ) -> str:
         """Ask, and wait for the answer.
 
@@ -78,6 +80,8 @@ class Dialogue:
             timeout: seconds for all of it.
             stays: says by the answer whether the connection is kept.
             gate: calls what sends, which does not wait, or raises what keeps the question from being sent.
+            given_up: called where it was sent, and its answer did not come; the error then says that it may still be
+                carried out. None for a question that changes nothing.
 
         Raises:
             LinkTimeout: no answer came in time, or other threads had their turn for so long.
@@ -90,18 +94,30 @@ class Dialogue:
             raise LinkTimeout(
                 f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
             )
+        is_sent, answer = False, None
+
+        def send() -> None:
+            nonlocal is_sent
+            self._send(protocol.ask(text), text)
+            is_sent = True
+
         try:
             protocol = self._connected(min(until, time.monotonic() + self._timeout))
-            gate(lambda: self._send(protocol.ask(text), text))
-            answer = None
+            gate(send)
             while answer is None:
                 answer = protocol.feed(self._received(protocol, until, f"no reply to {text!r} within {timeout:g} s"))
             if not stays(answer):
                 self._disconnect()
         except BaseException as error:
             self._disconnect()
+            hint = ""
+            if given_up is not None and is_sent and answer is None:
+                given_up()
+                hint = f"; {MAY_STILL}"
             if self.is_closed and isinstance(error, ConnectionLost):
-                raise Closed(f"{self._name} was closed while {text!r} waited") from error
+                raise Closed(f"{self._name} was closed while {text!r} waited{hint}") from error
+            if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
+                error.args = (f"{error}{hint}",)
             raise
         finally:
             self._lock.release()

@@ -13,6 +13,7 @@ from urllib.parse import urljoin, urlsplit
 
 from ..errors import Closed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from ..wire.http import HttpParser, HttpRequest, HttpResponse
+from .recall import MAY_STILL
 from .transport import TcpTransport
 
 __all__ = ["HttpClient"]
@@ -38,18 +39,24 @@ class HttpClient:
         self._open: set[TcpTransport] = set()
         self._is_closed = False
 
-    def ask(self, request: HttpRequest, timeout: float) -> HttpResponse:
+    def ask(self, request: HttpRequest, timeout: float, given_up: Callable[[], object] | None = None) -> HttpResponse:
         """The answer to a request; redirects are followed.
+
+        Args:
+            request: what is asked.
+            timeout: seconds for all of it.
+            given_up: called where it was sent, and its answer did not come; the error then says that it may still be
+                carried out. None for a request that changes nothing.
 
         Raises:
             ConnectFailed, ConnectionLost: the server is not there, or goes away.
             LinkTimeout: the answer was not whole within `timeout` seconds.
-                Closed: `close` was called.
+            Closed: `close` was called.
         """
         until = time.monotonic() + timeout
         host, port = self.host, self.port
         for _ in range(_MOST_REDIRECTS + 1):
-            response = self._ask(host, port, request, until, timeout)
+            response = self._ask(host, port, request, until, timeout, given_up)
             location = response.headers.get("location")
             if response.status not in _MOVED or location is None:
                 return response
@@ -72,23 +79,39 @@ class HttpClient:
         for transport in tuple(self._open):
             transport.abort()
 
-    def _ask(self, host: str, port: int, request: HttpRequest, until: float, timeout: float) -> HttpResponse:
+    def _ask(
+        self,
+        host: str,
+        port: int,
+        request: HttpRequest,
+        until: float,
+        timeout: float,
+        given_up: Callable[[], object] | None,
+    ) -> HttpResponse:
         transport = TcpTransport(host, port, silence=timeout, refused=self._refused)
         data = request.encode(_authority(host, port))
         parser = HttpParser("response")
         self._open.add(transport)
+        is_sent, answer = False, None
         try:
             transport.open(_left(until, transport.name, timeout))
             if self._is_closed:
                 raise ConnectionLost(f"{transport.name} was closed here")
+            is_sent = True
             transport.send(data, _left(until, transport.name, timeout))
-            answer = None
             while answer is None:
                 answer = _received(transport, parser, _left(until, transport.name, timeout))
             return answer
-        except (ConnectionLost, LinkTimeout) as error:
-            if self._is_closed:
-                raise Closed(f"{transport.name} was closed while {request.method} {request.target} waited") from error
+        except BaseException as error:
+            hint = ""
+            if given_up is not None and is_sent and answer is None:
+                given_up()
+                hint = f"; {MAY_STILL}"
+            if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
+                if self._is_closed:
+                    what = f"{request.method} {request.target}"
+                    raise Closed(f"{transport.name} was closed while {what} waited{hint}") from error
+                error.args = (f"{error}{hint}",)
             raise
         finally:
             self._open.discard(transport)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 
 from linkcore.errors import ConnectionLost, LinkTimeout
+from linkcore.net.recall import Recall
 from linkcore.streaming.connection import Connection
 
 from .monitor import SafetyMonitor
@@ -24,6 +25,8 @@ __all__ = ["CommandChannel"]
 
 #: Seconds that the controller may take to accept text.
 SEND_TIMEOUT = 0.5
+#: Seconds for what was given up to be taken back, before what is newer supersedes it.
+_TAKE_BACK = 1.0
 #: Seconds between two looks whether another thread has got rid of its text.
 _PAUSE = 0.001
 
@@ -36,6 +39,7 @@ class CommandChannel:
         monitor: asked before anything is sent.
         section: the critical section of the robot.
         clock: seconds that only grow.
+        recall: of the commands to this controller; None for one of its own.
     """
 
     def __init__(
@@ -44,7 +48,9 @@ class CommandChannel:
         monitor: SafetyMonitor,
         section: Section,
         clock: Callable[[], float] = time.monotonic,
+        recall: Recall | None = None,
     ) -> None:
+        self._recall = Recall(connection.name) if recall is None else recall
         self._connection = connection
         self._monitor = monitor
         self._section = section
@@ -68,14 +74,24 @@ class CommandChannel:
         self._monitor.await_news(moves=True)
 
     def motion(
-        self, text: str, *, is_stop: bool = False, claim: Callable[[], object] = lambda: None, wait: bool = True
+        self,
+        text: str,
+        *,
+        is_stop: bool = False,
+        replaces: bool = False,
+        claim: Callable[[], object] = lambda: None,
+        wait: bool = True,
     ) -> None:
         """Send URScript that may move the arm.
+
+        What was given up and may still be carried out is taken back before, where that can be done within a second.
 
         Args:
             text: whole lines; the last newline may be left out.
             is_stop: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
                 program that went on while it could not be heard, and can then be stopped.
+            replaces: it is a program that replaces the one that runs, and with it what was given up and was not taken
+                back.
             claim: called in the section, whenever it has been decided that the text may leave; what it raises keeps
                 the text from leaving.
             wait: for what is not known yet of the robot, and for room; False sends now or not at all.
@@ -87,12 +103,16 @@ class CommandChannel:
         """
         if wait:
             self._prepare()
+            if not is_stop and self._section.may_wait:
+                self._recall.settle(_TAKE_BACK)
 
         def decide() -> None:
             self._monitor.require(is_stop)
             claim()
 
         self._send(text, decide, SEND_TIMEOUT if wait else 0.0)
+        if replaces:
+            self._recall.drop()
 
     def command(self, text: str) -> None:
         """Send URScript that moves nothing: outputs, payload, popups. It needs no more than a running robot.

@@ -12,6 +12,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from linkcore.arguments import check_callable, check_seconds, check_wait
@@ -19,12 +20,13 @@ from linkcore.callbacks import CallbackThread
 from linkcore.errors import Cancelled, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
 from linkcore.handle import Lifecycle
 from linkcore.net.dialogue import Dialogue
+from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.version import Since
 
 from ..errors import NotRunning, SafetyStop, StatementDiscarded
 from ..firmware import Firmware
-from ..interfaces.interpreter.protocol import InterpreterProtocol, Reply, parse_reply, statement_line
+from ..interfaces.interpreter.protocol import InterpreterProtocol, parse_reply, statement_line
 from ..services import refusal_hint
 from ..urscript import programs as scripts
 from .channel import CommandChannel
@@ -72,16 +74,29 @@ class Interpreter(Program):
     """
 
     def __init__(
-        self, life: Lifecycle, texts: deque[str], dialogue: Dialogue, channel: CommandChannel, finish_timeout: float
+        self,
+        life: Lifecycle,
+        texts: deque[str],
+        dialogue: Dialogue,
+        channel: CommandChannel,
+        recall: Recall,
+        take_back: TakeBack,
+        finish_timeout: float,
     ) -> None:
         super().__init__(life, texts)
         self._dialogue = dialogue
         self._channel = channel
+        self._recall = recall
+        self._take_back = take_back
         self._finish_timeout = finish_timeout
         self._since_clear = 0
 
     def execute(self, statement: str, *, wait: bool | float = False) -> int:
         """Hand a statement over; it begins once those before it are over.
+
+        If no answer comes, it **may still be carried out**, when a controller that hung goes on; the error says so. It
+        is taken back at the first contact: what moves then is aborted, and what was not begun is thrown away, which is
+        all that was handed over.
 
         Args:
             statement: of URScript, complete: a call, an assignment, a whole ``if`` or ``def``. What it assigns and
@@ -96,6 +111,8 @@ class Interpreter(Program):
             StatementDiscarded: it does not compile, or the program is not in interpreter mode.
             SafetyStop, NotRunning: the arm may not be moved now; nothing was sent.
             LinkTimeout: with `wait`, it was not over in time; it goes on.
+            LinkTimeout, ConnectionLost: no answer came, see above; or what was given up before could not be taken back
+                yet, and this was not sent.
             LinkError: it could not be sent, or what has ended the program.
         """
         seconds = check_wait(wait)
@@ -103,7 +120,7 @@ class Interpreter(Program):
         if self._since_clear >= CLEAR_AFTER:
             self.wait_executed(self._finish_timeout)
             self.clear()
-        number = self._hand_over(line)
+        number = self._hand_over(line, take_back=self._take_back)
         if seconds:
             self.wait_executed(seconds)
         return number
@@ -196,11 +213,12 @@ class Interpreter(Program):
 
     # -- what is said ----------------------------------------------------------------------------------
 
-    def _hand_over(self, line: str, reason_within: float = _REASON) -> int:
+    def _hand_over(self, line: str, reason_within: float = _REASON, take_back: TakeBack | None = None) -> int:
         """A statement, through the interlock; its number.
 
         Args:
             reason_within: seconds to wait for the reason where no program takes statements.
+            take_back: takes it back where it is given up.
         """
 
         def gate(send: Callable[[], object]) -> None:
@@ -211,7 +229,8 @@ class Interpreter(Program):
 
             self._channel.setpoint(send_if_wanted)
 
-        reply = self._reply(line, gate)
+        with self._recall.command("interpreter", _REPLY, take_back) as given_up:
+            reply = parse_reply(self._dialogue.ask(line, _REPLY, gate=gate, given_up=given_up))
         if reply.word != "ack":
             if not reply.number:
                 # No program takes statements any more. What ended it comes over the primary interface, a little later.
@@ -227,10 +246,7 @@ class Interpreter(Program):
         """The number that one of the words is answered by."""
         if self._life.error is not None:
             raise self._life.error
-        return self._reply(word, lambda send: send()).number
-
-    def _reply(self, line: str, gate: Callable[[Callable[[], object]], object]) -> Reply:
-        return parse_reply(self._dialogue.ask(line, _REPLY, gate=gate))
+        return parse_reply(self._dialogue.ask(word, _REPLY)).number
 
 
 class Interpreters:
@@ -241,6 +257,7 @@ class Interpreters:
         port: of its interpreter mode; None where it is not served.
         programs, channel, callbacks: of the robot.
         firmware: of the controller at present.
+        recall: of the commands to this controller.
         timeout: seconds for a connection.
     """
 
@@ -252,6 +269,7 @@ class Interpreters:
         channel: CommandChannel,
         callbacks: CallbackThread,
         firmware: Callable[[], Firmware],
+        recall: Recall,
         timeout: float,
     ) -> None:
         self._host = host
@@ -260,6 +278,7 @@ class Interpreters:
         self._channel = channel
         self._callbacks = callbacks
         self._firmware = firmware
+        self._recall = recall
         self._timeout = timeout
         #: the connections of those that were begun and not ended
         self._open: list[Dialogue] = []
@@ -282,14 +301,12 @@ class Interpreters:
             raise LocalError(f"firmware {firmware} has no interpreter mode; the first that has it is 5.10")
         if self._port is None:
             raise LocalError("the controller does not serve interpreter mode")
-        transport = TcpTransport(self._host, self._port, silence=_REPLY, refused=lambda: refusal_hint(self._firmware()))
-        name = f"interpreter mode at {transport.name}"
-        dialogue = Dialogue(transport, InterpreterProtocol, name, self._timeout)
+        dialogue = self._dialogue(self._port)
         life = self._programs.life("interpreter mode")
         life.brake = lambda: self._programs.stop(life)
         texts: deque[str] = deque(maxlen=TEXTS)
-        self._open = [each for each in self._open if not each.is_closed] + [dialogue]
-        interpreter = Interpreter(life, texts, dialogue, self._channel, finish_timeout)
+        take_back = partial(self._take_back, self._port, life)
+        interpreter = Interpreter(life, texts, dialogue, self._channel, self._recall, take_back, finish_timeout)
 
         def hear(text: str) -> None:
             texts.append(text)
@@ -306,6 +323,24 @@ class Interpreters:
             interpreter._close()
             raise
         return interpreter
+
+    def _dialogue(self, port: int) -> Dialogue:
+        transport = TcpTransport(self._host, port, silence=_REPLY, refused=lambda: refusal_hint(self._firmware()))
+        dialogue = Dialogue(transport, InterpreterProtocol, f"interpreter mode at {transport.name}", self._timeout)
+        self._open = [each for each in self._open if not each.is_closed] + [dialogue]
+        return dialogue
+
+    def _take_back(self, port: int, life: Lifecycle, is_wanted: Callable[[], bool]) -> None:
+        """Abort what moves and throw away what has not begun; where the program was given up too, end it."""
+        dialogue = self._dialogue(port)
+        try:
+            if is_wanted():
+                dialogue.ask("statelastexecuted", _REPLY)  # the contact
+            for line in ("skipbuffer", "abort", *(("end_interpreter()",) if life.is_over else ())):
+                if is_wanted():
+                    dialogue.ask(line, _REPLY)
+        finally:
+            dialogue.close()
 
     def _await_mode(self, interpreter: Interpreter, until: float, timeout: float) -> None:
         """Until the controller takes a statement."""

@@ -222,7 +222,8 @@ class Programs:
         life.on_end(lambda: self._runs.pop(run.name, None))
         try:
             self._listen()
-            self._channel.motion(wrapped.text, is_stop=is_stop, claim=claim)
+            replaces = not (is_stop or wrapped.is_secondary)
+            self._channel.motion(wrapped.text, is_stop=is_stop, replaces=replaces, claim=claim)
         except BaseException as error:
             life.fail(error if isinstance(error, Exception) else Cancelled(f"{life.name} was interrupted"))
             raise

@@ -20,6 +20,7 @@ from linkcore.errors import (
     RemoteError,
 )
 from linkcore.net.dialogue import Dialogue
+from linkcore.net.recall import Recall
 from tests.urlink.line import Programming, slow
 from urlink.commanding import interpreter as module
 from urlink.commanding.interpreter import Interpreter, Interpreters, InterpreterState
@@ -45,7 +46,11 @@ class Peer:
         self.is_closed = False
 
     def ask(
-        self, line: str, timeout: float, gate: Callable[[Callable[[], object]], object] = lambda send: send()
+        self,
+        line: str,
+        timeout: float,
+        gate: Callable[[Callable[[], object]], object] = lambda send: send(),
+        given_up: Callable[[], object] | None = None,
     ) -> str:
         gate(lambda: self.asked.append(line))
         self.timeouts.append(timeout)
@@ -75,7 +80,12 @@ class Mode(Programming):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=self.clock, sleep=self.sleep))
         self.life = self.programs.life("interpreter mode")
         dialogue = cast(Dialogue, self.peer)
-        self.interpreter = Interpreter(self.life, deque(), dialogue, self.channel, 42.0)
+        self.recall = Recall("robot")
+
+        def take_back(is_wanted: Callable[[], bool]) -> None:
+            raise AssertionError("nothing was given up")
+
+        self.interpreter = Interpreter(self.life, deque(), dialogue, self.channel, self.recall, take_back, 42.0)
 
     def sleep(self, seconds: float) -> None:
         self.sleeps.append(seconds)
@@ -310,7 +320,7 @@ class Beginning(Mode):
 
     def interpreters(self, firmware: str = "5.10", port: int | None = 30020) -> Interpreters:
         asked = Firmware.parse(firmware)
-        return Interpreters("robot", port, self.programs, self.channel, self.callbacks, lambda: asked, 3.0)
+        return Interpreters("robot", port, self.programs, self.channel, self.callbacks, lambda: asked, self.recall, 3.0)
 
 
 @pytest.fixture

@@ -456,12 +456,12 @@ def test_lost_between_two_commands(opened: Opened) -> None:
     assert desk.lines == ["running", "popup still here"]
 
 
-@pytest.mark.parametrize("last_words", [None, b"Starting pro"])
+@pytest.mark.parametrize("last_words", [None, b"showing pop"])
 def test_lost_in_the_middle_of_a_command_which_is_not_sent_again(last_words: bytes | None, opened: Opened) -> None:
     desks: list[Desk] = []
 
     def answer(line: str) -> bytes | None:
-        if line != "play":
+        if line != "popup hello":
             return b"Program running: true\n"
         if last_words is not None:
             desks[0].say(last_words)
@@ -469,10 +469,10 @@ def test_lost_in_the_middle_of_a_command_which_is_not_sent_again(last_words: byt
 
     desk, dashboard = opened(answer)
     desks.append(desk)
-    with pytest.raises(ConnectionLost):
-        dashboard.play()
+    with pytest.raises(ConnectionLost, match="it may still be carried out"):
+        dashboard.popup("hello")
     assert dashboard.running()
-    assert desk.lines == ["play", "running"]
+    assert desk.lines == ["popup hello", "running"]
     assert desk.connections == 2
 
 
@@ -540,9 +540,9 @@ def test_slow_commands_have_longer(opened: Opened, monkeypatch: pytest.MonkeyPat
     waited: list[float] = []
     exchange = dashboard._exchange
 
-    def noting(line: str, timeout: float, stays: Callable[[str], bool]) -> str:
+    def noting(line: str, timeout: float, *how: Any) -> str:
         waited.append(timeout)
-        return exchange(line, timeout, stays)
+        return exchange(line, timeout, *how)
 
     monkeypatch.setattr(dashboard, "_exchange", noting)
     dashboard.generate_flight_report("controller")

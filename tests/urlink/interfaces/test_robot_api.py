@@ -284,7 +284,7 @@ class Answering(HttpClient):
         super().__init__("robot", 80)
         self._answer = HttpResponse(status, "", {}, body)
 
-    def ask(self, request: HttpRequest, timeout: float) -> HttpResponse:
+    def ask(self, request: HttpRequest, timeout: float, given_up: Callable[[], object] | None = None) -> HttpResponse:
         return self._answer
 
 

@@ -5,6 +5,7 @@ It speaks to the dashboard server (port 29999), and on PolyScope X, which has no
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import threading
@@ -13,9 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
+from linkcore.net.recall import Recall
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.version import version_text
 
@@ -69,12 +71,17 @@ class Dashboard:
     `LinkTimeout` or `ConnectionLost` is raised, and the next command begins on a new connection. A new one is also made
     after the refusal in local mode, since the controller requires it. Threads may share it; they take turns.
 
+    **A command that failed so may still be carried out**, when a controller that hung goes on; the error says so. Of
+    these, `play` is taken back, by `stop`, at the first contact and before another command is sent, unless another
+    program has been sent since. Nothing else is: power, brakes and what was loaded are as the controller leaves them.
+
     All methods that talk to the controller raise
 
     - `LocalError` where the firmware does not have the command, and `BadValue` for an argument that cannot be sent;
       nothing has been sent then;
     - `DashboardRefused` where the controller does not carry it out, as an e-Series does in local mode;
-    - `LinkTimeout` where it does not answer in time, `ConnectFailed` and `ConnectionLost` where it is not there,
+    - `LinkTimeout` where it does not answer in time, or where a `play` that was given up could not be taken back yet;
+      `ConnectFailed` and `ConnectionLost` where it is not there,
       `WrongPeer` where another service is, and `PacketError` where an answer cannot be read;
     - `Closed` after `close`;
     - what `firmware` raises.
@@ -86,6 +93,7 @@ class Dashboard:
         api_port: of the Robot API, 80 on a real controller; None where it is not served.
         timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
             how much.
+        recall: of the commands to this controller; None for one of its own.
 
     Raises:
         BadValue: the timeout is not positive.
@@ -99,8 +107,10 @@ class Dashboard:
         *,
         api_port: int | None = PORTS["robot_api"],
         timeout: float = 5.0,
+        recall: Recall | None = None,
     ) -> None:
         self._timeout = _positive(timeout)
+        self._host = host
         self._firmware = firmware
         self._port = port
         self._api_port = api_port
@@ -113,6 +123,9 @@ class Dashboard:
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._name = f"the dashboard server at {self._transport.name}"
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
+        self._owns_recall = recall is None
+        self._recall = Recall(self._name) if recall is None else recall
+        self._taking_back: Dashboard | None = None
         self._switched_off = -math.inf
 
     # -- power ---------------------------------------------------------------------------------------
@@ -162,7 +175,10 @@ class Dashboard:
         self._switched_off = time.monotonic()
 
     def brake_release(self) -> None:
-        """Begin to release the brakes. **The arm may move.** Powers it on first if it is off."""
+        """Begin to release the brakes. **The arm may move.** Powers it on first if it is off.
+
+        If no answer comes, it may still be carried out, and is not taken back.
+        """
         self._do("brake release")
 
     def shutdown(self) -> None:
@@ -183,7 +199,10 @@ class Dashboard:
         self._do("load installation", path)
 
     def play(self) -> None:
-        """Run the loaded program, or go on with it. **The arm moves.**"""
+        """Run the loaded program, or go on with it. **The arm moves.**
+
+        If no answer comes, it may still be carried out; see `Dashboard`.
+        """
         self._do("play")
 
     def pause(self) -> None:
@@ -232,7 +251,8 @@ class Dashboard:
             content = file.read_bytes()
         except OSError as error:
             raise BadValue(f"cannot read {file}: {error.strerror or error}") from error
-        return self._api.upload(file.name, content, bool(replace), firmware)
+        with self._command("upload") as given_up:
+            return self._api.upload(file.name, content, bool(replace), firmware, given_up)
 
     def download_program(self, name: str) -> bytes:
         """A program on the controller, as the controller sends it; from 10.12 on (PolyScope X)."""
@@ -352,7 +372,10 @@ class Dashboard:
         self._check_served(self._port, "dashboard server")
         encode_line(command)
         within = self._timeout if timeout is None else _positive(timeout)
-        return self._exchange(command, within, lambda reply: not reply.casefold().startswith(_NOT_ALLOWED))
+        with self._command(command.strip().casefold()) as given_up:
+            return self._exchange(
+                command, within, lambda reply: not reply.casefold().startswith(_NOT_ALLOWED), given_up
+            )
 
     def quit(self) -> None:
         """Take leave of the controller and disconnect; the next command connects again."""
@@ -360,6 +383,10 @@ class Dashboard:
 
     def close(self) -> None:
         """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
+        if self._owns_recall:
+            self._recall.close()
+        if self._taking_back is not None:
+            self._taking_back.close()
         self._http.close()
         self._dialogue.close()
 
@@ -398,7 +425,8 @@ class Dashboard:
         command, firmware = COMMANDS[name], self._present()
         if firmware.is_polyscope_x:
             self._check_served(self._api_port, "Robot API")
-            return self._api.do(name, argument, firmware)
+            with self._command(name, command.only_asks) as given_up:
+                return self._api.do(name, argument, firmware, given_up)
         self._check_served(self._port, "dashboard server")
         if not command.is_on(firmware):
             first = command.first(firmware)
@@ -412,14 +440,42 @@ class Dashboard:
             # reply to something else.
             return not is_last if command.match(reply) else command.is_refusal(reply)
 
-        reply = self._exchange(line, max(self._timeout, command.slow), stays)
+        with self._command(name, command.only_asks) as given_up:
+            reply = self._exchange(line, max(self._timeout, command.slow), stays, given_up)
         if command.match(reply) is None:
             raise DashboardRefused(line, reply)
         return reply
 
-    def _exchange(self, line: str, timeout: float, stays: Callable[[str], bool]) -> str:
+    def _exchange(
+        self, line: str, timeout: float, stays: Callable[[str], bool], given_up: Callable[[], object] | None = None
+    ) -> str:
         """Send a line and wait for the reply; `stays` says by the reply whether the connection is kept."""
-        return self._dialogue.ask(line, timeout, stays)
+        return self._dialogue.ask(line, timeout, stays, given_up=given_up)
+
+    def _command(
+        self, name: str, only_asks: bool = False
+    ) -> contextlib.AbstractContextManager[Callable[[], None] | None]:
+        """Around a command; the context is what to call if it was sent and given up, None for a question."""
+        if only_asks:
+            return contextlib.nullcontext()
+        return self._recall.command(name, self._timeout, self._stop_what_plays if name == "play" else None)
+
+    def _stop_what_plays(self, is_wanted: Callable[[], bool]) -> None:
+        """Take `play` back."""
+        dashboard = Dashboard(self._host, self._port, self._firmware, api_port=self._api_port, timeout=self._timeout)
+        with dashboard:
+            self._taking_back = dashboard
+            if not is_wanted():
+                return
+            # Any answer is the contact.
+            with contextlib.suppress(DashboardRefused, PacketError):
+                if dashboard._present().is_polyscope_x:
+                    dashboard.program_state()
+                else:
+                    dashboard.robot_mode()
+            if is_wanted():
+                with contextlib.suppress(DashboardRefused):  # nothing runs
+                    dashboard.stop()
 
 
 def _positive(timeout: float) -> float:

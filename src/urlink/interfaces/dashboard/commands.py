@@ -72,6 +72,7 @@ class Command:
         choices: the only values of the argument; empty: any text.
         needs_remote_control: the e-Series refuses it in local mode.
         slow: seconds that the reply may take, where that is longer than a moment.
+        only_asks: nothing is changed by it.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Command:
     choices: tuple[str, ...] = ()
     needs_remote_control: bool = False
     slow: float = 0.0
+    only_asks: bool = False
 
     def first(self, firmware: Version) -> Version | None:
         """The first firmware of the generation of `firmware` that has it, or None where none has."""
@@ -122,23 +124,24 @@ _TABLE = (
     Command("play", (1, 4), (5, 0), "Starting program", _failed("play"), needs_remote_control=True, slow=15.0),
     Command("stop", (1, 4), (5, 0), "Stopped", _failed("stop"), needs_remote_control=True, slow=15.0),
     Command("pause", (1, 4), (5, 0), "Pausing program", _failed("pause"), needs_remote_control=True, slow=15.0),
-    Command("quit", (1, 4), (5, 0), "Disconnected"),
+    Command("quit", (1, 4), (5, 0), "Disconnected", only_asks=True),
     Command("shutdown", (1, 4), (5, 0), "Shutting down", needs_remote_control=True),
-    Command("running", (1, 6), (5, 0), r"(?:Program|Robot) running: *(true|false)$"),
-    Command("robotmode", (1, 6), (5, 0), r"(?:Robot ?mode: *)?(-?\d{1,9}|[A-Z]+(?:_[A-Z]+)*)$"),
+    Command("running", (1, 6), (5, 0), r"(?:Program|Robot) running: *(true|false)$", only_asks=True),
+    Command("robotmode", (1, 6), (5, 0), r"(?:Robot ?mode: *)?(-?\d{1,9}|[A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
     Command(
         "get loaded program",
         (1, 6),
         (5, 0),
         r"(?:Loaded program|Program loaded): *(\S.*)|No program loaded",
+        only_asks=True,
     ),
     Command("popup", (1, 6), (5, 0), "showing popup", argument="text"),
     Command("close popup", (1, 6), (5, 0), "closing popup"),
     Command("addToLog", (1, 8), (5, 0), "Added log message", ("No log message to add",), argument="text"),
-    Command("isProgramSaved", (1, 8), (5, 0), r"(true|false)(?: +(\S.*)|$)"),
-    Command("programState", (1, 8), (5, 0), r"(STOPPED|PLAYING|PAUSED)(?: +(\S.*)|$)"),
-    Command("PolyscopeVersion", (1, 8), (5, 0), r"(?:URSoftware *)?(\d+(?:\.\d+)+.*)"),
-    Command("version", None, (5, 0), r"(\d+(?:\.\d+)+)$"),
+    Command("isProgramSaved", (1, 8), (5, 0), r"(true|false)(?: +(\S.*)|$)", only_asks=True),
+    Command("programState", (1, 8), (5, 0), r"(STOPPED|PLAYING|PAUSED)(?: +(\S.*)|$)", only_asks=True),
+    Command("PolyscopeVersion", (1, 8), (5, 0), r"(?:URSoftware *)?(\d+(?:\.\d+)+.*)", only_asks=True),
+    Command("version", None, (5, 0), r"(\d+(?:\.\d+)+)$", only_asks=True),
     Command(
         "setUserRole",
         (3, 1),
@@ -148,7 +151,7 @@ _TABLE = (
         argument="role",
         choices=get_args(UserRole),
     ),
-    Command("getUserRole", (3, 1), None, r"(PROGRAMMER|OPERATOR|NONE|LOCKED|RESTRICTED)$"),
+    Command("getUserRole", (3, 1), None, r"(PROGRAMMER|OPERATOR|NONE|LOCKED|RESTRICTED)$", only_asks=True),
     Command(
         "set operational mode",
         None,
@@ -157,7 +160,7 @@ _TABLE = (
         argument="mode",
         choices=("manual", "automatic"),
     ),
-    Command("get operational mode", None, (5, 6), r"(NONE|MANUAL|AUTOMATIC)$"),
+    Command("get operational mode", None, (5, 6), r"(NONE|MANUAL|AUTOMATIC)$", only_asks=True),
     Command(
         "clear operational mode",
         None,
@@ -167,9 +170,9 @@ _TABLE = (
     Command("power on", (3, 0), (5, 0), "Powering on", needs_remote_control=True),
     Command("power off", (3, 0), (5, 0), "Powering off", needs_remote_control=True),
     Command("brake release", (3, 0), (5, 0), "Brake releasing", needs_remote_control=True),
-    Command("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$"),
+    Command("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
     # One list has it from 3.11 on, which is not verified.
-    Command("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$"),
+    Command("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
     Command(
         "unlock protective stop",
         (3, 1),
@@ -190,9 +193,9 @@ _TABLE = (
         slow=60.0,
     ),
     Command("restart safety", (3, 7), (5, 1), "Restarting safety", needs_remote_control=True, slow=15.0),
-    Command("is in remote control", None, (5, 6), r"(true|false)$"),
-    Command("get serial number", (3, 12), (5, 6), r"(\d\S*)$"),
-    Command("get robot model", (3, 12), (5, 6), r"(UR\d\S*)$"),
+    Command("is in remote control", None, (5, 6), r"(true|false)$", only_asks=True),
+    Command("get serial number", (3, 12), (5, 6), r"(\d\S*)$", only_asks=True),
+    Command("get robot model", (3, 12), (5, 6), r"(UR\d\S*)$", only_asks=True),
     Command(
         "generate flight report",
         (3, 13),

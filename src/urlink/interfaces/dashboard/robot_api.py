@@ -13,7 +13,7 @@ What is not in it:
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -132,8 +132,15 @@ class RobotApi:
         self._client = client
         self._timeout = timeout
 
-    def do(self, name: str, argument: str | None, firmware: Firmware) -> str:
+    def do(
+        self, name: str, argument: str | None, firmware: Firmware, given_up: Callable[[], object] | None = None
+    ) -> str:
         """Have one command carried out; returns the answer in the dashboard server's words.
+
+        Args:
+            name, argument: of the command.
+            firmware: of the controller.
+            given_up: called where it was sent, and no answer came; None for a question.
 
         Raises:
             LocalError: this firmware has no request for it; BadValue: it needs an argument. Nothing was sent.
@@ -147,7 +154,7 @@ class RobotApi:
             return self._value(name, None, firmware) or "No program loaded"
         if name == "play" and self._value("programState", None, firmware) == "PAUSED":
             name = "resume"
-        words = self._value(name, argument, firmware)
+        words = self._value(name, argument, firmware, given_up)
         if name == "programState" and find("get loaded program", firmware) is not None:
             words += " " + self._value("get loaded program", None, firmware).removeprefix("Loaded program: ")
         return words.rstrip()
@@ -162,13 +169,27 @@ class RobotApi:
         """One of them, as the controller sends it; raises as `do`."""
         return self._programs("GET", quote(_argument("download_program", name), safe=""), firmware).body
 
-    def upload(self, file_name: str, content: bytes, replaces: bool, firmware: Firmware) -> str | None:
+    def upload(
+        self,
+        file_name: str,
+        content: bytes,
+        replaces: bool,
+        firmware: Firmware,
+        given_up: Callable[[], object] | None = None,
+    ) -> str | None:
         """Store another one, or replace one; the name that the controller says it has. Raises as `do`."""
         form = encode_form(file_name, content)
-        return parse_uploaded(_text(self._programs("PUT" if replaces else "POST", "", firmware, *form)))
+        method = "PUT" if replaces else "POST"
+        return parse_uploaded(_text(self._programs(method, "", firmware, *form, given_up=given_up)))
 
     def _programs(
-        self, method: str, name: str, firmware: Firmware, content_type: str = "", body: bytes = b""
+        self,
+        method: str,
+        name: str,
+        firmware: Firmware,
+        content_type: str = "",
+        body: bytes = b"",
+        given_up: Callable[[], object] | None = None,
     ) -> HttpResponse:
         if firmware < STORED_PROGRAMS:
             which = version_text(STORED_PROGRAMS)
@@ -176,16 +197,18 @@ class RobotApi:
         headers = {"Accept": "application/json"} | ({"Content-Type": content_type} if content_type else {})
         path = PROGRAMS + name
         asked = HttpRequest(method, BASE + path, headers, body)
-        return self._exchange(asked, f"{method} {path}", _TRANSFER)
+        return self._exchange(asked, f"{method} {path}", _TRANSFER, given_up)
 
     # --------------------------------------------------------------------------------------------------
 
-    def _value(self, name: str, argument: str | None, firmware: Firmware) -> str:
+    def _value(
+        self, name: str, argument: str | None, firmware: Firmware, given_up: Callable[[], object] | None = None
+    ) -> str:
         request = find(name, firmware)
         if request is None:
             raise LocalError(_lacking(name, firmware))
         body = {key: _argument(name, argument) if value == "" else value for key, value in request.body.items()}
-        answer = self._ask(request, body)
+        answer = self._ask(request, body, given_up)
         if not request.reply:
             return ""
         value = answer.get(request.reply)
@@ -193,11 +216,14 @@ class RobotApi:
             raise PacketError(f"{request.reply!r} is {value!r}", packet=f"answer to GET {request.path}")
         return request.words.format(request.names.get(value, value)) if value else ""
 
-    def _ask(self, request: ApiRequest, body: Mapping[str, str]) -> Mapping[str, Any]:
+    def _ask(
+        self, request: ApiRequest, body: Mapping[str, str], given_up: Callable[[], object] | None
+    ) -> Mapping[str, Any]:
         headers = {"Accept": "application/json"} | ({"Content-Type": "application/json"} if body else {})
         data = json.dumps(body).encode() if body else b""
         asked = HttpRequest(request.method, BASE + request.path, headers, data)
-        text = _text(self._exchange(asked, " ".join([request.method, request.path, *body.values()]), request.slow))
+        command = " ".join([request.method, request.path, *body.values()])
+        text = _text(self._exchange(asked, command, request.slow, given_up))
         if not request.reply:
             return {}
         try:
@@ -208,9 +234,11 @@ class RobotApi:
             raise PacketError(f"{text[:_QUOTED]!r} is no object", packet=f"answer to GET {request.path}")
         return answer
 
-    def _exchange(self, request: HttpRequest, command: str, slow: float) -> HttpResponse:
+    def _exchange(
+        self, request: HttpRequest, command: str, slow: float, given_up: Callable[[], object] | None = None
+    ) -> HttpResponse:
         """The answer, where it says that it was done."""
-        response = self._client.ask(request, max(self._timeout, slow))
+        response = self._client.ask(request, max(self._timeout, slow), given_up)
         if not 200 <= response.status < 300:
             text = _text(response)
             reply = f"{response.status} {response.reason}".rstrip() + (f": {text[:_QUOTED]}" if text else "")

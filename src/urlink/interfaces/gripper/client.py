@@ -9,6 +9,7 @@ from typing import NamedTuple
 from linkcore.arguments import check_seconds, check_wait
 from linkcore.errors import BadValue, LinkTimeout, RemoteError
 from linkcore.net.dialogue import Dialogue
+from linkcore.net.recall import Recall
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.shapes import OpenInt
 
@@ -102,6 +103,9 @@ class Gripper:
 
     Threads may share it; they take turns. Nothing of it is interlocked: it moves fingers, not the arm, also in a stop.
 
+    **A command whose answer does not come may still be carried out**, when a controller that hung goes on; the error
+    says so. Fingers that it moves are stopped at the first contact, and before another command is sent.
+
     All methods that talk to the gripper raise
 
     - `BadValue` for an argument that is none; nothing has been sent then;
@@ -115,13 +119,29 @@ class Gripper:
         port: 63352 on a real one.
         timeout: seconds to connect, and for each reply.
         refused: returns a hint for the error where the connection is refused.
+        recall: of the commands to this controller; None for one of its own.
     """
 
-    def __init__(self, host: str, port: int, *, timeout: float = 5.0, refused: Callable[[], str] = str) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        timeout: float = 5.0,
+        refused: Callable[[], str] = str,
+        recall: Recall | None = None,
+    ) -> None:
         self._timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
-        transport = TcpTransport(host, port, silence=timeout, refused=refused)
-        self._name = transport.name
-        self._dialogue = Dialogue(transport, GripperProtocol, f"the gripper at {transport.name}", timeout)
+
+        def dialogue() -> Dialogue:
+            transport = TcpTransport(host, port, silence=timeout, refused=refused)
+            return Dialogue(transport, GripperProtocol, f"the gripper at {transport.name}", timeout)
+
+        self._connect = dialogue
+        self._dialogue = dialogue()
+        self._taking_back = self._dialogue
+        self._name = f"{host}:{port}"
+        self._recall = Recall(f"the gripper at {self._name}") if recall is None else recall
 
     # -- activation ------------------------------------------------------------------------------------
 
@@ -171,7 +191,7 @@ class Gripper:
         line = set_line({"POS": position, "SPE": speed, "FOR": force, "GTO": 1})
         if self.get("STA") != 3:
             raise GripperFault("the gripper is not activated, so it was not told to move; call activate() first", 7)
-        self._set(line)
+        self._set(line, moves=True)
         # The gripper takes the request over some milliseconds later; until then it shows how the last one ended.
         until = time.monotonic() + self._timeout
         self._await(lambda: self.get("PRE") == position, until, self._timeout, "it does not take the request over")
@@ -247,10 +267,11 @@ class Gripper:
 
     def set(self, **values: int) -> None:
         """Set its variables by name, such as ``set(ATR=1, ADR=0)``, all at once; for what has no method here."""
-        self._set(set_line(values))
+        self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
 
-    def _set(self, line: str) -> None:
-        reply = self._dialogue.ask(line, self._timeout)
+    def _set(self, line: str, moves: bool) -> None:
+        with self._recall.command("gripper", self._timeout, self._stop_fingers if moves else None) as given_up:
+            reply = self._dialogue.ask(line, self._timeout, given_up=given_up)
         if reply.casefold() != "ack":
             raise GripperFault(f"{line!r}: the gripper answered {reply[:80]!r}")
 
@@ -267,8 +288,20 @@ class Gripper:
                 raise LinkTimeout(f"the gripper at {self._name}: {otherwise} within {timeout:g} s")
             time.sleep(min(_POLL, left))
 
+    def _stop_fingers(self, is_wanted: Callable[[], bool]) -> None:
+        """Take a movement back."""
+        dialogue = self._taking_back = self._connect()
+        try:
+            for line in (get_line("STA"), set_line({"GTO": 0})):  # the first is the contact
+                if is_wanted():
+                    dialogue.ask(line, self._timeout)
+        finally:
+            dialogue.close()
+
     def _disconnect(self) -> None:
         """Disconnect for good."""
+        self._recall.close()
+        self._taking_back.close()
         self._dialogue.close()
 
     def __repr__(self) -> str:
