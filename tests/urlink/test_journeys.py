@@ -51,6 +51,7 @@ def test_move_joints() -> None:
         "linkcore.handle",  # the one state machine of its life
         "urlink.commanding.programs",  # the registry
         "urlink.commanding.channel",  # the one way out
+        "linkcore.net.recall",  # is anything given up before that may still be carried out?
         "urlink.commanding.section",
         "urlink.commanding.monitor",
         "urlink.commanding.interlock",  # may it leave?

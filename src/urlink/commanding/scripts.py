@@ -93,8 +93,8 @@ class Scripts:
     def send_line(self, line: str) -> None:
         """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not told.
 
-        It goes through the interlock as programs do, since it may move the arm. It asks nobody before it does: a line
-        that the controller reads late, because it was held up itself, is carried out late.
+        It goes through the interlock as programs do, since it may move the arm. It asks nobody before it does, and has
+        no answer: where the controller hangs, this returns, and the line **may still be carried out** when it goes on.
 
         Raises:
             BadValue: it is not one line.
