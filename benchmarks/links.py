@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import urlink
-from urlink.simulator.ports.rtde_variables import UPTIME
+from urlink.simulator.rtde_variables import UPTIME
 
 HOST, FIRMWARE, RATE = "127.0.7.2", "5.11", 500
 HOME = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)

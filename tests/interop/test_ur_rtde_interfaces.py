@@ -26,7 +26,7 @@ from urlink.interfaces.rtde.variables import OUTPUTS
 from urlink.ports import PORTS
 from urlink.poses import compose
 from urlink.simulator import HOME, Controller, Plane, Still
-from urlink.simulator.ports.rtde_variables import OUTPUT_VALUES
+from urlink.simulator.rtde_variables import OUTPUT_VALUES
 
 pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s interop` installs it where it can be had")
 

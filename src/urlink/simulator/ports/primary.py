@@ -17,10 +17,10 @@ from urlink.interfaces.enums import SafetyMode
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 
 from ..messages import greeting
+from ..rtde_variables import robot_current
 from ..state import ControllerState
 from .form import Fields, Form, package
 from .port import Client, ScriptReceiver
-from .realtime import robot_current
 
 __all__ = ["PrimaryPort", "RobotStates", "SecondaryPort"]
 

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from urlink.firmware import Firmware
 from urlink.interfaces.realtime.packets import RealtimeState
 
+from ..rtde_variables import robot_current
 from ..state import ControllerState
 from .form import Fields, Form
 from .port import Client, ScriptReceiver
 
-__all__ = ["RealtimePort", "robot_current"]
+__all__ = ["RealtimePort"]
 
 
 class RealtimePort:
@@ -94,10 +95,3 @@ def _fields(state: ControllerState) -> Fields:
         "payload_cog": arm.payload_cog,
         "payload_inertia": arm.payload_inertia,
     }
-
-
-def robot_current(state: ControllerState) -> float:
-    """A, a guess: the current of the electronics, and a part of that of the motors."""
-    if not state.modes.is_powered:
-        return 0.0
-    return 0.3 + 0.1 * sum(map(abs, state.arm.sample.I_actual))

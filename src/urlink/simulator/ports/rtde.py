@@ -53,10 +53,10 @@ from urlink.interfaces.rtde.recipes import MOST_RECIPES, Recipe
 from urlink.interfaces.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Variable
 
 from ..claims import FIELDBUSES
+from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
 from .form import Form
 from .port import Client
-from .rtde_variables import OUTPUT_VALUES, write_inputs
 
 __all__ = ["Disturbance", "RtdePort", "RtdeSession"]
 

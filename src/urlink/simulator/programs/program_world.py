@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware
-from urlink.interfaces.rtde.variables import INPUTS
+from urlink.interfaces.rtde.variables import INPUTS, OUTPUTS
 from urlink.kinematics import Arm
 
 from ..messages import popup_message, text_message
@@ -15,6 +16,7 @@ from ..registers import Action, Registers
 from ..robot.generator import Drive, ForceTask, MotionGenerator
 from ..robot.modbus import ModbusSignals
 from ..robot.signals import Signals
+from ..rtde_variables import OUTPUT_VALUES
 from ..state import ControllerState
 from .program_sockets import ProgramSockets, Route
 
@@ -146,6 +148,12 @@ class ProgramWorld:
 
     def set_gravity(self, vector: Sequence[float]) -> None:
         """No effect: the simulated arm stands upright."""
+
+    def rtde_value(self, name: str) -> Any:
+        known = OUTPUTS.get(name)
+        if known is None or not known.is_in(self._state.firmware):
+            raise BadValue(f"get_rtde_value: there is no RTDE output '{name}'")
+        return OUTPUT_VALUES[name](self._state)
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
         known = INPUTS.get(variable)

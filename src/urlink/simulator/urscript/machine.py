@@ -26,6 +26,7 @@ from urlink.firmware import Firmware
 from ..robot.generator import Unreachable
 from .errors import ANOTHER_THREAD, Fault, ScriptError, endless
 from .limits import MAX_CALL_DEPTH, MAX_INSTRUCTIONS, MAX_MEMORY, MAX_THREADS, MAX_WORK
+from .matrices import HAS_MATRICES
 from .statements import StatementQueue
 from .tokens import Source
 from .values import UNSET, weight
@@ -239,6 +240,7 @@ class Machine:
         reads: number of reads from sockets in this cycle.
         remote_calls: number of calls of methods of servers so far.
         random: for the function of that name; it gives the same numbers in every run.
+        has_matrices: whether arithmetic takes matrices.
         history: the joint positions of past cycles, newest last.
         has_moved: whether a motion was begun.
     """
@@ -256,6 +258,7 @@ class Machine:
         self._move: Move | None = None
         self._is_aborted = False
         self._firmware = script.firmware
+        self.has_matrices = script.firmware in HAS_MATRICES
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
         self._made = 0

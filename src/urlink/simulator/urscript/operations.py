@@ -16,6 +16,7 @@ from . import values
 from .errors import Fault, type_error
 from .limits import MAX_INTEGER, MIN_INTEGER
 from .machine import GLOBALS, THREAD, Frame
+from .matrices import is_matrix, on_matrices
 from .values import NUMBERS, UNSET, Pose
 
 __all__ = [
@@ -240,7 +241,14 @@ def checked_truth(operand: Function, place: int) -> Function:
 def signed(sign: str, operand: Function, place: int) -> Function:
     """`-a`, `+a`"""
     factor = -1 if sign == "-" else 1
-    return placed(lambda f: values.signed(factor, operand(f), f[THREAD].machine.charge), place)
+
+    def run(f: Frame) -> Any:
+        value = operand(f)
+        if value.__class__ is tuple:
+            return _slow(values.multiply, value, factor, f, place)
+        return values.signed(factor, value)
+
+    return placed(run, place)
 
 
 def operation(sign: str, left: Function, right: Function, place: int) -> Function:
@@ -253,8 +261,11 @@ def operation(sign: str, left: Function, right: Function, place: int) -> Functio
 
 
 def _slow(function: Callable[[Any, Any, values.Charge], Any], a: Any, b: Any, f: Frame, place: int) -> Any:
+    machine = f[THREAD].machine
     try:
-        return function(a, b, f[THREAD].machine.charge)
+        if machine.has_matrices and (is_matrix(a) or is_matrix(b)):
+            return on_matrices(function, a, b, machine.charge)
+        return function(a, b, machine.charge)
     except Fault as fault:
         raise _at(place, fault) from None
 

@@ -13,7 +13,8 @@ supported", by a project's tests); this is not checked here. Guesses:
 - an integer beyond 32 bits, and a result that is not finite, are errors;
 - truth values are not numbers;
 - values of different types are unequal, but an integer equals the same float;
-- arithmetic on lists is element-wise, also with a number as one operand; poses have none;
+- arithmetic on lists is element-wise, also with a number as one operand; poses have none; that on lists of lists is in
+  `matrices`;
 - a struct is copied by assignment, as a list is; no members can be added to it.
 """
 
@@ -230,10 +231,8 @@ def modulo(a: Any, b: Any, charge: Charge) -> Any:
     return _arithmetic(_remainder, "%", a, b, charge)
 
 
-def signed(factor: int, a: Any, charge: Charge) -> Any:
-    """`-a` and `+a`; the factor is -1 or 1."""
-    if a.__class__ is tuple:
-        return _arithmetic(operator.mul, "*", a, factor, charge)
+def signed(factor: int, a: Any) -> Any:
+    """`-a` and `+a` of a number; the factor is -1 or 1."""
     if a.__class__ not in NUMBERS:
         raise type_error(f"{'-' if factor < 0 else '+'} {type_name(a)}")
     return checked(factor * a)

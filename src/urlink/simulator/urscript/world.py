@@ -6,7 +6,7 @@ Sequences are read-only; a caller that keeps one copies it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
@@ -169,6 +169,13 @@ class World(Protocol):
     def registers(self) -> Registers: ...
     @property
     def modbus(self) -> ModbusSignals: ...
+
+    def rtde_value(self, name: str) -> Any:
+        """The RTDE output of this name: a number, a truth value, or a sequence of numbers.
+
+        Raises:
+            BadValue: there is no such output.
+        """
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
         """Require this RTDE input so many times a second from now on; 0 ends that.

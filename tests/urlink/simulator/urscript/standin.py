@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
+from linkcore.errors import BadValue
 from urlink.dynamics import Dynamics
 from urlink.firmware import Firmware
 from urlink.kinematics import Arm
@@ -237,6 +238,11 @@ class StandIn:
 
     def text_message(self, text: str) -> None:
         self.note(f"textmsg {text}")
+
+    def rtde_value(self, name: str) -> Any:
+        if name not in ("target_q", "runtime_state"):
+            raise BadValue(f"there is no RTDE output '{name}'")
+        return self.q_target if name == "target_q" else 2
 
     def protective_stop(self) -> None:
         self.note("protective stop")

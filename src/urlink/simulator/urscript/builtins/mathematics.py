@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import Fault
 from ..machine import ScriptThread
+from ..matrices import Matrix, transposed
 from ..values import checked
 from .declaration import Family, number, numbers
 
@@ -134,6 +135,11 @@ def norm(thread: ScriptThread, a: Any) -> float | int:
     items = numbers(a, "norm: a")
     thread.machine.charge(len(items))
     return checked(math.hypot(*items))
+
+
+@FAMILY.declare(since="3.14/5.9")
+def transpose(thread: ScriptThread, m: Any) -> Matrix:
+    return transposed(m, thread.machine.charge)
 
 
 @FAMILY.declare()

@@ -17,8 +17,9 @@ from urlink.kinematics import Unreachable
 
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
+from ..matrices import rows_of
 from ..values import Pose, list_of, type_name
-from .declaration import Family, is_list, joints, number, numbers, pose, vector
+from .declaration import Family, is_list, joints, number, pose, vector
 
 __all__ = ["FAMILY"]
 
@@ -42,11 +43,11 @@ def pose_inv(thread: ScriptThread, p_from: Any) -> Pose:
 
 @FAMILY.declare(since="3.0")
 def inv(thread: ScriptThread, m: Any) -> Any:
-    """The inverse of a pose, as `pose_inv`, or of a square matrix, a list of its rows."""
-    if m.__class__ is Pose:
+    """The inverse of a pose, as `pose_inv`; from 3.14 and 5.9 on also of a square matrix."""
+    if m.__class__ is Pose or not thread.machine.has_matrices:
         return _inverse(thread, pose(m, "inv: m"))
-    rows = [numbers(row, "inv: m") for row in m] if is_list(m) else []
-    if not rows or any(len(row) != len(rows) for row in rows):
+    rows = rows_of(m, thread.machine.charge)
+    if len(rows) != len(rows[0]):
         raise type_error("inv: m is a pose or a square matrix")
     thread.machine.charge(len(rows) ** 3)
     try:

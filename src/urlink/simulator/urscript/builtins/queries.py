@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..errors import Fault
+from ..limits import MAX_INTEGER, MIN_INTEGER
 from ..machine import ScriptThread
-from ..values import Pose
-from .declaration import Family, integer, number, pose, vector
+from ..values import Pose, list_of
+from .declaration import Family, integer, number, pose, string, vector
 
 __all__ = ["FAMILY"]
 
@@ -167,6 +168,18 @@ def set_gravity(thread: ScriptThread, d: Any) -> None:
 @FAMILY.declare()
 def get_steptime(thread: ScriptThread) -> float:
     return thread.world.period
+
+
+# In the manuals from 5.25.1 and 10.14 on; the vendor's examples for 5.23 call it.
+@FAMILY.declare(since="5.23/10.11")
+def get_rtde_value(thread: ScriptThread, name: Any) -> Any:
+    """An RTDE output of the cycle before: a number, a truth value or a list. That a pose is a list is a guess."""
+    value = thread.world.rtde_value(string(name, "get_rtde_value: name"))
+    if isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, int):
+        return int(value) if MIN_INTEGER <= value <= MAX_INTEGER else float(value)
+    return list_of([float(item) for item in value], thread.machine.charge)
 
 
 def _mass(m: Any, what: str) -> float:

@@ -18,12 +18,11 @@ from typing import Any
 from urlink.interfaces.enums import ProgramState, RobotStatusBits, SafetyStatusBits
 from urlink.interfaces.rtde.variables import INPUTS
 
-from ..registers import BITS, NUMBERS, Bank
-from ..robot.modes import Stop
-from ..state import ControllerState
-from .realtime import robot_current
+from .registers import BITS, NUMBERS, Bank
+from .robot.modes import Stop
+from .state import ControllerState
 
-__all__ = ["OUTPUT_VALUES", "UPTIME", "write_inputs"]
+__all__ = ["OUTPUT_VALUES", "UPTIME", "robot_current", "write_inputs"]
 
 #: s that `timestamp` begins with.
 UPTIME = 45.0
@@ -68,6 +67,13 @@ def _analog_types(state: ControllerState) -> int:
 def _tool_analog_types(state: ControllerState) -> int:
     first, second = state.signals.analog_input_ranges[2:]
     return first | second << 1
+
+
+def robot_current(state: ControllerState) -> float:
+    """A, a guess: the current of the electronics, and a part of that of the motors."""
+    if not state.modes.is_powered:
+        return 0.0
+    return 0.3 + 0.1 * sum(map(abs, state.arm.sample.I_actual))
 
 
 def _named(**outputs: Output) -> dict[str, Output]:

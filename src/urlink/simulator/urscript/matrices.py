@@ -1,0 +1,92 @@
+"""Arithmetic of matrices, which are lists of rows: lists of numbers of one length.
+
+The script manual describes it from 3.14 and 5.9 on: a matrix by a number, a list and a matrix, sums and differences of
+equal sizes, `transpose` and `inv`. Guesses: that a number is added to each element, as to those of a list; and that a
+list on the left of a matrix is a row.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from linkcore.wire.version import Since
+
+from .errors import Fault, type_error
+from .limits import MAX_ELEMENTS
+from .values import NUMBERS, Charge, add, checked, divide, modulo, multiply, subtract, type_name
+
+__all__ = ["HAS_MATRICES", "Matrix", "is_matrix", "on_matrices", "rows_of", "transposed"]
+
+#: The first releases that compute with matrices.
+HAS_MATRICES = Since("3.14/5.9")
+
+Matrix = tuple[tuple[Any, ...], ...]
+
+
+def is_matrix(value: Any) -> bool:
+    """Whether it is a list whose first element is a list."""
+    return value.__class__ is tuple and bool(value) and value[0].__class__ is tuple
+
+
+def rows_of(value: Any, charge: Charge) -> Matrix:
+    """The rows of a matrix, all of one length and made of numbers."""
+    if not is_matrix(value):
+        raise type_error(f"a matrix is wanted, not {type_name(value)}")
+    columns = len(value[0])
+    charge(len(value) * columns)
+    for row in value:
+        if row.__class__ is not tuple or not NUMBERS.issuperset(map(type, row)):
+            raise type_error("a matrix is a list of lists of numbers")
+        if len(row) != columns or not columns:
+            raise Fault("The rows of a matrix have one length")
+    return value  # type: ignore[no-any-return]
+
+
+def transposed(value: Any, charge: Charge) -> Matrix:
+    """The matrix with rows and columns exchanged."""
+    return tuple(zip(*rows_of(value, charge), strict=True))
+
+
+def on_matrices(function: Callable[[Any, Any, Charge], Any], a: Any, b: Any, charge: Charge) -> Any:
+    """An operator of `values` on operands of which at least one is a matrix."""
+    if function is multiply and a.__class__ is tuple and b.__class__ is tuple:
+        return _product(a, b, charge)
+    left = rows_of(a, charge) if a.__class__ is tuple else None
+    right = rows_of(b, charge) if b.__class__ is tuple else None
+    if right is None:
+        return tuple([function(row, b, charge) for row in left or ()])
+    if left is None:
+        if function in (divide, modulo):
+            raise type_error(f"{type_name(a)} {_SIGNS[function]} matrix")
+        return tuple([function(a, row, charge) for row in right])
+    if function not in (add, subtract):
+        raise type_error(f"matrix {_SIGNS[function]} matrix")
+    if _size(left) != _size(right):
+        raise Fault(f"Matrix sizes differ: {_size(left)} {_SIGNS[function]} {_size(right)}")
+    return tuple([function(x, y, charge) for x, y in zip(left, right, strict=True)])
+
+
+_SIGNS: dict[Any, str] = {add: "+", subtract: "-", multiply: "*", divide: "/", modulo: "%"}
+
+
+def _size(matrix: Matrix) -> str:
+    return f"{len(matrix)}x{len(matrix[0])}"
+
+
+def _product(a: Any, b: Any, charge: Charge) -> Any:
+    """Of two matrices; or of a matrix and a list, which is a list: a column on the right, a row on the left."""
+    left = rows_of(a if is_matrix(a) else (a,), charge)
+    right = rows_of(b, charge) if is_matrix(b) else tuple(zip(*rows_of((b,), charge), strict=True))
+    if len(left[0]) != len(right):
+        raise Fault(f"Matrix sizes differ: {_size(left)} * {_size(right)}")
+    elements = len(left) * len(right[0])
+    if elements > MAX_ELEMENTS:
+        raise Fault(f"List too long: {elements} elements")
+    charge(elements * len(right))
+    columns = list(zip(*right, strict=True))
+    made = tuple([tuple([checked(sum(map(operator.mul, row, column))) for column in columns]) for row in left])
+    if not is_matrix(a):
+        return made[0]
+    return made if is_matrix(b) else tuple([row[0] for row in made])
