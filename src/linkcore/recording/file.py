@@ -30,7 +30,7 @@ from ..errors import BadRecording, BadValue, Closed
 from ..progress import Progress
 from ..stamp import Stamp
 from ..streaming.events import Chunk, ConnectionEvent
-from .records import FRAME, HEAD, LARGEST, MAGIC, Kind, Record, pack
+from .records import FRAME, HEAD, LARGEST, MAGIC, Kind, Record, described, pack
 
 __all__ = ["Kind", "Record", "Recording", "RecordingWriter"]
 
@@ -164,21 +164,12 @@ class Recording:
         self.left_out = 0
         for record in self.records(progress):
             if record.kind is Kind.CHANNEL:
-                self.channels[record.channel] = self._described(record, "name")
+                self.channels[record.channel] = described(self.path, record.channel, record.payload, "name")
             elif record.kind is Kind.EVENT:
-                self._described(record, "state")  # checked here, so that a replay does not fail half-way
+                # Checked here, so that a replay does not fail half-way.
+                described(self.path, record.channel, record.payload, "state")
             elif record.kind is Kind.END:
                 self.is_complete = True
-
-    def _described(self, record: Record, key: str) -> dict[str, Any]:
-        """The JSON object in a record; it must hold a text under `key`."""
-        try:
-            info = json.loads(record.payload)
-        except (ValueError, RecursionError) as error:
-            raise BadRecording(f"{self.path}: channel {record.channel} is not described in JSON") from error
-        if not isinstance(info, dict) or not isinstance(info.get(key), str):
-            raise BadRecording(f"{self.path}: channel {record.channel} has no {key}")
-        return info
 
     def __iter__(self) -> Iterator[Record]:
         """As `records`."""

@@ -8,7 +8,6 @@ so the result does not depend on how the bytes were cut; a property test holds t
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -22,7 +21,7 @@ from ..wire.layout import Layout
 from ..wire.packet import State
 from ..wire.protocol import PacketProtocol
 from .index import Index, Numbers
-from .records import Kind
+from .records import Kind, described
 
 __all__ = ["Channel", "Part", "read_channel", "states_of"]
 
@@ -130,7 +129,8 @@ def _connections(index: Index, number: int) -> Iterator[Numbers]:
     """The records with the bytes of each connection; damage ends a connection too."""
     mine = index.of(number)
     kinds = index.kind[mine]
-    ends = [int(record) for record in mine[kinds == Kind.EVENT] if json.loads(index.payload(record))["state"] == "lost"]
+    events = mine[kinds == Kind.EVENT].tolist()
+    ends = [at for at in events if described(index.path, number, index.payload(at), "state")["state"] == "lost"]
     ends += [gap.record for gap in index.gaps]
     records = mine[kinds == Kind.BYTES]
     for piece in np.split(records, np.searchsorted(records, sorted(ends))):

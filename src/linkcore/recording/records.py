@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import enum
+import json
+import os
 import struct
 import zlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from ..errors import BadRecording
 from ..stamp import Stamp
 
-__all__ = ["FRAME", "HEAD", "LARGEST", "MAGIC", "Kind", "Record", "pack"]
+__all__ = ["FRAME", "HEAD", "LARGEST", "MAGIC", "Kind", "Record", "described", "pack"]
 
 MAGIC = b"LINKREC1"
 #: Length of what follows the checksum; checksum.
@@ -42,3 +45,18 @@ def pack(kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> bytes:
     """The bytes of one record."""
     body = HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
     return FRAME.pack(len(body), zlib.crc32(body)) + body
+
+
+def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: str) -> dict[str, Any]:
+    """The JSON object in the payload of a channel (key "name") or of an event (key "state").
+
+    Raises:
+        BadRecording: it is none, or holds no text under `key`.
+    """
+    try:
+        info = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise BadRecording(f"{path}: channel {channel} is not described in JSON") from error
+    if not isinstance(info, dict) or not isinstance(info.get(key), str):
+        raise BadRecording(f"{path}: channel {channel} has no {key}")
+    return info

@@ -8,9 +8,9 @@ end of the connection. Source: RFC 9112. Headers and bodies are bounded, so that
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeAlias, TypeVar
 
 from ..errors import BadValue, PacketError
 
@@ -20,11 +20,19 @@ __all__ = ["LONGEST_BODY", "LONGEST_HEAD", "HttpParser", "HttpRequest", "HttpRes
 LONGEST_HEAD = 1 << 14
 LONGEST_BODY = 1 << 20
 
+_T = TypeVar("_T")
+#: Waits for more bytes at each `yield`, and returns what it has read.
+_Reading: TypeAlias = Generator[None, None, _T]
+
 _END = b"\r\n"
+_VERSION = b"HTTP/1."
+# Each pattern either matches a field as far as it goes or fails there: none is tried again from another place, so the
+# time grows with the length of a line and no faster. Fields are cut out by `partition` and `strip` beforehand.
 _REQUEST = re.compile(rb"([A-Z]{1,16}) (\S+) HTTP/1\.[01]")
 _RESPONSE = re.compile(rb"HTTP/1\.[01] ([0-9]{3})(?: ([^\r\n]*))?")
-_HEADER = re.compile(rb"([!#$%&'*+\-.^_`|~0-9A-Za-z]+):[ \t]*(.*?)[ \t]*")
-_CHUNK = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;.*)?")
+_NAME = re.compile(rb"[!#$%&'*+\-.^_`|~0-9A-Za-z]+")
+_VALUE = re.compile(rb"[^\r\n\0]*")
+_CHUNK = re.compile(rb"[0-9A-Fa-f]{1,8}")
 _LENGTH = re.compile(r"[0-9]{1,12}")
 #: What may stand in a start line or header that is written here.
 _PLAIN = re.compile(r"[\x21-\x7e][\x20-\x7e]*")
@@ -93,7 +101,7 @@ def _encoded(start: str, headers: Mapping[str, str], body: bytes) -> bytes:
 
 
 class HttpParser:
-    """One message as its bytes come in.
+    """One message as its bytes come in. The time that it takes is proportional to their number.
 
     Args:
         kind: what comes: a client's request, or a server's response.
@@ -102,13 +110,11 @@ class HttpParser:
     def __init__(self, kind: Literal["request", "response"]) -> None:
         self._kind = kind
         self._data = bytearray()
-        self._start: re.Match[bytes] | None = None
-        self._headers: dict[str, str] = {}
         self._body = bytearray()
-        #: bytes of the body that are to come; None up to the end of the connection
-        self._left: int | None = 0
-        self._is_chunked = False
-        self._is_in_trailer = False
+        self._has_ended = False
+        #: bytes that lines may still have: of the head, then of those between the chunks
+        self._room = LONGEST_HEAD
+        self._reading = self._request() if kind == "request" else self._response()
 
     def feed(self, data: bytes) -> HttpRequest | HttpResponse | None:
         """The message, once it is whole. What comes after it is thrown away.
@@ -117,137 +123,124 @@ class HttpParser:
             PacketError: this is no such message, or it is too large.
         """
         self._data += data
-        if self._start is None and not self._head():
-            return None
-        is_whole = self._chunks() if self._is_chunked else self._plain()
-        return self._message() if is_whole else None
+        try:
+            next(self._reading)
+        except StopIteration as end:
+            message: HttpRequest | HttpResponse = end.value
+            return message
+        return None
 
     def end(self) -> HttpRequest | HttpResponse:
-        """The connection has ended, which ends a response that does not say its length.
+        """The connection has ended, which ends a response that does not give its length.
 
         Raises:
             PacketError: the message is not whole.
         """
-        if self._start is None or self._is_chunked or self._left is not None:
+        self._has_ended = True
+        message = self.feed(b"")
+        if message is None:
             raise self._error("the connection ended in the middle of it")
-        return self._message()
+        return message
 
     def _error(self, text: str) -> PacketError:
         return PacketError(text, packet=f"HTTP {self._kind}")
 
-    # -- its head ------------------------------------------------------------------------------------
+    # -- the two kinds; each generator waits for bytes where it yields -----------------------------------
 
-    def _head(self) -> bool:
-        """Read the start line and the headers, if they are there."""
-        pattern = _REQUEST if self._kind == "request" else _RESPONSE
+    def _request(self) -> _Reading[HttpRequest]:
+        start, headers = yield from self._head(_REQUEST)
+        yield from self._message_body(headers, 0)
+        return HttpRequest(start[1].decode("ascii"), start[2].decode("latin-1"), headers, bytes(self._body))
+
+    def _response(self) -> _Reading[HttpResponse]:
+        while not self._data.startswith(_VERSION):
+            if not _VERSION.startswith(self._data):
+                raise self._error(f"it begins with {bytes(self._data[:80])!r}")
+            yield
         while True:
-            head, end, rest = self._data.partition(_END + _END)
-            if len(head) > LONGEST_HEAD:
-                raise self._error(f"its headers have more than {LONGEST_HEAD} bytes")
-            first, *lines = bytes(head).split(_END)
-            if self._kind == "response" and head and not b"HTTP/1.".startswith(head[:7]):
-                raise self._error(f"it begins with {bytes(first[:80])!r}")
-            if not end and len(head) < 16 and not lines:
-                return False  # too few bytes to decide
-            start = pattern.fullmatch(first)
-            if start is None and (end or lines):
-                raise self._error(f"it begins with {first[:80]!r}")
-            if not end:
-                return False
-            assert start is not None
-            self._data = rest
-            self._headers = self._read_headers(lines)
+            start, headers = yield from self._head(_RESPONSE)
+            status = int(start[1])
             # An interim response, such as 100 Continue, comes before the one that counts.
-            if self._kind == "request" or start[1][:1] != b"1":
+            if status >= 200:
                 break
-        self._start = start
-        self._measure()
-        return True
+        yield from self._message_body(headers, 0 if status in (204, 304) else None)
+        return HttpResponse(status, (start[2] or b"").decode("latin-1"), headers, bytes(self._body))
 
-    def _read_headers(self, lines: list[bytes]) -> dict[str, str]:
+    # -- head and body -----------------------------------------------------------------------------------
+
+    def _head(self, pattern: re.Pattern[bytes]) -> _Reading[tuple[re.Match[bytes], dict[str, str]]]:
+        """The start line and the headers."""
+        what = f"its headers have more than {LONGEST_HEAD} bytes"
+        line = yield from self._line(what)
+        start = pattern.fullmatch(line)
+        if start is None:
+            raise self._error(f"it begins with {line[:80]!r}")
         headers: dict[str, str] = {}
-        for line in lines:
-            found = _HEADER.fullmatch(line)
-            if found is None:
+        while line := (yield from self._line(what)):
+            key, colon, content = line.partition(b":")
+            content = content.strip(b" \t")
+            if not colon or not _NAME.fullmatch(key) or not _VALUE.fullmatch(content):
                 raise self._error(f"{line[:80]!r} is no header")
-            name, value = found[1].decode("ascii").lower(), found[2].decode("latin-1")
+            name, value = key.decode("ascii").lower(), content.decode("latin-1")
             if name in headers and headers[name] != value:
                 if name == "content-length":
                     raise self._error(f"two lengths of its body: {headers[name]} and {value}")
                 value = f"{headers[name]}, {value}"
             headers[name] = value
-        return headers
+        return start, headers
 
-    def _measure(self) -> None:
-        """Find out where the body ends."""
-        coding, length = self._headers.get("transfer-encoding"), self._headers.get("content-length")
+    def _message_body(self, headers: Mapping[str, str], otherwise: int | None) -> _Reading[None]:
+        """The body; `otherwise` is its length where the headers do not give it, None up to the connection's end."""
+        coding, length = headers.get("transfer-encoding"), headers.get("content-length")
         if coding is not None:
             if coding.lower() != "chunked":
                 raise self._error(f"its body is coded as {coding[:80]!r}, and only chunks are read")
-            self._is_chunked = True
+            yield from self._chunks()
         elif length is not None:
             if not _LENGTH.fullmatch(length) or int(length) > LONGEST_BODY:
                 raise self._error(f"its body is {length[:80]!r} bytes long; {LONGEST_BODY} are the most")
-            self._left = int(length)
-        elif self._kind == "response" and self._status not in (204, 304):
-            self._left = None
+            yield from self._take(int(length))
+        elif otherwise is not None:
+            yield from self._take(otherwise)
+        else:
+            while not self._has_ended:
+                yield from self._take(len(self._data))
+                yield
 
-    @property
-    def _status(self) -> int:
-        assert self._start is not None
-        return int(self._start[1])
+    def _chunks(self) -> _Reading[None]:
+        what = f"the lines between its chunks have more than {LONGEST_BODY} bytes"
+        self._room = LONGEST_BODY
+        size = -1
+        while size:
+            line = yield from self._line(what)
+            digits = line.partition(b";")[0].rstrip(b" \t")
+            if not _CHUNK.fullmatch(digits):
+                raise self._error(f"{line[:80]!r} is no size of a chunk")
+            size = int(digits, 16)
+            yield from self._take(size)
+            if size and (yield from self._line(what)):
+                raise self._error("a chunk is longer than it says")
+        while (yield from self._line(what)):
+            pass  # trailers
 
-    # -- its body ------------------------------------------------------------------------------------
+    def _line(self, what: str) -> _Reading[bytes]:
+        """The next line; `what` is wrong where it is too long."""
+        searched = 0
+        while (end := self._data.find(_END, searched)) < 0 and len(self._data) <= self._room:
+            searched = max(len(self._data) - 1, 0)
+            yield
+        self._room -= end + len(_END)
+        if end < 0 or self._room < 0:
+            raise self._error(what)
+        line = bytes(self._data[:end])
+        del self._data[: end + len(_END)]
+        return line
 
-    def _plain(self) -> bool:
-        """Take what has come of a body without chunks; True once it is whole."""
-        taken = len(self._data) if self._left is None else min(self._left, len(self._data))
-        self._take(taken)
-        if self._left is None:
-            return False
-        self._left -= taken
-        return not self._left
-
-    def _chunks(self) -> bool:
-        """Take the chunks that have come; True after the last."""
-        while True:
-            if self._left:
-                taken = min(self._left, len(self._data))
-                self._take(taken)
-                self._left -= taken
-                if self._left:
-                    return False
-                # The line end behind the chunk is read as a line of its own.
-                self._left = None
-            line, end, rest = self._data.partition(_END)
-            if len(line) > LONGEST_HEAD:
-                raise self._error("a line between its chunks is too long")
-            if not end:
-                return False
-            self._data = rest
-            if self._is_in_trailer:
-                if not line:
-                    return True
-            elif self._left is None:
-                if line:
-                    raise self._error("a chunk is longer than it says")
-                self._left = 0
-            else:
-                size = _CHUNK.fullmatch(bytes(line))
-                if size is None:
-                    raise self._error(f"{bytes(line[:80])!r} is no size of a chunk")
-                self._left = int(size[1], 16)
-                self._is_in_trailer = not self._left
-
-    def _take(self, count: int) -> None:
+    def _take(self, count: int) -> _Reading[None]:
+        """Add the next bytes to the body."""
         if len(self._body) + count > LONGEST_BODY:
             raise self._error(f"its body has more than {LONGEST_BODY} bytes")
+        while len(self._data) < count:
+            yield
         self._body += self._data[:count]
         del self._data[:count]
-
-    def _message(self) -> HttpRequest | HttpResponse:
-        assert self._start is not None
-        first, second = self._start[1], self._start[2] or b""
-        if self._kind == "request":
-            return HttpRequest(first.decode("ascii"), second.decode("latin-1"), self._headers, bytes(self._body))
-        return HttpResponse(int(first), second.decode("latin-1"), self._headers, bytes(self._body))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
@@ -20,7 +19,7 @@ from linkcore.recording.exporting import chosen, export
 from linkcore.recording.index import Index
 from linkcore.recording.mcap_file import write_stretches
 from linkcore.recording.packets import Channel, Part, read_channel
-from linkcore.recording.records import Kind
+from linkcore.recording.records import Kind, described
 from linkcore.recording.table import PeerClock, Table
 from linkcore.recording.table_files import TABLE_WRITERS
 from linkcore.recording.topics import Topic
@@ -75,7 +74,7 @@ class Recording:
         self.channels: dict[str, Mapping[str, Any]] = {}
         self._numbers: dict[str, int] = {}
         for record in np.flatnonzero(index.kind == Kind.CHANNEL).tolist():
-            info = _described(self.path, index.payload(record))
+            info = described(self.path, int(index.channel[record]), index.payload(record), "name")
             self.channels[info["name"]] = info
             self._numbers[info["name"]] = int(index.channel[record])
         # Each stream is written by its own thread, so the first record need not have the earliest stamp.
@@ -343,13 +342,3 @@ class Recording:
 
 def _records(parts: list[Part]) -> Any:
     return np.concatenate([part.record for part in parts]) if parts else np.empty(0, np.int64)
-
-
-def _described(path: Path, payload: bytes) -> dict[str, Any]:
-    try:
-        info = json.loads(payload)
-    except (ValueError, RecursionError):
-        info = None
-    if not isinstance(info, dict) or not isinstance(info.get("name"), str):
-        raise BadRecording(f"{path}: a channel is not described by a JSON object with a name")
-    return info

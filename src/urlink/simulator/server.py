@@ -217,7 +217,7 @@ class Server:
         try:
             self._serve()
         finally:
-            self._is_closing = True
+            self._is_closing, self._is_open = True, False
             self._loader.close()
             self._sockets.close()
 

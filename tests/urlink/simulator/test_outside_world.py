@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import urlink
 from linkcore.errors import BadValue
+from linkcore.wire.http import HttpResponse
+from tests.served import OneAfterAnother
 from urlink.simulator import Controller, Still
+from urlink.simulator.urscript.builtins.remote_procedures import parse_answer
+from urlink.simulator.urscript.errors import Fault
 
 TIMEOUT = 20.0
 Run = Callable[[str], tuple[str, ...]]
@@ -164,3 +172,76 @@ def test_the_tool_is_set_up_by_a_program(controller: Controller, run: Run) -> No
     assert signals.analog_outputs[0] == pytest.approx(0.008)
     with pytest.raises(urlink.ScriptFailed, match="inv: m has no inverse"):
         run("m = inv([[1, 1], [1, 1]])")
+
+
+# -- answers that mean harm ------------------------------------------------------------------------------
+
+
+def answer(value: str) -> bytes:
+    return f"<?xml version='1.0'?><methodResponse><params><param>{value}</param></params></methodResponse>".encode()
+
+
+def nested(depth: int) -> bytes:
+    return answer("<value><array><data>" * depth + "<value><int>1</int></value>" + "</data></array></value>" * depth)
+
+
+xml_values = st.recursive(
+    st.sampled_from(
+        [
+            "<value><int>1</int></value>",
+            "<value><i8>99999999999999999999</i8></value>",
+            "<value><double>nan</double></value>",
+            "<value><double>1e999</double></value>",
+            "<value><double></double></value>",
+            "<value><boolean>2</boolean></value>",
+            "<value><base64>!</base64></value>",
+            "<value><dateTime.iso8601>x</dateTime.iso8601></value>",
+            "<value><nil/></value>",
+            "<value>&amp;\u4e2d</value>",
+            "<value><bigdecimal>1e999999999</bigdecimal></value>",
+            "<value><unknown>1</unknown></value>",
+            "<value>",
+            "<data/>",
+            "<struct><member><name>a</name></member></struct>",
+            f"<value><int>{'9' * 5000}</int></value>",
+            f"<value>{'a' * 20_000}</value>",
+        ]
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4).map(lambda each: f"<value><array><data>{''.join(each)}</data></array></value>"),
+        st.lists(inner, max_size=6).map(
+            lambda each: (
+                "<value><struct>"
+                + "".join(
+                    f"<member><name>{name}</name>{item}</member>"
+                    for name, item in zip(("x", "y", "z", "rx", "ry", "rz"), each, strict=False)
+                )
+                + "</struct></value>"
+            )
+        ),
+    ),
+    max_leaves=12,
+)
+
+
+@pytest.mark.property
+@given(st.one_of(xml_values.map(answer), st.integers(1, 5000).map(nested), st.binary(max_size=100)))
+def test_any_answer_is_a_value_or_a_fault(body: bytes) -> None:
+    with contextlib.suppress(Fault):
+        parse_answer(body, "h.go", lambda work: None)
+
+
+def test_an_answer_too_deep_ends_the_program_and_nothing_else(controller: Controller, run: Run) -> None:
+    class Deep(OneAfterAnother):
+        def _talk(self, connection: socket.socket) -> None:
+            connection.recv(65536)
+            connection.sendall(HttpResponse(200, "OK", {}, nested(3000)).encode())
+
+    server = Deep(TIMEOUT)
+    try:
+        with pytest.raises(urlink.ScriptFailed, match="answers with more than 64 values in one another"):
+            run(f'h = rpc_factory("xmlrpc", "http://127.0.0.1:{server.port}/")\nx = h.go()\n')
+    finally:
+        server.close()
+    assert run('textmsg("goes on")\n') == ("goes on",)
+    assert controller.is_up

@@ -66,6 +66,8 @@ _log = logging.getLogger("urlink.simulator")
 SINCE = Since("3.3/5.0")
 #: Data packages a second under protocol 1.
 RATE_1 = 125
+#: Data packages a second below which a client asks for none that it could wait for: one in a year.
+LEAST_FREQUENCY = 3e-8
 #: The source of the simulator's text messages.
 SOURCE = "simulator"
 #: Bytes of names in one request (vendor's documents).
@@ -282,7 +284,8 @@ class RtdeSession:
             return rate // RATE_1
         if not 0.0 < frequency < math.inf:
             return None
-        return max(1, math.floor(rate / frequency))
+        # The quotient of a frequency such as 5e-324 is infinite.
+        return max(1, math.floor(rate / max(frequency, LEAST_FREQUENCY)))
 
     def _set_up_inputs(self, request: InputsRequest) -> bytes:
         self._requests += 1

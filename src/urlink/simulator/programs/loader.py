@@ -46,7 +46,7 @@ _JOIN_TIMEOUT = 4.0
 _BEGIN = re.compile(r"(?:def|sec)\b")
 _END = re.compile(r"end\b\s*(?:#.*)?$")
 _NOTHING = re.compile(r"\s*(?:#.*)?$")
-_SPEED = re.compile(r"set speed (\d*\.?\d+)")
+_SPEED = re.compile(r"set speed ([0-9]+(?:\.[0-9]+)?|\.[0-9]+)")
 
 
 class LineAssembler:
@@ -132,15 +132,30 @@ class ProgramQueue:
     def __init__(self, loader: ProgramLoader) -> None:
         self._loader = loader
         self.texts: deque[str] = deque()
+        #: characters of them
+        self.length = 0
         self.compilation: _Compilation | None = None
 
     def put(self, text: str) -> bool:
         """Add a whole program, or a line. False if too much waits, and it is discarded."""
-        if sum(map(len, self.texts)) + len(text) > MOST_WAITING:
+        if self.length + len(text) > MOST_WAITING:
             return False
         self.texts.append(text)
+        self.length += len(text)
         self._loader.serve(self)
         return True
+
+    def take(self) -> str:
+        """Remove the text that is next."""
+        text = self.texts.popleft()
+        self.length -= len(text)
+        return text
+
+    def clear(self) -> None:
+        """Discard all of them."""
+        self.texts.clear()
+        self.length = 0
+        self.compilation = None
 
 
 class ProgramLoader:
@@ -206,12 +221,12 @@ class ProgramLoader:
         texts = queue.texts
         while texts and queue.compilation is None and self._spent < BUDGET:
             if len(texts[0]) < LONG:
-                text = texts.popleft()
+                text = queue.take()
                 self._spent += max(len(text), LEAST)
                 self.load(text)
             elif self._compilation is not None:
                 break
-            elif self._may_load(text := texts.popleft()):
+            elif self._may_load(text := queue.take()):
                 self._compilation = queue.compilation = _Compilation(text, self._state.firmware, self.on_compiled)
                 self._compilation.start()
         if (texts or queue.compilation is not None) and queue not in self._queues:
@@ -220,8 +235,7 @@ class ProgramLoader:
     def clear(self) -> None:
         """Discard all programs: the controller goes down."""
         for queue in self._queues:
-            queue.texts.clear()
-            queue.compilation = None
+            queue.clear()
         self._queues.clear()
         self._compilation = None
 

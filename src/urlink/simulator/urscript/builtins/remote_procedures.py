@@ -16,11 +16,12 @@ from linkcore.errors import BadValue, PacketError
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 
 from ..errors import Fault, type_error
+from ..limits import MAX_NESTING, MAX_STRING
 from ..machine import ScriptThread, Waiting
-from ..values import Pose, RpcHandle, Struct, list_of, struct_of, type_name
+from ..values import Charge, Pose, RpcHandle, Struct, checked, list_of, struct_of, type_name
 from .declaration import Family, string
 
-__all__ = ["FAMILY", "call_method"]
+__all__ = ["FAMILY", "call_method", "parse_answer"]
 
 FAMILY = Family()
 
@@ -57,7 +58,7 @@ def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[
     body = dumps(tuple(map(_sent, arguments)), methodname=name).encode()
     thread.machine.charge(len(body))
     answer = yield from _exchange(thread, base, name, body)
-    return _received(thread, base, name, answer)
+    return parse_answer(answer, f"{name}: {base.url}", thread.machine.charge)
 
 
 def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -> Waiting:
@@ -115,30 +116,45 @@ def _sent(value: Any) -> Any:
     raise type_error(f"a {type_name(value)} cannot be an argument of a remote method")
 
 
-def _received(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -> Any:
-    from xmlrpc.client import Fault as RemoteFault
-    from xmlrpc.client import ResponseError, loads
+def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
+    """The value in an answer.
 
-    thread.machine.charge(len(body))
+    Args:
+        body: of the HTTP response.
+        what: method and server, for the message.
+        charge: counts the work and the memory of the program.
+
+    Raises:
+        Fault: it is no answer, says that the method has failed, or holds what no value of URScript can be.
+    """
+    from xmlrpc.client import Fault as RemoteFault
+    from xmlrpc.client import loads
+
+    charge(len(body))
     try:
         (result,), _ = loads(body)
     except RemoteFault as fault:
-        raise Fault(f"{name}: {handle.url} answers with fault {fault.faultCode}: {fault.faultString}") from None
-    except (ResponseError, ValueError, ArithmeticError, LookupError, RecursionError, SyntaxError, TypeError):
-        raise Fault(f"{name}: {handle.url} does not answer as a server of XML-RPC") from None
-    return _value(thread, result, name)
+        raise Fault(f"{what} answers with fault {fault.faultCode}: {fault.faultString}") from None
+    except Exception:  # what the standard library raises for wrong bytes depends on the place of the mistake
+        raise Fault(f"{what} does not answer as a server of XML-RPC") from None
+    return _value(result, what, charge, 0)
 
 
-def _value(thread: ScriptThread, result: Any, name: str) -> Any:
-    if isinstance(result, (bool, float, str)):
+def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
+    if depth > MAX_NESTING:
+        raise Fault(f"{what} answers with more than {MAX_NESTING} values in one another")
+    if isinstance(result, bool):
         return result
-    if isinstance(result, int):
-        return result if -(2**31) <= result < 2**31 else float(result)
+    if isinstance(result, str):
+        if len(result) > MAX_STRING:
+            raise Fault(f"String too long: {len(result)} characters")
+        return result
+    if isinstance(result, (int, float)):
+        return checked(result if -(2**31) <= result < 2**31 else float(result))
     if isinstance(result, list):
-        return list_of([_value(thread, item, name) for item in result], thread.machine.charge)
+        return list_of([_value(item, what, charge, depth + 1) for item in result], charge)
     if isinstance(result, dict):
         if result.keys() == set(_POSE) and all(isinstance(result[key], (int, float)) for key in _POSE):
-            return Pose(float(result[key]) for key in _POSE)
-        members = {str(key): _value(thread, member, name) for key, member in result.items()}
-        return struct_of(members, thread.machine.charge)
-    raise Fault(f"{name}: a value of XML-RPC that URScript does not have: {type(result).__name__}")
+            return Pose(float(checked(float(result[key]))) for key in _POSE)
+        return struct_of({str(key): _value(member, what, charge, depth + 1) for key, member in result.items()}, charge)
+    raise Fault(f"{what}: a value of XML-RPC that URScript does not have: {type(result).__name__}")
