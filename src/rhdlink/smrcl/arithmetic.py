@@ -161,6 +161,16 @@ def _exponential(value: float) -> float:
         return math.inf
 
 
+def sine(angle: float) -> float:
+    """C's ``sin``: nan of an infinite angle."""
+    return math.sin(angle) if math.isfinite(angle) else NAN
+
+
+def cosine(angle: float) -> float:
+    """C's ``cos``: nan of an infinite angle."""
+    return math.cos(angle) if math.isfinite(angle) else NAN
+
+
 def _total(function: Callable[[float], float]) -> Callable[[float], float]:
     """`function` with nan where Python raises: outside of its domain, and at infinity."""
 
@@ -176,8 +186,8 @@ def _total(function: Callable[[float], float]) -> Callable[[float], float]:
 #: Functions of one argument by name. `abs` is C's fabs.
 UNARY_FUNCTIONS: MappingProxyType[str, Callable[[float], float]] = MappingProxyType(
     {
-        "sin": _total(math.sin),
-        "cos": _total(math.cos),
+        "sin": sine,
+        "cos": cosine,
         "asin": _total(math.asin),
         "acos": _total(math.acos),
         "tan": _total(math.tan),

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from .commands import COMMANDS
 from .errors import Mistake
 from .parser import FUNCTIONS, Parser
-from .plan import LONGEST_LINE, Plan, PlanLine
+from .plan import Plan, PlanLine
 from .symbols import split_index
 from .syntax import (
     Assign,
@@ -62,15 +62,12 @@ def check(
 def _check_line(
     line: PlanLine, tree: Line, plan: Plan, made: Collection[str], system: Collection[str] | None
 ) -> Iterator[Mistake]:
-    length = len(line.text.rstrip("\r\n"))
     # The column counts in the file, where the line may be indented.
     indent = line.indent
 
     def mistake(column: int, message: str) -> Mistake:
-        return Mistake(line.number, column + indent if column else 0, message)
+        return Mistake(line.number, column + indent, message)
 
-    if length > LONGEST_LINE:
-        yield mistake(0, f"the line has {length} characters; {LONGEST_LINE} are allowed")
     for statement in tree.statements:
         for variable in _variables(statement):
             if variable.is_system:
@@ -79,7 +76,7 @@ def _check_line(
             elif variable.name not in made:
                 yield mistake(variable.column, f"nothing in the script makes the variable {variable.name}")
         if isinstance(statement, If) and plan.find_label(statement.label) is None:
-            yield mistake(0, f'there is no label "{statement.label}"')
+            yield mistake(statement.column, f'there is no label "{statement.label}"')
         if isinstance(statement, WaitFor) and not statement.conditions:
             yield mistake(statement.column, "a character that is not ASCII can stand in texts and comments only")
         if isinstance(statement, Command):

@@ -175,21 +175,26 @@ class Controller:
             return {}
         self.cycle += 1
         self.interpreter.time = time
-        vehicle.sense(raw)
         is_over = False
+        try:
+            vehicle.sense(raw)
+        except (ArithmeticError, ValueError) as error:
+            self._fail(f"what the robot measures cannot be computed: {error}")
         if self.cycle > self._warm_up:
             is_over = self._program is None or self._program.step()
             run = self.run
             if run is not None and run.failure is not None and isinstance(self._program, Script):
                 self.failure = run.failure
-        if self.is_held:
-            written = vehicle.stand()
-        else:
-            written, is_blocked = self._act()
-            is_over = is_over or is_blocked
+        written = vehicle.stand() if self.is_held else self._act()
         self._supervise()
         self.effects.log.update()
-        if is_over or self.failure is not None or vehicle.is_told_to_stop:
+        if vehicle.is_told_to_stop:
+            if not isinstance(self._program, Dialogue) or self._program.exit_ends:
+                is_over = True
+            elif self._program.run is not None:
+                self._fail("the input stop of mrccontrol is not 0")
+            written.update(vehicle.stand())
+        if is_over or self.failure is not None:
             self.is_finished = True
             written.update(vehicle.stand())
         return written
@@ -200,17 +205,23 @@ class Controller:
         run = self.run
         return run is not None and run.is_held
 
-    def _act(self) -> tuple[dict[str, list[int]], bool]:
+    def _act(self) -> dict[str, list[int]]:
         try:
-            return self.vehicle.act(), False
+            return self.vehicle.act()
         except NoWay as error:
             self._fail(str(error))
-            return self.vehicle.stand(), True
+        except (ArithmeticError, ValueError) as error:
+            self._fail(f"the motion cannot be computed: {error}")
+        return self.vehicle.stand()
 
     def _fail(self, reason: str) -> None:
-        run = self.run
-        line = None if run is None else run.line
-        self.failure = Failure(reason, 0, 0, "") if line is None else Failure(reason, line.number, 0, line.text)
+        """End what is executed: the script, or of a dialogue the present command. The robot stands."""
+        self.vehicle.control.rest()
+        failure = self.interpreter.failure(self.run, reason)
+        if isinstance(self._program, Dialogue):
+            self._program.fail(failure)
+        else:
+            self.failure = failure
 
     def _supervise(self) -> None:
         """The status of motion control, and the watches."""
@@ -218,10 +229,11 @@ class Controller:
         if is_blocked != self._was_blocked:
             self._was_blocked = is_blocked
             self._tell("motioncontrol status changed\n", '<motioncontrol status="changed" />\n')
-        for watch in self.effects.watches:
+        for watch in tuple(self.effects.watches):
             try:
                 has_risen = watch.update(self.interpreter)
             except Fault as fault:
+                self.effects.watches.remove(watch)
                 self._fail(f'watch "{watch.name}": {fault}')
                 return
             if has_risen:

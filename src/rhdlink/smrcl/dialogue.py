@@ -220,6 +220,7 @@ class Dialogue:
         exit_ends: a client's `exit` ends the dialogue, as it ends MRC; otherwise only that client.
 
     Attributes:
+        exit_ends: as given.
         sessions: the clients.
         failures: of commands, the newest last.
         time: ``$time`` of this cycle.
@@ -238,7 +239,7 @@ class Dialogue:
         self._interpreter = interpreter
         self._effects = effects
         self._outbox = outbox
-        self._exit_ends = exit_ends
+        self.exit_ends = exit_ends
         self._profile = vehicle.profile
         self.pool: Sequence[float] = vehicle.symbols.pool
         self.sessions: list[Session] = []
@@ -311,6 +312,16 @@ class Dialogue:
             session.end_cycle()
         return is_over
 
+    def fail(self, failure: Failure) -> None:
+        """What is executed cannot go on: its command ends with an error. Those that wait are begun after it."""
+        run, current = self._run, self._current
+        if run is not None and current is not None:
+            run.failure, run.result = failure, ERROR
+            self._interpreter.leave_switch()
+            self._finish(run, current)
+        elif not self.failures or self.failures[-1] != failure:
+            self.failures.append(failure)
+
     def tell(self, plain: str, xml: str) -> None:
         """Tell every client of something that the robot did."""
         for session in self.sessions:
@@ -368,7 +379,7 @@ class Dialogue:
             self._enqueue(session, line)
 
     def _leave(self, session: Session) -> None:
-        if self._exit_ends:
+        if self.exit_ends:
             self._is_ending = True
         else:
             self.disconnect(session)

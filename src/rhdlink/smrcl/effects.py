@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from linkcore.errors import BadValue
 
-from .arithmetic import divide, format_number, truncate
+from .arithmetic import cosine, divide, format_number, sine, truncate
 from .data_log import DataLog
 from .expressions import Fault, Value
 from .interpreter import Interpreter, Outcome, Output, Run, never
@@ -138,7 +138,7 @@ class MissionEffects:
         self._routine_result = 0.0
         self._command_time = vehicle.symbols.system["cmdtime"].place
         self._side_is_left = True
-        self._uses_regression = False
+        self._signal = [0.0] * 5
 
     def perform(self, name: str, parameters: Sequence[float | str], run: Run, conditions: Sequence[Value]) -> Outcome:
         """Execute a command, see `Effects`."""
@@ -152,7 +152,7 @@ class MissionEffects:
     # -- motions ------------------------------------------------------------------------------------
 
     def _move(self, motion: Motion, *lengths: float) -> Outcome:
-        for length in lengths:
+        for length in lengths if self._profile.numbers_are_checked else ():
             if not abs(length) <= _FARTHEST:
                 raise Fault(f"{format_number(length)} is no length or angle")
         control = self._vehicle.control
@@ -248,7 +248,9 @@ class MissionEffects:
         return Outcome.WAIT
 
     def _funcgen(self, *parameters: float) -> Outcome:
-        return self._move(FunctionGenerator(parameters), *parameters)
+        # Those that are left out are those of the signal before.
+        self._signal[: len(parameters)] = parameters
+        return self._move(FunctionGenerator(self._signal), *parameters)
 
     def _ignoreobstacles(self) -> Outcome:
         self._vehicle.control.ignore_obstacles()
@@ -324,18 +326,19 @@ class MissionEffects:
         return self._at_once()
 
     def _trans(self, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
-        c, s = _cosine_sine(th0)
+        c, s = cosine(th0), sine(th0)
         self._vehicle.set_results(c * x - s * y + x0, s * x + c * y + y0, th + th0)
         return self._at_once()
 
     def _invtrans(self, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
-        c, s = _cosine_sine(th0)
+        c, s = cosine(th0), sine(th0)
         self._vehicle.set_results(c * (x - x0) + s * (y - y0), -s * (x - x0) + c * (y - y0), th - th0)
         return self._at_once()
 
     def _set(self, name: str, value: float) -> Outcome:
         special = _SETTINGS.get(name)
         if special is not None:
+            self._check_setting(f'set "{name}"', value, is_positive=name == "odowidth")
             special(self, value)
         elif name in _STORED_ONLY:
             if self._profile.needs_are_checked:
@@ -345,6 +348,13 @@ class MissionEffects:
         else:
             self._set_variable(name, value)
         return self._at_once()
+
+    def _check_setting(self, what: str, value: float, *, is_positive: bool = False) -> None:
+        if not self._profile.numbers_are_checked:
+            return
+        if not abs(value) <= _FARTHEST or (is_positive and value <= 0.0):
+            expected = "a number above 0" if is_positive else "a number"
+            raise Fault(f"{what} takes {expected} of at most {_FARTHEST:g}, not {format_number(value)}")
 
     def _set_raw(self, name: str, variable: str, value: float) -> None:
         if not self._vehicle.set_word(variable, value) and self._profile.needs_are_checked:
@@ -410,6 +420,7 @@ class MissionEffects:
         return self._at_once()
 
     def _setpar(self, module: str, function: str, name: str, value: float) -> Outcome:
+        self._check_setting(f"setpar of {name}", value)
         if not self._vehicle.set_parameter(module, function, name, value):
             self._reject_path(module, function, f"{name} of {module} {function} is no parameter")
         return self._at_once()
@@ -586,7 +597,9 @@ class MissionEffects:
         return self._at_once()
 
     def _wallest(self, *parameters: float | str) -> Outcome:
-        self._use_hook("wallest", *parameters)
+        # Which letters MRC takes beside these is not known.
+        knows = str(parameters[0])[1:2] in ("b", "c")
+        self._use_hook("wallest", *parameters, mrc="" if knows else "Wrong parameter \n")
         return self._at_once()
 
     def _barcode(self) -> Outcome:
@@ -648,10 +661,6 @@ class MissionEffects:
 def _radians(angle: float, unit: object) -> float:
     """An angle in degrees, or in radians if there is another parameter, whatever it is."""
     return angle * math.pi / 180.0 if unit is None else angle
-
-
-def _cosine_sine(angle: float) -> tuple[float, float]:
-    return (math.cos(angle), math.sin(angle)) if math.isfinite(angle) else (math.nan, math.nan)
 
 
 def _setter(path: str) -> Callable[[MissionEffects, float], None]:

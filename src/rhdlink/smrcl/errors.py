@@ -25,7 +25,7 @@ class Mistake:
 
     Attributes:
         line: of the file, from 1.
-        column: from 1; 0 for the whole line.
+        column: from 1.
         message: what is wrong, and what was expected.
     """
 
@@ -34,8 +34,7 @@ class Mistake:
     message: str
 
     def __str__(self) -> str:
-        place = f"line {self.line}" + (f", column {self.column}" if self.column else "")
-        return f"{place}: {self.message}"
+        return f"line {self.line}, column {self.column}: {self.message}"
 
 
 class BadMission(LocalError, ValueError):
@@ -60,7 +59,7 @@ class MissionFailed(LocalError):
 
     Attributes:
         line: of the file, from 1; 0 where no line is at fault.
-        column: from 1; 0 for the whole line.
+        column: from 1; 0 where no line is at fault.
         text: of the line.
         reason: what was wrong.
     """
@@ -70,8 +69,7 @@ class MissionFailed(LocalError):
         self.line = line
         self.column = column
         self.text = text.strip()
-        where = f"line {line}, column {column}" if column else f"line {line}"
-        super().__init__(f"{where} ({self.text}): {reason}" if line else reason)
+        super().__init__(f"line {line}, column {column} ({self.text}): {reason}" if line else reason)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (type(self), (self.reason, self.line, self.text, self.column))

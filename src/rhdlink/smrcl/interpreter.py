@@ -97,8 +97,8 @@ class Failure:
 
     Attributes:
         reason: in words.
-        line: of the file, from 1.
-        column: from 1; 0 for the whole line.
+        line: of the file, from 1; 0 where no line is at fault.
+        column: from 1; 0 where no line is at fault.
         text: of the line.
         is_limit: a bound was reached.
     """
@@ -134,6 +134,7 @@ class Run:
     Attributes:
         plan: what is executed; `goto` moves in it.
         line: the line that is executed.
+        column: in it, from 1: of the statement that is executed.
         result: of the last line: 0 for its default end, the number of a condition, `FREE_LINE` or `ERROR`.
         failure: why it ended early; None if it did not.
     """
@@ -141,6 +142,7 @@ class Run:
     def __init__(self, plan: Plan, result: float = 0.0) -> None:
         self.plan = plan
         self.line: PlanLine | None = None
+        self.column = 0
         self.result = result
         self.failure: Failure | None = None
         self.stage = _Stage.FETCH
@@ -280,7 +282,7 @@ class Interpreter:
                 self.update_variables(run)
                 return
             run.stage = _Stage.FETCH
-            run.line = line
+            run.line, run.column = line, 1
             plan.next += 1
             self.executed += 1
             self.update_variables(run)
@@ -315,10 +317,17 @@ class Interpreter:
             self._output.message(f"line {number}: {fault}\n")
         else:
             self._output.message(f" syntax error in line : {number} \n")
-        column = fault.column + line.indent if fault.column else 0
-        run.failure = Failure(str(fault), line.number, column, line.text, fault.is_limit)
+        run.failure = self.failure(run, str(fault), fault.column, is_limit=fault.is_limit)
         run.result = ERROR
         run.stage = _Stage.DONE
+
+    @staticmethod
+    def failure(run: Run | None, reason: str, column: int = 0, *, is_limit: bool = False) -> Failure:
+        """The failure of what a run executes, at a column of the line, or where the present statement begins."""
+        line = None if run is None else run.line
+        if run is None or line is None:
+            return Failure(reason, 0, 0, "", is_limit)
+        return Failure(reason, line.number, (column or run.column) + line.indent, line.text, is_limit)
 
     # -- conditions ---------------------------------------------------------------------------------
 
@@ -382,7 +391,8 @@ class Interpreter:
         assert line.tree is not None
         assert line.steps is not None
         try:
-            for step in line.steps:
+            for statement, step in zip(line.tree.statements, line.steps, strict=True):
+                run.column = _column(statement)
                 outcome: Outcome | None = step(run)
                 if outcome is not None:
                     return outcome
@@ -394,6 +404,8 @@ class Interpreter:
             if self._reads_on(line.text, fault.column):
                 return Outcome.NEXT
             raise
+        except (ArithmeticError, ValueError) as error:
+            raise Fault(f"it cannot be computed: {error}") from error
         return Outcome.NEXT
 
     def _reads_on(self, text: str, column: int) -> bool:
@@ -648,6 +660,16 @@ class Interpreter:
             return Outcome.NEXT
 
         return step
+
+
+def _column(statement: Statement) -> int:
+    """Where a statement begins, or where the part of it is that can be wrong; 1 for what is wrong in its parts only."""
+    if isinstance(statement, (Command, WaitFor, If)):
+        return statement.column
+    if isinstance(statement, Assign):
+        target = statement.target
+        return (target.array if isinstance(target, Element) else target).column
+    return 1
 
 
 class _Aside:

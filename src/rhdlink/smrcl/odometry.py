@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .arithmetic import normalize_angle
+from .arithmetic import cosine, divide, normalize_angle, sine
 
 __all__ = ["Covariance", "Odometry", "Pose"]
 
@@ -119,8 +119,8 @@ class Odometry:
         self.distance += abs(way)
         pose = self.pose
         half_way = pose.th + turn * 0.5
-        pose.x += way * math.cos(half_way)
-        pose.y += way * math.sin(half_way)
+        pose.x += way * cosine(half_way)
+        pose.y += way * sine(half_way)
         pose.th += turn
         if pose.th < -math.pi:
             pose.th += math.tau
@@ -132,7 +132,7 @@ class Odometry:
 
     def _turn(self, way: float, way_left: float, way_right: float, seconds: float) -> float:
         if self.heading_source == 0:
-            return (way_right - way_left) / self.width
+            return divide(way_right - way_left, self.width)
         if self.heading_source == 1:
             if self.is_rate:
                 turn = self.heading * seconds
@@ -185,10 +185,10 @@ class Covariance:
             return
         left, right = left_step * self.left_scale, right_step * self.right_scale
         width = self.width
-        way, turn = (right + left) / 2, (right - left) / width
+        way, turn, curvature = (right + left) / 2, divide(right - left, width), divide(1.0, width)
         middle = self._th + turn / 2
         self._th += turn
-        along_x, along_y = math.cos(middle), math.sin(middle)
+        along_x, along_y = cosine(middle), sine(middle)
         # How the pose before moves the pose after: its heading turns the way.
         to_x, to_y = -way * along_y, way * along_x
         self.y_y += 2 * to_y * self.th_y + to_y * to_y * self.th_th
@@ -198,10 +198,11 @@ class Covariance:
         self.th_x += to_x * self.th_th
         # What is added: each source with its derivatives of heading, x and y. MRC counts the turn of the way by one
         # wheel twice; so it is here, or $odocov* would be others.
-        base = self.base * width * width / (math.tau * abs(turn)) if turn else 0.0
-        self._add(self.wheel * abs(right), 1 / width, along_x / 2 + to_x / width, along_y / 2 + to_y / width)
-        self._add(self.wheel * abs(left), -1 / width, along_x / 2 - to_x / width, along_y / 2 - to_y / width)
-        self._add(base, -turn / width, -to_x * turn / width / 2, -to_y * turn / width / 2)
+        base = divide(self.base * width * width, math.tau * abs(turn)) if turn else 0.0
+        by_x, by_y = divide(to_x, width), divide(to_y, width)
+        self._add(self.wheel * abs(right), curvature, along_x / 2 + by_x, along_y / 2 + by_y)
+        self._add(self.wheel * abs(left), -curvature, along_x / 2 - by_x, along_y / 2 - by_y)
+        self._add(base, -divide(turn, width), -divide(to_x * turn, width) / 2, -divide(to_y * turn, width) / 2)
 
     def _add(self, variance: float, th: float, x: float, y: float) -> None:
         self.th_th += variance * th * th

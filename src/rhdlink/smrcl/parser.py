@@ -25,6 +25,7 @@ from collections.abc import Mapping
 from .arithmetic import BINARY_FUNCTIONS, UNARY_FUNCTIONS
 from .commands import COMMANDS
 from .lexer import LONGEST_NAME, Token, TokenType, tokenize
+from .plan import LONGEST_LINE
 from .syntax import (
     PRECEDENCE,
     UNARY_PRECEDENCE,
@@ -96,6 +97,10 @@ class Parser:
 
     def parse(self, text: str) -> Line:
         """The tree of a line. Never raises: what is wrong stands in it."""
+        length = len(text.rstrip("\r\n"))
+        if length > LONGEST_LINE:
+            # Nothing of it is executed: the depth of a tree is bounded by the length of its line.
+            return Line((), Problem(LONGEST_LINE + 1, f"the line has {length} characters; {LONGEST_LINE} are allowed"))
         self._tokens = tokenize(text)
         self._place = 0
         self._depth = 0
@@ -207,7 +212,8 @@ class Parser:
             condition = self._bracketed("after if")
             if self._token.type is not TokenType.STRING:
                 raise self._unexpected('a label, as in if (a > 1) "label"')
-            return If(condition, self._next().text)
+            label = self._next()
+            return If(condition, label.text, label.column)
         if word == "switch":
             return Switch(self._bracketed("after switch"))
         if word == "case":

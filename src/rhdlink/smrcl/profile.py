@@ -127,7 +127,8 @@ class Profile:
         "the mission fails unless it was given a function for them",
     )
     numbers_are_checked: bool = _fixed(
-        "a motion takes a nan, an infinite length, and an acceleration that is not positive",
+        "a motion takes a nan, an infinite length, and an acceleration that is not positive; a setting takes any "
+        'number, and after `set "odowidth" 0` the heading is no number any more',
         "the mission fails and says which value it was",
     )
     knows_tick: bool = _fixed("`$tick` is 0", "`$tick` is the robot's count of ticks")
@@ -191,6 +192,10 @@ BOTH: tuple[tuple[str, str], ...] = (
         "it has no labels to go to, and fails",
     ),
     ("`stream 0` without xml ends MRC (division by zero)", "the values are sent once"),
+    (
+        "`followwall2` below 0.0052 m/s takes its gains from the memory before its table",
+        "it takes those of the first row",
+    ),
     (
         "killed, MRC leaves the robot with its last speeds",
         "see the robot's own rule; a turtle stops without its master",

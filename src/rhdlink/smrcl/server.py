@@ -20,6 +20,7 @@ from linkcore.runnable import Runnable
 from ..host.plugin import Plugin
 from .controller import Controller
 from .dialogue import MOST_BACKLOG, Dialogue, Session
+from .errors import MissionFailed
 from .execution import Callbacks, Execution, Provider, error_of, leaving_at_exit, log_saver
 from .interpreter import Failure
 from .mission import Robot, suitable_conf
@@ -91,7 +92,7 @@ class MissionServer(Runnable):
         self._conf = conf
         self._clients = clients
         self._waits = not self._profile.client_loss_stops if waits is None else waits
-        self._save_log = log_saver(log_folder)
+        self._save_log = self._saver(log_folder)
         self._callbacks = Callbacks()
         self._loop: SelectorLoop | None = None
         self._dialogue: Dialogue | None = None
@@ -138,6 +139,22 @@ class MissionServer(Runnable):
     def failures(self) -> tuple[Failure, ...]:
         """Why commands have failed, the newest last."""
         return () if self._dialogue is None else tuple(self._dialogue.failures)
+
+    def _saver(self, folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:
+        """Saves the logs that clients name. One that cannot be saved is a failure of its command, not of the server."""
+        save = log_saver(folder)
+        if save is None:
+            return None
+
+        def save_or_note(name: str, text: str) -> None:
+            try:
+                save(name, text)
+            except MissionFailed as error:
+                _log.warning("%s", error)
+                assert self._dialogue is not None
+                self._dialogue.failures.append(Failure(error.reason, 0, 0, ""))
+
+        return save_or_note
 
     # -- life ------------------------------------------------------------------------------------------
 

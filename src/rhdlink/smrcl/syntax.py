@@ -166,10 +166,15 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class If:
-    """Jump to a label if the condition is not 0."""
+    """Jump to a label if the condition is not 0.
+
+    Attributes:
+        column: of the label.
+    """
 
     condition: Expression
     label: str
+    column: int = field(default=0, compare=False)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhdlink import Mission
 from rhdlink.smrcl.commands import COMMANDS
 from rhdlink.smrcl.controller import Controller
 from rhdlink.smrcl.interpreter import Limits
@@ -31,14 +32,63 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
         ('array "q" -1\n', "there is no room for an array of -1.000000 values; "),
         ('label "a"\narray "q" 1000\ngoto "a"\n', "there is no room for an array of 1000.000000 values; "),
         ("return\n", "return without a call"),
-        ("x = 1/0\nfwd x\n", "inf is no length or angle"),
-        ("turn 1e300\n", f"{1e300:.6f} is no length or angle"),
     ],
 )
 def test_what_has_no_end_is_ended(profile: Profile, source: str, reason: str) -> None:
     bench = Bench("velomega", profile, options={"limits": Limits(lines=2000, calls=500)}).run(source)
     assert bench.reason.startswith(reason)
     assert tuple(bench.written["cmdtransvel"]) == tuple(bench.written["cmdrotvel"]) == (0,)
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("x = 1/0\nfwd x\n", "inf is no length or angle"),
+        ("turn 1e300\n", f"{1e300:.6f} is no length or angle"),
+        ('set "odowidth" 0', 'set "odowidth" takes a number above 0 of at most 1e+06, not 0.000000'),
+        ('x = 0/0\nset "$odoth" x', 'set "$odoth" takes a number of at most 1e+06, not '),
+        ('x = 1/0\nsetpar "motioncontrol" "followwall" "gain" x', "setpar of gain takes a number of at most"),
+    ],
+)
+def test_a_number_that_is_none_ends_a_sound_mission(source: str, reason: str) -> None:
+    assert Bench("differential", SOUND).run(source).reason.startswith(reason)
+
+
+@pytest.mark.parametrize("x", ["1/0", "0/0", "-1/0"])
+@pytest.mark.parametrize(
+    "motion",
+    [
+        *(
+            "fwd x",
+            "turn x",
+            "turnr 0.5 x",
+            "turnr x 90",
+            "turnc 0.5 x",
+            "drive x x x",
+            "drivew x 0 0",
+            "motorcmds x x",
+        ),
+        *('followline "bm"', 'followwall "l" x', "drivetopoint 1 0 0 x", "drivetopoint x x x 0.3"),
+        *('set "odowidth" 0', 'set "$odoth" x', 'set "odoratio" x', 'set "odoc0" x', 'set "$odocovE2" x'),
+    ],
+)
+def test_under_mrc_s_profile_a_number_that_is_none_ends_nothing_but_its_mission(motion: str, x: str) -> None:
+    """Python raises where C computes nan: at the sine of inf, or a division by 0."""
+    for robot in ("velomega", "differential"):
+        bench = Bench(robot, MRC).run(f"x = {x}\nfwd 0.02\n{motion} : ($cmdtime > 0.2)\nfwd 0.05 : ($cmdtime > 0.2)\n")
+        assert all(abs(word) <= 2**31 for words in bench.written.values() for word in words)
+        assert bench.controller.failure is None or "no way to the goal" in bench.reason
+
+
+def test_an_infinite_way_is_driven_until_its_condition_under_mrc_s_profile() -> None:
+    bench = Bench("velomega", MRC).run("a = 1\na = 1e308*10\nfwd a : ($drivendist > 0.2)\neval $odox\n")
+    assert bench.value == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_line_of_a_thousand_operators_is_a_mistake() -> None:
+    (mistake,) = Mission("eval 1" + "+1" * 1000 + "\nfwd 1\n").check()
+    assert (mistake.line, mistake.column) == (1, 256)
+    assert mistake.message == "the line has 2006 characters; 255 are allowed"
 
 
 def test_variables_have_an_end() -> None:
@@ -141,6 +191,14 @@ hostile = st.lists(
         st.sampled_from(
             ["plan fwd 1", "runplan p", "deleteplan p", 'set "xmlon" 1', 'setvar "x" 2', "stream 0", "logoff"]
         ),
+        st.sampled_from(
+            [
+                *('set "odowidth" 0', 'set "odoratio" -1', 'set "$odoth" x', 'set "odoc0" q', "x = 1/0", "fwd x"),
+                *("drivetopoint 1 0 0 0.3", "drivetopoint -1 0 0 0", 'setpar "motioncontrol" "followwall" "tau" x'),
+                *('setpar "motioncontrol" "drivetopoint" "evalmethod" 1', 'addwatch "v" 1 : (q[9])'),
+                *('routeinput "mrc" "mrccontrol" "stop" "$odox"', 'control "savelog" "../x"', 'log "$odox"'),
+            ]
+        ),
         st.sampled_from(['stream 1 "$odox"', "stream -1", "laserscan", "exitx", 'addwatch "w" 1 : (x)', 'goto "a"']),
     ),
     max_size=20,
@@ -162,8 +220,12 @@ def test_random_clients_stay_within_their_bounds(profile: Profile, chunks: list[
     for number, chunk in enumerate(chunks):
         session = sessions[number % 2]
         session.receive(chunk + b"\n")
+        is_ended_by_exit = profile is MRC and b"\nexit" in b"\n" + chunk.replace(b"\r", b"\n")
         if not bench.cycle():
             break
+        bench.run(cycles=5)
+        assert bench.controller.failure is None
+        assert not bench.controller.is_finished or profile is MRC or is_ended_by_exit
         assert isinstance(session.take(), bytes)
         assert dialogue.waiting <= 400
     for session in sessions:

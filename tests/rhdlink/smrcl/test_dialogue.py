@@ -46,6 +46,31 @@ def test_a_command_is_queued_started_and_ended(profile: str) -> None:
     assert talk.dialogue.failures[-1].text == "nonsense"
 
 
+def test_what_cannot_be_computed_ends_its_command_only() -> None:
+    talk = Talk("mrc")
+    talk.say('set "odowidth" 0', "drivetopoint 1e200 0 0 0", "b = 5")
+    talk.go_on(20)
+    (failure,) = talk.dialogue.failures
+    assert (failure.line, failure.column) == (1, 1)
+    assert failure.reason.startswith("the motion cannot be computed: ")
+    assert talk.say("eval b") == ["5.000000 "]
+    assert talk.bench.speeds[-1] == (0.0, 0.0)
+
+
+def test_a_watch_and_the_stop_input_end_no_dialogue() -> None:
+    talk = Talk()
+    talk.say('array "q" 2', "b = 0", 'addwatch "w" 1 : (q[b] > 1)', "b = 5")
+    talk.go_on(20)
+    talk.say('routeinput "mrc" "mrccontrol" "stop" "odox"', "fwd 0.5")
+    talk.go_on(300)
+    assert [failure.reason for failure in talk.dialogue.failures] == [
+        'watch "w": index 5 is beyond q, which has values q[0] to q[1]',
+        "the input stop of mrccontrol is not 0",
+    ]
+    assert talk.say("eval b") == ["5.000000 "]
+    assert talk.bench.speeds[-1] == (0.0, 0.0)
+
+
 @PROFILES
 def test_ends_of_lines_may_be_of_any_kind(profile: str) -> None:
     talk = Talk(profile)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rhdlink.smrcl.interpreter import Limits
 from rhdlink.smrcl.outbox import SaidKind
 from rhdlink.smrcl.plan import Plan, PlanLine, split_lines
 from tests.rhdlink.smrcl.bench import Bench
@@ -120,6 +121,64 @@ def test_a_function_generator_feeds_an_output(profile: str) -> None:
     while bench.cycle():
         sent.append(bench.controller.vehicle.symbols.pool[bench.controller.vehicle.symbols.outputs["cmdrotvel"].place])
     assert sent.count(5.0) == 10
+
+
+@PROFILES
+def test_a_function_generator_keeps_the_parameters_that_are_left_out(profile: str) -> None:
+    bench = Bench("velomega", profile)
+    bench.load('routeoutput "funcgen" "cmdrotvel"\nfuncgen 1 5 0.5 0.05\nfuncgen 0 7\nfuncgen 0 9 0\n')
+    sent = []
+    while bench.cycle():
+        sent.append(bench.controller.vehicle.symbols.pool[bench.controller.vehicle.symbols.outputs["cmdrotvel"].place])
+    # The step of 7 begins after the 0.5 s, and lasts the 0.05 s, that the square wave had for its frequency and time.
+    first = sent.index(7.0)
+    assert sent[first - 50 : first].count(0.0) == 50
+    assert (sent.count(7.0), sent.count(9.0)) == (5, 5)
+
+
+def test_a_gain_of_followwall_is_that_of_its_beginning() -> None:
+    """MRC copies it when the motion begins."""
+
+    def end(settings: str) -> tuple[float, float, float]:
+        bench = Bench("differential", "mrc")
+        bench.run(f'{settings}followwall "l" 0.4 @v 0.25 : ($cmdtime > 0.3)\nx = 1\n: ($cmdtime > 1)\n')
+        return bench.pose
+
+    def changed_on_the_way() -> tuple[float, float, float]:
+        bench = Bench("differential", "mrc")
+        source = 'followwall "l" 0.4 @v 0.25 : ($cmdtime > 0.3)\n{}: ($cmdtime > 1)\n'
+        bench.run(source.format('setpar "motioncontrol" "followwall" "gain" 3\n'))
+        other = Bench("differential", "mrc").run(source.format('setpar "motioncontrol" "followwall" "gain" 1\n'))
+        assert bench.pose == other.pose
+        return bench.pose
+
+    assert changed_on_the_way() != end('setpar "motioncontrol" "followwall" "gain" 3\n')
+
+
+@pytest.mark.parametrize(
+    ("line", "printed"), [('wallest "left" 1', "Wrong parameter \n"), ('wallest "lb" 1', ""), ('wallest "rc" 1', "")]
+)
+def test_what_mrc_prints_of_wallest(line: str, printed: str) -> None:
+    assert Bench("velomega", "mrc").run(line).texts(SaidKind.MESSAGE) == ([printed] if printed else [])
+
+
+@PROFILES
+@pytest.mark.parametrize(
+    ("source", "place"),
+    [
+        ('x = 1\n  if (x == 1) "nowhere"\n', (2, 15)),
+        ('goto "nowhere"\n', (1, 1)),
+        ('  label "a"\n  goto "a"\n', (2, 3)),
+        ("\treturn\n", (1, 2)),
+        ('array "q" 99999\n', (1, 1)),
+        ("x = y\n", (1, 5)),
+    ],
+)
+def test_a_failure_has_its_line_and_column(profile: str, source: str, place: tuple[int, int]) -> None:
+    bench = Bench("velomega", profile, options={"limits": Limits(lines=100)}).run(source)
+    failure = bench.controller.failure
+    assert failure is not None
+    assert (failure.line, failure.column) == place
 
 
 @PROFILES

@@ -205,7 +205,7 @@ def test_a_command_that_needs_hardware_is_a_function() -> None:
     run = Mission('vision "ball"\nx = $vis0\n', turtle()).on("vision", vision).run()
     assert seen == [("ball",)]
     assert run.variables == {"x": 3.5}
-    with pytest.raises(MissionFailed, match=r"line 1 .*vision"):
+    with pytest.raises(MissionFailed, match=r"line 1, column 1 .*vision"):
         Mission('vision "ball"\n', turtle()).run()
 
 

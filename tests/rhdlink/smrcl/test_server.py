@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from linkcore.errors import BadAddress, BadValue, Closed, ConnectFailed, ConnectionLost
 from rhdlink import Host, MissionServer
-from rhdlink.plugins.turtle import Turtle
+from rhdlink.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.smrcl.dialogue import MOST_BACKLOG
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
@@ -133,6 +134,21 @@ def test_a_line_that_is_too_long_ends_its_client_only(client: Client, server: Mi
         assert other.ask("x" * 300).startswith("error a line has at most")
         assert other.line() == ""
     assert client.ask("eval 1") == "1.000000 "
+
+
+@pytest.mark.parametrize("compat", ["sound", "mrc"])
+def test_no_client_ends_the_server(compat: str, tmp_path: Path) -> None:
+    with (
+        MissionServer(SmrTurtle(World(1000.0)), port=0, compat=compat, log_folder=tmp_path) as server,
+        contextlib.closing(Client(server)) as client,
+    ):
+        client.send('set "odowidth" 0', "fwd 1 @v 0.3 : ($cmdtime > 0.2)", 'log "$odox"', 'control "savelog" "../x"')
+        client.send("b = 5")
+        until(lambda: (client.send("eval b"), client.line() == "5.000000 ")[1], SECONDS)
+        with contextlib.closing(Client(server)) as another:
+            assert another.ask("eval 1+1") == "2.000000 "
+        assert server.failure is None
+        assert any("cannot be saved as '../x'" in failure.reason for failure in server.failures)
 
 
 def test_exit_ends_the_client_or_under_mrc_s_profile_the_server(client: Client, turtle: Turtle) -> None:

@@ -227,7 +227,7 @@ def test_a_script_with_mistakes_does_not_begin() -> None:
     with pytest.raises(BadMission) as caught:
         Mission('fwd 1\n  turn (\ngoto "x"\nfwd y\neval $odoz\nfwd 1 2\nif (1) "q"\n', turtle).run()
     found = [(mistake.line, mistake.column) for mistake in caught.value.mistakes]
-    assert found == [(2, 8), (3, 1), (4, 5), (5, 6), (6, 1), (7, 0)]
+    assert found == [(2, 8), (3, 1), (4, 5), (5, 6), (6, 1), (7, 8)]
     assert turtle.world.odometry.x == 0.0
     mrc = Bench("velomega", "mrc").run("fwd 0.1\nturn (\n")
     assert mrc.pose[0] > 0.09

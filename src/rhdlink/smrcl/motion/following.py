@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..arithmetic import divide, normalize_angle
+from ..arithmetic import cosine, divide, normalize_angle, sine
 from ..odometry import Pose
 from .control import Motion, MotionControl, limited
 
@@ -57,7 +57,7 @@ class FollowWall(Motion):
     def __init__(self, is_left: bool, distance: float) -> None:
         self._is_left = is_left
         self._distance = distance
-        self._state = self._proportional = self._feedback = 0.0
+        self._gain = self._state = self._proportional = self._feedback = 0.0
 
     def begin(self, control: MotionControl) -> None:
         """Set up the controller: a lead filter by the bilinear transform."""
@@ -65,7 +65,9 @@ class FollowWall(Motion):
         lag = 2 * parameters.wall_alfa * parameters.wall_tau + parameters.period
         self._proportional = divide(2 * parameters.wall_tau + parameters.period, lag)
         self._feedback = divide(2 * parameters.period, lag)
-        self._state = parameters.wall_gain * self._error(control)
+        # `setpar` changes the gain of the next motion, not of this one.
+        self._gain = parameters.wall_gain
+        self._state = self._gain * self._error(control)
         control.target = control.pose.copy()
         control.reached = control.velocity
 
@@ -84,7 +86,7 @@ class FollowWall(Motion):
                 error += (control.wall_angle_left - math.pi / 2) * parameters.wall_angle_gain
             else:
                 error -= (control.wall_angle_right + math.pi / 2) * parameters.wall_angle_gain
-        scaled = parameters.wall_gain * error
+        scaled = self._gain * error
         rate = (scaled - self._state) * self._proportional + self._state
         self._state = (scaled - self._state) * self._feedback + self._state
         target.th += rate * parameters.period
@@ -115,7 +117,7 @@ class FollowWallTable(Motion):
     def update(self, control: MotionControl) -> None:
         """Steer by the distance and the heading; only ever by a faster wheel."""
         parameters, pose = control.parameters, control.pose
-        c, s = math.cos(pose.th), math.sin(pose.th)
+        c, s = cosine(pose.th), sine(pose.th)
         if self._is_left:
             there = abs(self.AHEAD * s + (self.SIDE + control.ir_left) * c)
         else:

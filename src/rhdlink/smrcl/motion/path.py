@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from ..arithmetic import cosine, sine
 from ..odometry import Pose
 
 __all__ = ["Path", "choose_path", "relative", "ways"]
@@ -49,7 +50,7 @@ class Path:
 
 
 def choose_path(goal: Pose, radius: float, *, forward_only: bool = False) -> Path | None:
-    """The shortest way from the origin to `goal`; None if there is none, which only `forward_only` can bring about."""
+    """The shortest way from the origin to `goal`; None if there is none: `forward_only`, or the goal is no number."""
     best: Path | None = None
     for path in ways(goal, radius):
         if forward_only and path.goes_backward:
@@ -67,7 +68,7 @@ def _cleared(value: float) -> float:
 def relative(goal: Pose, start: Pose) -> Pose:
     """`goal` as it is seen from `start`; the heading is not normalised."""
     x, y = goal.x - start.x, goal.y - start.y
-    c, s = math.cos(start.th), math.sin(start.th)
+    c, s = cosine(start.th), sine(start.th)
     return Pose(x * c + y * s, y * c - x * s, goal.th - start.th)
 
 
@@ -81,7 +82,7 @@ def ways(goal: Pose, radius: float) -> Iterator[Path]:
     for side in (1, -1):
         start = (0.0, radius * side)
         for end_side in (1, -1):
-            end = (goal.x - end_side * radius * math.sin(goal.th), goal.y + end_side * radius * math.cos(goal.th))
+            end = (goal.x - end_side * radius * sine(goal.th), goal.y + end_side * radius * cosine(goal.th))
             for leave, arrive in _tangents(start, end, radius, is_same_side=side == end_side):
                 yield from _around(start, end, leave, arrive, goal, radius, side)
 
@@ -103,14 +104,14 @@ def _tangents(start: _Point, end: _Point, radius: float, *, is_same_side: bool) 
     if is_same_side:
         if apart > _EXACT:
             for sign in (1, -1):
-                dx, dy = -sign * radius * math.sin(between), sign * radius * math.cos(between)
+                dx, dy = -sign * radius * sine(between), sign * radius * cosine(between)
                 yield (start[0] + dx, start[1] + dy), (end[0] + dx, end[1] + dy)
         else:  # the same circle
             yield (0.0, 0.0), (0.0, 0.0)
     elif apart >= 2 * radius + _EXACT:
         for sign in (1, -1):
             angle = between + sign * math.acos(2 * radius / apart)
-            dx, dy = radius * math.cos(angle), radius * math.sin(angle)
+            dx, dy = radius * cosine(angle), radius * sine(angle)
             yield (start[0] + dx, start[1] + dy), (end[0] - dx, end[1] - dy)
     elif abs(apart - 2 * radius) < _EXACT:  # they touch
         touch = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
@@ -130,7 +131,7 @@ def _around(
         if abs(leave[0]) > _EXACT and abs(psi) > _EXACT:
             direction = side * _sign(psi) * _sign(leave[0])
         else:
-            direction = side * _sign(math.cos(psi)) * _sign(start[1] - leave[1])
+            direction = side * _sign(cosine(psi)) * _sign(start[1] - leave[1])
         end_side = direction * _sign(_wrapped(_direction(leave, end) - psi))
     first = _direction(start, leave) - _direction(start, (0.0, 0.0))
     last = _direction(end, (goal.x, goal.y)) - _direction(end, arrive)

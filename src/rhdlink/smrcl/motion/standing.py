@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..arithmetic import divide, normalize_angle, truncate
+from ..arithmetic import divide, normalize_angle, sine, truncate
 from .control import Drive, Motion, MotionControl, limited
 
 __all__ = ["Align", "FunctionGenerator", "Stop"]
@@ -61,7 +61,7 @@ class FunctionGenerator(Motion):
     _PERIOD = 0.01
 
     def __init__(self, parameters: Sequence[float]) -> None:
-        self._parameters = [*parameters, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+        self._parameters = tuple(parameters)
         self.output = 0.0
         self._is_over = False
 
@@ -86,15 +86,11 @@ class FunctionGenerator(Motion):
                 is_odd = math.isfinite(halves) and math.floor(abs(halves) + 0.5) % 2 == 1
                 self.output = first if is_odd else -first
             elif number == 2:
-                self.output = first * _sine(divide(math.tau * (cycles * period), divide(1.0, second)))
+                self.output = first * sine(divide(math.tau * (cycles * period), divide(1.0, second)))
             else:
                 squared = cycles * period * cycles * period
-                self.output = _sine(second * cycles * period + (third - second) / 2 * first * squared)
+                self.output = sine(second * cycles * period + (third - second) / 2 * first * squared)
 
     def is_done(self, control: MotionControl) -> bool:
         """When the signal is over."""
         return self._is_over
-
-
-def _sine(angle: float) -> float:
-    return math.sin(angle) if math.isfinite(angle) else math.nan

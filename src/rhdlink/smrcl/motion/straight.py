@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..arithmetic import normalize_angle, sign
+from ..arithmetic import cosine, normalize_angle, sign, sine
 from .control import Drive, Motion, MotionControl, limited, ramped, root
 
 __all__ = ["FollowDirection", "Forward", "Wheels"]
@@ -29,15 +29,15 @@ class Forward(Motion):
         control.reached = abs(control.velocity)
         target = control.target
         control.before = target.copy()
-        target.x += self._distance * math.cos(target.th)
-        target.y += self._distance * math.sin(target.th)
+        target.x += self._distance * cosine(target.th)
+        target.y += self._distance * sine(target.th)
 
     def update(self, control: MotionControl) -> None:
         """Ramp up, slow down before the target or an obstacle, and steer to the heading."""
         parameters, pose, target = control.parameters, control.pose, control.target
         acceleration = control.acceleration
         velocity = ramped(abs(control.speed), control.reached, acceleration * parameters.period)
-        remaining = (target.x - pose.x) * math.cos(target.th) + (target.y - pose.y) * math.sin(target.th)
+        remaining = (target.x - pose.x) * cosine(target.th) + (target.y - pose.y) * sine(target.th)
         is_ahead = control.distance > 0.0
         free = (control.obstacle_front if is_ahead else control.obstacle_back) - parameters.stop_distance
         free = control.clearance(free)
@@ -85,10 +85,10 @@ class FollowDirection(Motion):
         x, y, th = reference.x, reference.y, reference.th
         if self._is_world:
             world = control.world
-            c, s = math.cos(world.th), math.sin(world.th)
+            c, s = cosine(world.th), sine(world.th)
             x, y = c * x - s * y + world.x, s * x + c * y + world.y
             th = normalize_angle(th + world.th)
-        c, s = math.cos(th), math.sin(th)
+        c, s = cosine(th), sine(th)
         control.remaining = (x - pose.x) * c + (y - pose.y) * s
         error = normalize_angle(th - pose.th)
         # The line in normal form: the distance to it counts to the left.

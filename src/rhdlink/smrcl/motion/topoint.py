@@ -17,7 +17,7 @@ _NOTHING = Path(0.0, 0, 0.0, 0, 0.0, 0)
 
 
 class NoWay(ValueError):
-    """There is no way to the goal that does not go backward."""
+    """There is no way to the goal, or none that does not go backward."""
 
 
 class DriveToPoint(Motion):
@@ -43,7 +43,7 @@ class DriveToPoint(Motion):
         """Plan.
 
         Raises:
-            NoWay: `evaluation` is 1, and every way goes backward.
+            NoWay: `evaluation` is 1, and every way goes backward; or the goal is no number.
         """
         control.say("\ndtp: Generating feasible paths...")
         goal = relative(self._goal, control.pose) if self._is_absolute else self._goal
@@ -52,7 +52,7 @@ class DriveToPoint(Motion):
         control.say(f"\ndtp_evalmethod = DTP_EVAL_SHORTEST{'_NOBACK' * forward_only}")
         path = choose_path(goal, self._radius, forward_only=forward_only)
         if path is None:
-            raise NoWay("there is no way to the goal without driving backward")
+            raise NoWay("there is no way to the goal" + " without driving backward" * forward_only)
         control.say("\ndtp: Starting movement...")
         control.target = control.pose.copy()
         self._path = path

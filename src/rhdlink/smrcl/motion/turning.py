@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..arithmetic import divide, normalize_angle, power, sign
+from ..arithmetic import NAN, cosine, divide, normalize_angle, power, sign, sine
 from .control import Drive, Motion, MotionControl, limited, ramped, root
 
 __all__ = ["Arc", "Clothoid", "Turn"]
@@ -125,8 +125,8 @@ class Arc(Motion):
         self._turned = 0.0
         side = sign(self._angle)
         self._centre = (
-            target.x - self._radius * math.sin(target.th) * side,
-            target.y + self._radius * math.cos(target.th) * side,
+            target.x - self._radius * sine(target.th) * side,
+            target.y + self._radius * cosine(target.th) * side,
         )
         target.th = normalize_angle(target.th + sign(control.speed) * self._angle)
 
@@ -211,12 +211,12 @@ class Clothoid(Motion):
         control.target.th = normalize_angle(control.target.th + self._angle)
         self._left_wanted = self._right_wanted = control.speed
         angle, radius = abs(self._angle), self._radius
-        c, s = math.cos(angle - math.pi / 2), math.sin(angle - math.pi / 2)
+        c, s = cosine(angle - math.pi / 2), sine(angle - math.pi / 2)
         # Length of the tangents from their intersection.
         tangent = divide(power(radius * c, 2.0) + power(radius * s + radius, 2.0), 2 * radius * c)
-        cosine, sine = _fresnel(math.sqrt(angle / math.pi))
+        across, along = _fresnel(math.sqrt(angle / math.pi))
         #: Curvature for 1 m of way, 1/m2.
-        opened = cosine + sine * math.tan(angle / 2)
+        opened = across + along * (math.tan(angle / 2) if angle < math.inf else NAN)
         self._sharpness = power(divide(1.0, tangent), 2.0) * math.pi * power(opened, 2.0)
         self._half = root(divide(angle, self._sharpness))
         if self._angle > math.pi / 2:
@@ -272,13 +272,13 @@ def _fresnel(x: float) -> tuple[float, float]:
     `x` is at most 5 here; a turn of pi has 1. The series converge to the last digit up to about 3.
     """
     z = math.pi / 2 * x * x
-    cosine = sine = 0.0
+    across = along = 0.0
     term = x
     for number in range(0, 200, 2):
-        cosine += term / (2 * number + 1)
+        across += term / (2 * number + 1)
         term *= z / (number + 1)
-        sine += term / (2 * number + 3)
+        along += term / (2 * number + 3)
         term *= -z / (number + 2)
         if abs(term) < 1e-18 * abs(x):
             break
-    return cosine, sine
+    return across, along
