@@ -96,12 +96,15 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
     """The identity that `Identity.description` has stored in a recording.
 
     Raises:
-        BadRecording: it names no firmware, or what it has under ``dh_table`` are no DH parameters.
+        BadRecording: it names no firmware, its model is no text, or what it has under ``dh_table`` are no DH
+            parameters.
         BadVersion: the firmware is no version.
     """
-    firmware, written = said.get("firmware"), said.get("dh_table")
+    firmware, model, written = said.get("firmware"), said.get("model"), said.get("dh_table")
     if not isinstance(firmware, str):
         raise BadRecording(f"channel {said.get('name')!r} does not say what firmware it was recorded from")
+    if not isinstance(model, str | None):
+        raise BadRecording(f"channel {said.get('name')!r}: the model is {model!r:.80}, and no text")
     table = None
     if written is not None:
         from .kinematics import DhTable
@@ -111,7 +114,7 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
         except TypeError as error:
             name = said.get("name")
             raise BadRecording(f"channel {name!r} has no DH parameters under dh_table: {error}") from None
-    return Identity(Firmware.parse(firmware), said_so=True, model=said.get("model"), dh_table=table)
+    return Identity(Firmware.parse(firmware), said_so=True, model=model, dh_table=table)
 
 
 class KnownIdentity:

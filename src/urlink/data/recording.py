@@ -92,11 +92,13 @@ class Recording:
     @property
     def model(self) -> str | None:
         """Name of the arm, such as "UR5e"; None if it was not recorded."""
-        said: str | None = self._said("model")
-        return said
+        return self._said("model")
 
-    def _said(self, key: str) -> Any:
-        return next((info[key] for info in self.channels.values() if info.get(key) is not None), None)
+    def _said(self, key: str) -> str | None:
+        said = next((info[key] for info in self.channels.values() if info.get(key) is not None), None)
+        if said is not None and not isinstance(said, str):
+            raise BadRecording(f"{self.path}: the {key} is {said!r:.80}, and no text")
+        return said
 
     @property
     def kinematics(self) -> Arm:

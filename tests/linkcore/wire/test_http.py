@@ -125,3 +125,25 @@ def test_what_is_no_message(kind: str, data: bytes, error: str | None) -> None:
 def test_a_line_break_does_not_get_into_a_header() -> None:
     with pytest.raises(BadValue, match="cannot be a line of HTTP"):
         HttpRequest("GET", "/a b\r\nX: y").encode("robot")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"GET /x HTTP/1.1\r\na:" + b" " * (LONGEST_HEAD - 100) + b"\n\r\n\r\n",
+        b"GET /x HTTP/1.1\r\na:" + b" \t" * (LONGEST_HEAD // 2 - 100) + b"\0\r\n\r\n",
+        b"GET " + b"/" * (LONGEST_HEAD - 100) + b" HTTP/1.2\r\n\r\n",
+    ],
+)
+def test_a_head_made_to_be_read_in_many_ways_is_refused_at_once(data: bytes) -> None:
+    """An expression that tries each of them takes hours for the first."""
+    with pytest.raises(PacketError):
+        HttpParser("request").feed(data)
+
+
+def test_the_lines_between_chunks_are_bounded_in_all() -> None:
+    parser = HttpParser("response")
+    parser.feed(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n")
+    chunk = b"1;" + b"x" * 2000 + b"\r\na\r\n"
+    with pytest.raises(PacketError, match="the lines between its chunks have more than 1048576 bytes"):
+        parser.feed(chunk * 1000)

@@ -168,7 +168,7 @@ def test_what_mrc_prints_of_wallest(line: str, printed: str) -> None:
     [
         ('x = 1\n  if (x == 1) "nowhere"\n', (2, 15)),
         ('goto "nowhere"\n', (1, 1)),
-        ('  label "a"\n  goto "a"\n', (2, 3)),
+        ('  label "a"\n  goto "a"\n', (1, 3)),
         ("\treturn\n", (1, 2)),
         ('array "q" 99999\n', (1, 1)),
         ("x = y\n", (1, 5)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
@@ -25,6 +26,7 @@ from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.interfaces.rtde.packets import OutputsReply
 from urlink.interfaces.rtde.recipes import Recipe
 
+KEYS = ("name", "state", "error", "firmware", "model", "dh_table", "serial", "recipe", "a", "d", "address")
 CAPTURES = Path(__file__).resolve().parents[3] / "captures"
 
 
@@ -292,5 +294,65 @@ def test_a_channel_that_is_not_described(tmp_path: Path) -> None:
     assert len(urlink.load(path).realtime) == 0
     assert urlink.load(path).duration == 0
     path.write_bytes(data[:8] + pack(Kind.CHANNEL, 0, Stamp(0, 0), b"[]"))
-    with pytest.raises(urlink.BadRecording, match="not described"):
+    with pytest.raises(urlink.BadRecording, match="channel 0 has no name"):
         urlink.load(path)
+
+
+# -- records that mean harm --------------------------------------------------------------------------------
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.sampled_from(["lost", "5.11", "UR5e", "realtime", ""]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=4),
+    max_leaves=8,
+)
+payloads = st.one_of(
+    json_values.map(lambda value: json.dumps(value).encode()),
+    st.dictionaries(st.sampled_from(KEYS), json_values).map(
+        lambda value: json.dumps({"name": "realtime", **value}).encode()
+    ),
+    st.binary(max_size=40),
+    st.sampled_from([b"\xff\xfe{", b"[" * 100_000, b"1" * 5000, b'{"state": 1}', b"{}", b'{"name":"realtime"}']),
+)
+
+
+@pytest.mark.property
+@given(st.lists(st.tuples(st.sampled_from([Kind.CHANNEL, Kind.EVENT]), payloads), min_size=1, max_size=3))
+def test_any_record_is_read_or_a_documented_error(records: list[tuple[Kind, bytes]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.urlog"
+        writer = RecordingWriter(path)
+        channel = writer.add_channel({"name": "realtime", "firmware": "5.11", "model": "UR5e"})
+        writer.write(Kind.BYTES, channel, Stamp(1.0, 1.0), packet(0))
+        for kind, payload in records:
+            writer.write(kind, channel, Stamp(2.0, 2.0), payload)
+        writer.write(Kind.BYTES, channel, Stamp(3.0, 3.0), packet(1))
+        writer.close()
+        with contextlib.suppress(urlink.LinkError):
+            run = urlink.load(path)
+            for read in (
+                lambda: run.realtime["q_actual"],
+                lambda: run.missing,
+                lambda: run.firmware,
+                lambda: run.model,
+                lambda: run.kinematics,
+                lambda: repr(run),
+                lambda: run._repr_html_(),
+            ):
+                with contextlib.suppress(urlink.LinkError):
+                    read()
+        with contextlib.suppress(urlink.LinkError), urlink.connect(path) as robot:
+            robot.realtime.wait(timeout=5.0)
+
+
+@pytest.mark.parametrize(
+    "payload", [b"\xff\xfe{", b"{", b"[]", b"{}", b'{"state": 1}', b"[" * 100_000, b"1" * 5000], ids=range(7)
+)
+def test_an_event_that_is_none(tmp_path: Path, payload: bytes) -> None:
+    path = tmp_path / "run.urlog"
+    writer = RecordingWriter(path)
+    channel = writer.add_channel({"name": "realtime", "firmware": "5.11"})
+    writer.write(Kind.BYTES, channel, Stamp(1.0, 1.0), packet(0))
+    writer.write(Kind.EVENT, channel, Stamp(2.0, 2.0), payload)
+    writer.close()
+    with pytest.raises(urlink.BadRecording, match=r"run.urlog: channel 0 (is not described in JSON|has no state)"):
+        _ = urlink.load(path).realtime

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import urlink
 from linkcore.errors import BadValue
@@ -246,6 +248,14 @@ def test_packages_come_in_every_so_manieth_cycle(firmware: str, frequency: float
 def test_frequencies_that_are_none(frequency: float) -> None:
     peer = Peer(controller())
     assert peer.outputs("timestamp", frequency=frequency) == (0, ["DOUBLE"])
+
+
+@pytest.mark.property
+@given(st.floats())
+def test_any_frequency_is_taken_or_refused(frequency: float) -> None:
+    """The period of 5e-324 Hz is no number of cycles."""
+    recipe, types = Peer(controller()).outputs("timestamp", frequency=frequency)
+    assert (recipe, types) == (int(0.0 < frequency < math.inf), ["DOUBLE"])
 
 
 def test_many_clients_each_with_their_own_frequency() -> None:
