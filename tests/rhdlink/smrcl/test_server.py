@@ -144,7 +144,7 @@ def test_no_client_ends_the_server(compat: str, tmp_path: Path) -> None:
     ):
         client.send('set "odowidth" 0', "fwd 1 @v 0.3 : ($cmdtime > 0.2)", 'log "$odox"', 'control "savelog" "../x"')
         client.send("b = 5")
-        until(lambda: (client.send("eval b"), client.line() == "5.000000 ")[1], SECONDS)
+        until(lambda: client.ask("eval b") == "5.000000 ", SECONDS)
         with contextlib.closing(Client(server)) as another:
             assert another.ask("eval 1+1") == "2.000000 "
         assert server.failure is None
