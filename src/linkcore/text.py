@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
+from collections.abc import Iterable
 from typing import Any
 
-__all__ = ["printable", "strict_json"]
+__all__ = ["printable", "similar", "strict_json"]
 
 
 def printable(text: object) -> str:
@@ -27,6 +29,17 @@ def printable(text: object) -> str:
 
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
+
+
+def similar(name: str, names: Iterable[str]) -> str:
+    """ "; did you mean 'x'?", or nothing where no name is similar.
+
+    >>> similar("moniter", ["monitor", "echo"])
+    "; did you mean 'monitor'?"
+    """
+    known = list(names)
+    found = [each for each in known if each.lower() == name.lower()] or difflib.get_close_matches(name, known, 1)
+    return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def strict_json(value: Any) -> str:

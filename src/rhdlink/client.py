@@ -20,12 +20,13 @@ from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.streaming.policy import Policy, drop_oldest
 from linkcore.streaming.subscription import Subscription
+from linkcore.text import similar
 
 from .address import parse_address
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording.recorder import RecordedTransport
-from .replica import Replica, Unsent, database_of, similar
+from .replica import Replica, Unsent, database_of
 from .subscribers import Subscribers
 from .sync_thread import SyncThread
 from .variables.database import TimeStamp

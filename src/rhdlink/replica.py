@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import logging
 import threading
 from collections.abc import Iterator, Mapping
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue
+from linkcore.text import similar
 
 from .errors import NotThere
 from .variables.database import Database, Table
@@ -21,7 +21,7 @@ from .variables.value_types import Order
 from .wire.data import Ids
 from .wire.messages import Batch, Handshake
 
-__all__ = ["Replica", "Unsent", "database_of", "similar"]
+__all__ = ["Replica", "Unsent", "database_of"]
 
 _log = logging.getLogger(__name__)
 
@@ -252,12 +252,6 @@ def database_of(handshake: Handshake) -> Database:
     for table in (database.read, database.write):
         table.begin_round()
     return database
-
-
-def similar(name: str, names: list[str]) -> str:
-    """ "; did you mean 'x'?", or nothing where no name is similar."""
-    found = [each for each in names if each.lower() == name.lower()] or difflib.get_close_matches(name, names, 1)
-    return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def _by_name(declared: Mapping[str, Declaration[Any, Any]]) -> dict[tuple[str, str], Declaration[Any, Any]]:

@@ -11,7 +11,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from linkcore.arguments import check_callable, check_choice, check_number
-from linkcore.errors import BadValue, Closed, LocalError
+from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 
@@ -143,6 +143,9 @@ def connect(
         controller, place = simulated(place)
     try:
         return assemble(wanted, place, source_of(wanted, place), controller)
+    except ConnectFailed as error:
+        # Without the frames and the error of the operating system below: the message has what they have.
+        raise error.with_traceback(None) from None
     except BaseException:
         if controller is not None:
             controller.close()

@@ -124,9 +124,15 @@ def networked(
     def ask() -> Identity:
         try:
             last[:] = [identify(place.host, place.ports["primary" + suffix], timeout)]
-        except ConnectFailed:
+        except ConnectFailed as error:
+            first = error
+        else:
+            return last[0]
+        try:
             # The version message is on the secondary interface too.
             last[:] = [identify(place.host, place.ports["secondary" + suffix], timeout)]
+        except ConnectFailed:
+            raise first from None
         return last[0]
 
     def transport(interface: str) -> Transport:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -196,8 +198,18 @@ def test_nobody_there() -> None:
     with Controller() as controller:
         ports = dict(controller.ports)
     query = "&".join(f"{name}={number}" for name, number in ports.items())
-    with pytest.raises(urlink.ConnectFailed, match="refused"):
+    # The port that was tried first is the one that is named, although the secondary interface was tried after it.
+    first = f"^cannot connect to 127.0.0.1:{ports['primary']}: connection refused"
+    with pytest.raises(urlink.ConnectFailed, match=first) as caught:
         urlink.connect(f"ur://127.0.0.1?{query}", timeout=2)
+    shown = traceback.format_exception(caught.type, caught.value, caught.tb)
+    assert sum(line.startswith("  File ") for line in shown) == 2  # here, and in `connect`
+
+    async def connected() -> None:
+        await urlink.connect_async(f"ur://127.0.0.1?{query}", timeout=2)
+
+    with pytest.raises(urlink.ConnectFailed, match=first):
+        asyncio.run(connected())
 
 
 def test_bad_arguments() -> None:

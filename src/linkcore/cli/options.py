@@ -27,7 +27,9 @@ def add_command(
         "-v", "--verbose", action="count", default=0, help="log to stderr what happens; twice for everything"
     )
     parser.add_argument("-q", "--quiet", action="store_true", help="draw no progress bar")
-    parser.set_defaults(usage_error=parser.error)
+    parser.set_defaults(
+        usage_error=parser.error, options=lambda: [option for each in parser._actions for option in each.option_strings]
+    )
     return parser
 
 

@@ -8,12 +8,12 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Protocol
 
 from ..errors import LinkError
-from ..text import printable
+from ..text import printable, similar
 from .interruption import Interrupted, raise_on_sigterm
 from .options import Subparsers
 
@@ -52,17 +52,27 @@ def program(
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     asked = next((word for word in argv if not word.startswith("-")), "")
-    for module in (commands[asked],) if asked in commands else dict.fromkeys(commands.values()):
-        command: Command = import_module(f"{name}.cli.{module}")
-        command.add_parser(subparsers)
+
+    def declare(modules: Iterable[str]) -> argparse.ArgumentParser:
+        for module in modules:
+            command: Command = import_module(module if "." in module else f"{name}.cli.{module}")
+            command.add_parser(subparsers)
+        return parser
+
+    everything = dict.fromkeys(commands.values())
+    declare((commands[asked],) if asked in commands else everything)
+    parser.set_defaults(all_commands=lambda: declare(each for each in everything if each != commands[asked]))
     try:
+        if asked and asked not in commands and argv[0] == asked:
+            parser.error(f"no command {asked!r}{similar(asked, commands) or ';'} there are {', '.join(commands)}")
         args, extra = parser.parse_known_args(argv)
         # argparse does not assign positional arguments of variable number that come after an option.
         trailing = getattr(args, "trailing", None)
         if extra and trailing is not None and not any(each.startswith("-") for each in extra):
             getattr(args, trailing).extend(extra)
         elif extra:
-            args.usage_error(f"unrecognized arguments: {' '.join(extra)}")
+            hint = similar(extra[0].partition("=")[0], args.options())
+            args.usage_error(f"unrecognized arguments: {' '.join(extra)}{hint}")
     except SystemExit as exit_:  # argparse has printed the error, or the help
         return int(exit_.code or 0)
     for stream in (sys.stdout, sys.stderr):

@@ -21,6 +21,7 @@ _COMMANDS = {
     "replay": "recordings",
     "export": "export",
     "dissect": "dissect",
+    "completion": "linkcore.cli.completion",
 }
 
 _DESCRIPTION = """\

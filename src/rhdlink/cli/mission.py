@@ -88,6 +88,8 @@ def _run(args: argparse.Namespace) -> int:
     """
     if args.serve:
         return _serve(args)
+    if args.duration is not None:
+        args.usage_error("--duration is for --serve: a script ends by itself")
     if args.file is None:
         args.usage_error("a script is needed, unless there is --serve")
     if args.check:

@@ -312,8 +312,12 @@ async def _identified(place: RobotAddress, wanted: threaded.Wanted) -> Identity:
     suffix = "_readonly" if wanted.read_only else ""
     try:
         return await _identify(place.host, place.ports["primary" + suffix], wanted.timeout)
-    except ConnectFailed:
+    except ConnectFailed as error:
+        first = error
+    try:
         return await _identify(place.host, place.ports["secondary" + suffix], wanted.timeout)
+    except ConnectFailed:
+        raise first from None
 
 
 async def _identify(host: str, port: int, timeout: float) -> Identity:

@@ -28,6 +28,7 @@ _COMMANDS = {
     "dissect": "dissect",
     "serve": "serve",
     "sim": "sim",
+    "completion": "linkcore.cli.completion",
 }
 
 _DESCRIPTION = """\

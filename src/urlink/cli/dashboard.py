@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 
+from linkcore.cli.completion import completed_from
 from linkcore.errors import LocalError
 from linkcore.text import printable
 
-from ..interfaces.dashboard.commands import COMMANDS
+from ..interfaces.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
 from ..robot import connect
 from .options import Subparsers, add_address, add_command, seconds
 
@@ -15,7 +16,8 @@ __all__ = ["add_parser"]
 
 _DESCRIPTION = """\
 Send a command to the dashboard server and print its reply; `start` powers the arm on, releases its brakes and
-waits until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`.
+waits until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`. The exit status is 1 if the reply
+does not confirm the command.
 
 Commands, on the firmware that has them:
 """
@@ -32,7 +34,10 @@ def add_parser(subparsers: Subparsers) -> None:
     commands = "\n".join(f"  {name}" for name in COMMANDS)
     parser = add_command(subparsers, "dashboard", "send a dashboard command", _DESCRIPTION + commands, _EXAMPLES)
     add_address(parser)
-    parser.add_argument("command", nargs="+", metavar="COMMAND", help="the command, and its text where it takes one")
+    command = parser.add_argument(
+        "command", nargs="+", metavar="COMMAND", help="the command, and its text where it takes one"
+    )
+    completed_from(command, lambda: ["start", *(word for name in COMMANDS for word in name.split())])
     parser.add_argument("--timeout", type=seconds, metavar="S", help="wait S seconds for the reply (5; start: 30)")
     parser.set_defaults(run=run)
 
@@ -52,5 +57,15 @@ def run(args: argparse.Namespace) -> int:
             robot.dashboard.start(*([] if args.timeout is None else [args.timeout]))
             print("the arm runs")
         else:
-            print(printable(robot.dashboard.send(command, args.timeout)))
+            reply = robot.dashboard.send(command, args.timeout)
+            print(printable(reply))
+            return 0 if _is_carried_out(command, reply) else 1
     return 0
+
+
+def _is_carried_out(command: str, reply: str) -> bool:
+    """Whether a reply confirms a command; of one that is not in the table, any does but that it is unknown."""
+    known = [each for each in COMMANDS.values() if f"{command} ".casefold().startswith(f"{each.name} ".casefold())]
+    if not known:
+        return not reply.casefold().startswith(COULD_NOT_UNDERSTAND)
+    return max(known, key=lambda each: len(each.name)).match(reply) is not None

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeGuard
 
 import urlink
+from linkcore.cli.completion import completed_from
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
@@ -49,7 +50,8 @@ def add_parser(subparsers: Subparsers) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options that say what to print, and how."""
-    parser.add_argument("fields", metavar="FIELD", nargs="*", help="print only these fields")
+    fields = parser.add_argument("fields", metavar="FIELD", nargs="*", help="print only these fields")
+    completed_from(fields, lambda: RealtimeState.FIELDS)
     parser.set_defaults(trailing="fields")
     parser.add_argument(
         "--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"

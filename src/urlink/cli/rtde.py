@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from typing import Any
 
+from linkcore.cli.completion import completed_from
 from linkcore.errors import BadValue
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
@@ -46,7 +47,8 @@ def add_parser(subparsers: Subparsers) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "rtde", "print variables of the controller", _DESCRIPTION, _EXAMPLES)
     add_address(parser)
-    parser.add_argument("names", metavar="NAME", nargs="*", help="variables to print, such as actual_q")
+    names = parser.add_argument("names", metavar="NAME", nargs="*", help="variables to print, such as actual_q")
+    completed_from(names, lambda: OUTPUTS)
     parser.set_defaults(trailing="names")
     parser.add_argument("--list", action="store_true", help="print what this controller has, and end")
     parser.add_argument("--frequency", type=float, metavar="HZ", help="packages a second (as many as it sends)")
@@ -57,7 +59,7 @@ def add_parser(subparsers: Subparsers) -> None:
     form.add_argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does")
     parser.add_argument("--record", metavar="FILE", help="record into a file too; it must not exist yet")
     parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="with --hz: end after S seconds (never)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
     parser.set_defaults(run=run)
 
@@ -69,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         BadValue: a name or a frequency that no controller has.
         RemoteError: the robot cannot be connected to, or the controller refuses.
     """
+    if args.list and args.duration is not None:
+        args.usage_error("--list ends by itself; it takes no --duration")
     with connect(args.address, timeout=args.connect_timeout) as robot:
         if args.list:
             _list(robot)
@@ -89,7 +93,7 @@ def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")
         show = _as_json if args.json else _csv_of(stream, names) if args.csv else _as_line(names)
-        packets: Iterable[State] = tap.packets(args.timeout)
+        packets: Iterable[State] = tap.packets(args.timeout, args.duration)
         for packet in itertools.islice(packets, args.count):
             print(show(packet))
             sys.stdout.flush()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -53,19 +55,21 @@ class Tap:
             return None
         return ()
 
-    def packets(self, silence: float | None = None) -> Iterator[Any]:
-        """Each packet, until the stream ends.
+    def packets(self, silence: float | None = None, duration: float | None = None) -> Iterator[Any]:
+        """Each packet, until the stream ends, or `duration` seconds are over.
 
         Raises:
             LinkTimeout: none came for `silence` seconds.
             RemoteError: the stream gave up.
         """
-        while True:
-            packets = self.take(silence)
+        until = math.inf if duration is None else time.monotonic() + duration
+        while (left := until - time.monotonic()) > 0.0:
+            is_last = left < (math.inf if silence is None else silence)
+            packets = self.take(left if is_last else silence)
             if packets is None:
                 return
             yield from packets
-            if not packets:
+            if not packets and not is_last:
                 raise LinkTimeout(f"no {self._kind.__name__} from {self._stream.name} within {silence:g} s")
 
     def __enter__(self) -> Tap:

@@ -9,7 +9,20 @@ from rhdlink import Host
 
 from .conftest import Run, Spawn
 
-COMMANDS = ("serve", "turtle", "mission", "vars", "get", "set", "watch", "record", "replay", "export", "dissect")
+COMMANDS = (
+    "serve",
+    "turtle",
+    "mission",
+    "vars",
+    "get",
+    "set",
+    "watch",
+    "record",
+    "replay",
+    "export",
+    "dissect",
+    "completion",
+)
 
 
 def test_help_names_every_command_and_the_exit_status(run: Run) -> None:

@@ -41,3 +41,10 @@ def test_one_line_only(run: Run, address: str) -> None:
     status, _, err = run("dashboard", address, "popup a\npower off")
     assert status == 1
     assert err.count("\n") == 1
+
+
+def test_what_the_controller_does_not_carry_out(run: Run, address: str) -> None:
+    assert run("dashboard", address, "load", "nix.urp") == (1, "File not found: nix.urp\n", "")
+    status, out, err = run("dashboard", address, "no", "such", "thing")
+    assert (status, err) == (1, "")
+    assert out.casefold().startswith("could not understand")

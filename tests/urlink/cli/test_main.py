@@ -12,7 +12,7 @@ from .conftest import Run, write
 
 COMMANDS = (
     *("monitor", "echo", "rtde", "hz", "info", "doctor", "run", "jog", "teach", "dashboard", "record", "replay"),
-    *("plot", "export", "foxglove", "dissect", "serve", "sim"),
+    *("plot", "export", "foxglove", "dissect", "serve", "sim", "completion"),
 )
 Spawn = Callable[..., "subprocess.Popen[str]"]
 

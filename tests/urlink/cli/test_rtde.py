@@ -160,3 +160,14 @@ def test_nobody_is_there(run: Run) -> None:
     assert status == 1
     assert "is the controller on" in out
     assert run("doctor", "replay:///nowhere.urlog")[0] == 1
+
+
+@pytest.mark.parametrize("form", ["--csv", "--json", None])
+def test_it_ends_after_its_duration(run: Run, address: str, form: str | None) -> None:
+    status, out, _ = run("rtde", address, "timestamp", *([] if form is None else [form]), "--duration", "0.2")
+    assert status == 0
+    assert 5 < len(out.splitlines()) < 2000  # 100 at 500 Hz, fewer where the processor is busy
+
+
+def test_a_list_takes_no_duration(run: Run, silent_address: str) -> None:
+    assert run("rtde", silent_address, "--list", "--duration", "1")[0] == 2
