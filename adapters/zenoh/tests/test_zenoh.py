@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ import urlink
 from tests.waiting import until
 from urlink.simulator import Controller
 from urlink_zenoh import Collector, RemoteRobot, Sample, Server, open_session, robots
+from urlink_zenoh.expiry import Expiry
 from urlink_zenoh.keys import attachment, stamped
 
 #: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
@@ -187,6 +190,170 @@ def test_the_motion_of_a_process_that_dies_ends(server: Server, endpoint: str, u
     finally:
         process.kill()
         process.communicate()
+
+
+_ROUTER = """
+import sys, urlink_zenoh
+with urlink_zenoh.open_session(listen=[sys.argv[1]], mode="router"):
+    print("up", flush=True)
+    sys.stdin.read()
+"""
+
+_SERVER = """
+import sys, urlink, urlink_zenoh
+from urlink.simulator import Controller, Still
+with (
+    Controller("UR5e", "5.11", motion=Still()) as controller,
+    urlink.connect(controller.address) as robot,
+    urlink_zenoh.open_session([sys.argv[1]]) as session,
+    urlink_zenoh.Server(session, {"arm": robot}),
+):
+    print("up", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextlib.contextmanager
+def running(program: str, endpoint: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-c", program, endpoint]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("who", "when", "wait"),
+    [
+        ("router", "before the time was asked for", False),
+        ("router", "before the command", True),
+        ("server", "before the command", False),
+    ],
+)
+def test_a_command_that_was_given_up_moves_nothing_later(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, who: str, when: str, wait: bool
+) -> None:
+    seen: list[Sample] = []
+    with (
+        running(_ROUTER, endpoint) as router,
+        running(_SERVER, endpoint) as server,
+        open_session([endpoint]) as ours,
+        RemoteRobot(ours, "arm", timeout=1.5) as remote,
+        remote.watch(seen.append),
+    ):
+        suspended = router if who == "router" else server
+        until(lambda: seen, 30.0)
+        remote.call("set_digital_out", number=1, on=True)
+        start = remote.latest.q_actual
+        target = [float(start[0] + 0.8), *start[1:].tolist()]
+        asked = remote._asked
+
+        def asked_and_suspended(what: str) -> dict[str, Any]:
+            answer = asked(what)
+            if what == "clock" and when == "before the command":
+                suspended.send_signal(signal.SIGSTOP)
+            return answer
+
+        monkeypatch.setattr(remote, "_asked", asked_and_suspended)
+        if when != "before the command":
+            suspended.send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        with pytest.raises(urlink.LinkTimeout):
+            remote.call("move_joints", q=target, wait=1.5 if wait else False)
+        while time.monotonic() < began + 4.0:
+            time.sleep(0.05)
+        monkeypatch.setattr(remote, "_asked", asked)
+        suspended.send_signal(signal.SIGCONT)
+        # What was held up is carried out or refused before what is asked later.
+        until(lambda: answers(remote), 20.0)
+        received = len(seen)
+        until(lambda: len(seen) > received + 500, 20.0)
+        assert remote.status["motion"] is None
+        assert remote.latest.q_actual == pytest.approx(start, abs=1e-3)
+        assert max(abs(sample.state.to_dict()["q_actual"][0] - start[0]) for sample in seen) < 1e-3
+        # And it is not for ever: what is asked for now is done.
+        assert remote.call("move_joints", q=target, wait=30.0)["phase"] == "done"
+        assert remote.latest.q_actual == pytest.approx(target, abs=1e-2)
+
+
+def answers(remote: RemoteRobot) -> bool:
+    """The robot can be asked and told."""
+    try:
+        remote.call("set_digital_out", number=1, on=False)
+    except urlink.LinkError:
+        return False
+    return True
+
+
+def test_a_motion_that_is_not_over_in_time_is_cancelled(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
+) -> None:
+    with RemoteRobot(session, "arm") as remote:
+        with pytest.raises(urlink.LinkTimeout, match=r"not over within 0\.5 s"):
+            remote.call("move_joints", q=FAR, speed=0.1, wait=0.5)
+        until(lambda: urlink_robot.motion.current is None)
+        assert remote.call("move_joints", q=HOME, wait=True)["phase"] == "done"
+
+
+def test_what_is_late_or_unknown_is_refused() -> None:
+    now = 100.0
+    expiry = Expiry(lambda: now)
+    told = expiry.described()
+    good = {"server": str(told["server"]), "time": repr(told["time"]), "age": "5", "command": "a"}
+    expiry.check(good)
+    now = 105.0
+    expiry.check(good)
+    now = 105.1
+    with pytest.raises(urlink.LinkTimeout, match=r"5\.1 s after .* nothing was done"):
+        expiry.check(good)
+    now = 101.0
+    with pytest.raises(urlink.LocalError, match="meant for a server that is gone"):
+        Expiry(lambda: now).check(good)
+    expiry.give_up("a")
+    with pytest.raises(urlink.LocalError, match="given the command up"):
+        expiry.check(good)
+    expiry.check({**good, "command": "b"})
+    with pytest.raises(urlink.LinkTimeout):
+        expiry.check({**good, "command": "b", "time": "101.5"})
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"command": None},
+        {"server": None},
+        {"time": "soon"},
+        {"time": "nan"},
+        {"time": None},
+        {"age": "0"},
+        {"age": "61"},
+        {"age": "inf"},
+    ],
+)
+def test_a_command_says_until_when_it_may_be_carried_out(parameters: dict[str, str | None]) -> None:
+    expiry = Expiry(lambda: 1.0)
+    good = {"server": str(expiry.described()["server"]), "time": "1.0", "age": "5", "command": "a"}
+    expiry.check(good)
+    with pytest.raises(urlink.BadValue, match=r"expected|needs"):
+        expiry.check({**good, **parameters})
+
+
+def test_one_command_alone_is_cancelled(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
+    with RemoteRobot(session, "arm") as remote:
+        remote.call("move_joints", q=FAR, speed=0.1)
+        remote.call("cancel", command="another")
+        motion = urlink_robot.motion.current
+        assert motion is not None
+        assert not motion.done
+        with pytest.raises(urlink.BadValue, match="cancel takes"):
+            remote.call("cancel", command=3)
+        remote.call("cancel")
+        until(lambda: motion.done)
 
 
 def test_a_router_dies_and_comes_back(endpoint: str, urlink_robot: urlink.Robot, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from urlink import (
 )
 
 from .description import json_of
+from .expiry import LARGEST_AGE
 from .keys import JSON, PREFIX, check_name, firmware_of, stamped
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ __all__ = ["RemoteRobot", "Sample", "Watch", "robots"]
 
 #: Seconds that Zenoh may take longer to tell that nobody answers.
 _GRACE = 1.0
+#: Commands that are carried out however late they come: they make the arm stop.
+_ALWAYS = frozenset({"cancel", "stop"})
 #: Errors of the library that are made of their message alone.
 _PLAIN = {
     name: error
@@ -189,22 +192,31 @@ class RemoteRobot:
 
         Args:
             command: its name, one of ``info["commands"]``.
-            wait: until a motion is over, for 60 s or so many seconds; what interrupts the waiting cancels it.
+            wait: until a motion is over, for 60 s or so many seconds; what interrupts the waiting cancels it, and so
+                does the end of that time.
             arguments: of the method of the robot, such as ``q=[...]`` of ``move_joints``.
 
         Returns:
             Of a motion its `id`, `phase` and `progress`.
 
         Raises:
-            LinkTimeout: nobody answers within the timeout, or the motion goes on.
+            LinkTimeout: nobody answers within the timeout, or the motion is not over in time. The command is cancelled
+                then, and one that arrives later is refused: it is valid for `timeout` seconds by the server's clock.
             LinkError: what the robot's own method raised there: `SafetyStop`, `BadValue`, ...
         """
         seconds = 60.0 if wait is True else float(wait)
-        selector = f"{self._key}/command/{command}?client={self.client}" + (";wait=true" if seconds else "")
+        asked = uuid.uuid4().hex
+        selector = f"{self._key}/command/{command}?client={self.client};command={asked}"
+        if command not in _ALWAYS:
+            clock = self._asked("clock")
+            selector += f";server={clock['server']};time={clock['time']!r};age={min(self._timeout, LARGEST_AGE)!r}"
+        if seconds:
+            selector += ";wait=true"
         payload = {name: getattr(value, "tolist", lambda value=value: value)() for name, value in arguments.items()}
         try:
             answer = self._first(selector, seconds or self._timeout, json_of(payload))
         except LinkTimeout:
+            self._give_up(asked)
             if seconds:
                 raise LinkTimeout(
                     f"{command} was not over within {seconds:g} s, or nobody serves {self._key}"
@@ -213,10 +225,16 @@ class RemoteRobot:
         except LinkError:
             raise
         except BaseException:
-            if seconds:
-                self.call("cancel")
+            self._give_up(asked)
             raise
         return answer
+
+    def _give_up(self, asked: str) -> None:
+        """Have a command cancelled, or refused if it comes; without waiting for an answer, which may never come."""
+        with contextlib.suppress(zenoh.ZError):  # the session is closed, and with it this client's motions end
+            selector = f"{self._key}/command/cancel?client={self.client}"
+            ignore = zenoh.handlers.Callback(lambda reply: None)
+            self._session.get(selector, ignore, payload=json_of({"command": asked}), timeout=self._timeout)
 
     def _asked(self, what: str) -> dict[str, Any]:
         return self._first(f"{self._key}/{what}", self._timeout, None)

@@ -9,11 +9,12 @@ key, below ``urlink/NAME``          what it is
 ``status``                          JSON, some times a second: joints, tool, modes, interlock, motion
 ``connection``                      JSON: the connection between server and robot was made, lost, ...
 ``motion``                          JSON: a motion has begun, or is over
+``clock``                           queries, answered in JSON by the clock of the server
 ``command/COMMAND``                 queries with arguments in JSON, answered in JSON
 ``client/ID``                       liveliness tokens of the clients that move the robot
 ==================================  ===================================================================
 
-All but the tokens and ``command`` can be subscribed to, and queried for the newest value.
+All but the tokens, ``clock`` and ``command`` can be subscribed to, and queried for the newest value.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ from urlink import (
 from .clients import Clients
 from .commands import COMMANDS, Kind, failed, read_arguments
 from .description import described, json_of, status_of
+from .expiry import Expiry
 from .keys import JSON, PREFIX, attachment, check_name, packets_of
 from .publication import Publication
 
@@ -151,8 +152,11 @@ class _Served:
                 for lane in lanes.values():
                     self._stack.callback(lane.shutdown, cancel_futures=True)
                 self._lanes = lanes
+                self._expiry = Expiry()
+                self._last: tuple[str, Motion] | None = None  # the id of a command, and its motion
                 self._clients = Clients(session, f"{key}/client", self._lost)
                 self._stack.callback(self._clients.close)
+                self._stack.callback(session.declare_queryable(f"{key}/clock", self._tell_time).undeclare)
                 self._stack.callback(session.declare_queryable(f"{key}/command/*", self._asked).undeclare)
             # Last, so that who sees it finds everything.
             self._stack.callback(session.liveliness().declare_token(alive).undeclare)
@@ -212,6 +216,10 @@ class _Served:
 
     # -- what it is told -------------------------------------------------------------------------------
 
+    def _tell_time(self, query: zenoh.Query) -> None:
+        """In a thread of Zenoh's: a lane that is kept must not make the time look later than it is."""
+        self._reply(query, self._expiry.described())
+
     def _asked(self, query: zenoh.Query) -> None:
         """A command has come, in a thread of Zenoh's that must not be kept."""
         name = str(query.key_expr).rpartition("/")[2]
@@ -240,27 +248,47 @@ class _Served:
         arguments = read_arguments(None if query.payload is None else bytes(query.payload))
         client = query.parameters.get("client")
         if name == "cancel":
-            if arguments:
-                raise BadValue("cancel takes no arguments")
-            held = self._clients.current
-            if held is not None:
-                held[1].cancel()
+            self._cancel(arguments)
             return None
         command = COMMANDS.get(name)
         if command is None:
             raise BadValue(f"no command {name!r}; expected one of cancel, {', '.join(sorted(COMMANDS))}")
-        if command.kind is Kind.MOTION:
-            motion = self._clients.begin(client, lambda: command.call(self._robot, arguments))
-        else:
-            result = command.call(self._robot, arguments)
-            if not isinstance(result, Motion):
-                return None
-            motion = result
+        parameters = {name: query.parameters.get(name) for name in ("server", "time", "age", "command")}
+
+        def carry_out() -> Any:
+            if command.kind is not Kind.STOP:  # to stop late is better than not to stop
+                self._expiry.check(parameters)
+            return command.call(self._robot, arguments)
+
+        result = self._clients.begin(client, carry_out) if command.kind is Kind.MOTION else carry_out()
+        if not isinstance(result, Motion):
+            return None
+        motion = result
+        if (asked := parameters["command"]) is not None:
+            self._last = (asked, motion)
+            if self._expiry.is_given_up(asked):  # while it was sent
+                motion.cancel()
         number = next(self._numbers)
         said = {"id": number, **_of_motion(client, motion)}
         self._motion.put(json_of(said))
         motion.add_done_callback(lambda motion: self._motion.put(json_of({"id": number, **_of_motion(client, motion)})))
         return {**said, "handle": motion}
+
+    def _cancel(self, arguments: dict[str, Any]) -> None:
+        """Cancel whatever moves the arm, or one command alone, which may not have come yet.
+
+        Raises:
+            BadValue: there is another argument than `command`, or it is no text.
+        """
+        asked = arguments.get("command")
+        if arguments.keys() - {"command"} or not (asked is None or isinstance(asked, str)):
+            raise BadValue(f"cancel takes the id of a command as `command`, or nothing; it got {arguments!r}")
+        held: tuple[str | None, Motion] | None = self._clients.current
+        if asked is not None:
+            self._expiry.give_up(asked)  # before looking: one that is being sent looks after it has begun
+            held = self._last if self._last is not None and self._last[0] == asked else None
+        if held is not None:
+            held[1].cancel()
 
     def _over(self, query: zenoh.Query, begun: dict[str, Any], motion: Motion) -> None:
         if motion.error is None:
