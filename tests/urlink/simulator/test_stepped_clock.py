@@ -1,0 +1,20 @@
+"""Time that passes by calls."""
+
+from __future__ import annotations
+
+from linkcore.errors import LinkTimeout
+from tests.waiting import until
+from urlink.simulator.stepped_clock import passing
+
+
+def test_a_step_that_gets_no_processor_time_does_not_end_time() -> None:
+    steps: list[int] = []
+
+    def step(cycles: int) -> None:
+        steps.append(cycles)
+        if len(steps) == 2:
+            raise LinkTimeout("the simulator did not come to it within 5 s")
+
+    with passing(step, 500, 10.0):
+        until(lambda: len(steps) > 4)
+    assert set(steps) == {5}
