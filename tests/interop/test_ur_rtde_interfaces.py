@@ -564,6 +564,55 @@ def test_a_protective_stop_and_after_it(controller: Controller, rtde: Rtde, cont
     assert near(controller.arm.setpoint.q, NEAR)
 
 
+@pytest.mark.parametrize("is_stopped", [False, True], ids=["running", "stopped"])
+def test_the_next_client_after_one_that_was_killed(
+    controller: Controller, rtde: Rtde, control: Interface, is_stopped: bool
+) -> None:
+    assert control.moveJ(NEAR, 2.0, 4.0)
+    rtde.close()
+    until(lambda: not controller.rtde.sessions)
+    if is_stopped:
+        controller.call(controller.pendant.stop)
+        until(lambda: controller.program_name is None)
+    other = Rtde()
+    try:
+        control = other.make("control")
+        assert control.isProgramRunning()
+        assert control.moveJ(list(HOME), 2.0, 4.0)
+        assert near(controller.arm.setpoint.q, HOME)
+    finally:
+        other.close()
+
+
+def test_uploading_again_and_a_script_of_ones_own(controller: Controller, control: Interface, tmp_path: Path) -> None:
+    if controller.firmware.is_polyscope_x:
+        pytest.skip("its process dies of reuploadScript() where there is no dashboard server")
+    for is_running in (True, False):
+        if not is_running:
+            control.stopScript()
+            until(lambda: controller.program_name is None)
+        assert control.reuploadScript()
+        until(lambda: controller.program_name == "rtde_control")
+        until(control.isProgramRunning)
+        assert control.moveJ(NEAR, 2.0, 4.0)
+    own = tmp_path / "own.script"
+    own.write_text("def own():\n  while True:\n    write_output_integer_register(0, 1)\n    sync()\n  end\nend\n")
+    control.setCustomScriptFile(str(own))
+    assert control.reuploadScript()
+    until(lambda: controller.program_name == "own")
+    control.setCustomScriptFile("")
+    assert control.reuploadScript()
+    until(lambda: controller.program_name == "rtde_control")
+
+
+def test_forward_kinematics_with_a_tool(controller: Controller, control: Interface) -> None:
+    """It sends a package of 104 bytes for a recipe of 56, in which the tool is not."""
+    q = [0.3, -1.3, 1.2, -1.4, -1.4, 0.4]
+    for tool in ([0.0] * 6, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]):
+        got = control.getForwardKinematics(q, tool)
+        assert near(got, controller._state.kinematics.forward(q, tool), 1e-7)
+
+
 def test_it_receives_again_after_a_cut(controller: Controller, rtde: Rtde) -> None:
     receive = rtde.make("receive")
     controller.faults.cut()
