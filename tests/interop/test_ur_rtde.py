@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from tests.waiting import until
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 
 dashboard_client = pytest.importorskip(
     "dashboard_client", reason="ur_rtde is not installed; `nox -s interop` installs it where there is a wheel of it"
@@ -27,7 +27,7 @@ FILES = {PATH: "def wait():\n  sleep(30.0)\nend\n"}
 @pytest.fixture(params=[("UR5", "3.15"), ("UR5e", "5.11")], ids=["3.15", "5.11"])
 def controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
     model, firmware = request.param
-    with Controller(model, firmware, files=FILES) as controller:
+    with Controller(model, firmware, files=FILES, motion=Demonstration()) as controller:
         yield controller
 
 

@@ -596,10 +596,15 @@ def test_uploading_again_and_a_script_of_ones_own(controller: Controller, contro
         until(control.isProgramRunning)
         assert control.moveJ(NEAR, 2.0, 4.0)
     own = tmp_path / "own.script"
-    own.write_text("def own():\n  while True:\n    write_output_integer_register(0, 1)\n    sync()\n  end\nend\n")
+    # 1 is ready, and 255 the command to end, which it sends before it uploads again.
+    own.write_text(
+        "def own():\n  while read_input_integer_register(0) != 255:\n    write_output_integer_register(0, 1)\n"
+        "    sync()\n  end\nend\n"
+    )
     control.setCustomScriptFile(str(own))
     assert control.reuploadScript()
     until(lambda: controller.program_name == "own")
+    until(control.isProgramRunning)
     control.setCustomScriptFile("")
     assert control.reuploadScript()
     until(lambda: controller.program_name == "rtde_control")

@@ -25,7 +25,7 @@ from linkcore.errors import BadAddress
 from linkcore.streaming.stream import Stream
 from tests.waiting import until
 from urlink import CartesianInfo, JointData, MasterboardData, RealtimeState, RobotState
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 
 urx = pytest.importorskip("urx", reason="urx is not installed; `nox -s interop` installs it")
 
@@ -41,7 +41,7 @@ S = TypeVar("S")
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[Controller]:
-    controller = Controller(model="UR5", firmware="3.2", ports="standard", host="127.0.0.1")
+    controller = Controller("UR5", "3.2", ports="standard", host="127.0.0.1", motion=Demonstration())
     for number in INPUTS:
         controller.signals.set_digital_input(number, True)
     try:

@@ -5,6 +5,7 @@ Poses are lists of six numbers. Those that need math3d, and the monitors of urx,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import urlink
 from linkcore.errors import LinkError
 from linkcore.handle import Motion
 from linkcore.streaming.feed import Feed
+from urlink import poses
 from urlink.motion import Joint, Linear, Waypoint
 from urlink.urscript import text
 from urlink.vectors import six
@@ -75,6 +77,10 @@ class Robot:
         force: list[float] = _newest(self._robot.realtime, wait).tcp_force.tolist()
         return force
 
+    def get_force(self, wait: bool = True) -> float:
+        """Length of the six numbers of `get_tcp_force`, as urx has it."""
+        return math.hypot(*self.get_tcp_force(wait))
+
     def is_running(self) -> bool:
         """Whether the robot is switched on, and no stop holds."""
         self._robot.primary.wait(_STATE_TIMEOUT)
@@ -114,6 +120,20 @@ class Robot:
         """Move the tool in a line to a pose, or by each coordinate with `relative`. See `movej`."""
         goal = [a + b for a, b in zip(tpose, self.getl(), strict=True)] if relative else tpose
         return self._moved(lambda: self._robot.motion.move_linear(goal, vel, acc), wait, self.getl)
+
+    def movep(
+        self,
+        tpose: Sequence[float],
+        acc: float = 0.01,
+        vel: float = 0.01,
+        wait: bool = True,
+        relative: bool = False,
+        threshold: float | None = None,
+        radius: float = 0.0,
+    ) -> list[float] | None:
+        """As `movel`. The radius, which urx's own example gives, has no effect: a blend needs a movement after it, and
+        each call is a program that ends the one before."""
+        return self.movel(tpose, acc, vel, wait, relative)
 
     def movec(
         self,
@@ -163,6 +183,28 @@ class Robot:
         """Move the tool by (3,) m in the base frame, without turning it. See `movej`."""
         return self.movel([*vect, 0.0, 0.0, 0.0], acc, vel, wait, relative=True)
 
+    def translate_tool(
+        self,
+        vect: Sequence[float],
+        acc: float = 0.01,
+        vel: float = 0.01,
+        wait: bool = True,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the tool by (3,) m along its own axes, without turning it. See `movej`."""
+        return self.movel_tool([*vect, 0.0, 0.0, 0.0], acc, vel, wait)
+
+    def movel_tool(
+        self,
+        pose: Sequence[float],
+        acc: float = 0.01,
+        vel: float = 0.01,
+        wait: bool = True,
+        threshold: float | None = None,
+    ) -> list[float] | None:
+        """Move the tool in a line to a pose that is given in the frame of the tool. See `movej`."""
+        return self.movel(poses.compose(self.getl(), pose).tolist(), acc, vel, wait)
+
     def up(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
         """Move the tool up by z, m."""
         self.translate((0.0, 0.0, z), acc, vel)
@@ -171,6 +213,10 @@ class Robot:
         """Move the tool down by z, m."""
         self.up(-z, acc, vel)
 
+    def back(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
+        """Move the tool back along its z axis by z, m."""
+        self.translate_tool((0.0, 0.0, -z), acc, vel)
+
     def speedj(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
         """Move the joints at speeds, rad/s, and brake after `min_time` seconds, unless it is called again before."""
         self._robot.motion.speed_joints(velocities, acc, duration=min_time)
@@ -178,6 +224,11 @@ class Robot:
     def speedl(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
         """Move the tool at a speed in the base frame, m/s and rad/s; see `speedj`."""
         self._robot.motion.speed_linear(velocities, acc, duration=min_time)
+
+    def speedl_tool(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
+        """Move the tool at a speed in the frame that it has at present, m/s and rad/s; see `speedj`."""
+        axes = poses.rotvec_to_matrix(self.getl()[3:])
+        self.speedl((six(velocities, "velocities").reshape(2, 3) @ axes.T).ravel().tolist(), acc, min_time)
 
     def stopj(self, acc: float = 1.5) -> None:
         """Stop by the joints, at rad/s², and wait until the arm stands."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.waiting import until
+from urlink import poses
 from urlink.compat import urx
 from urlink.simulator import HOME, Controller, Still
 
@@ -57,3 +58,38 @@ def test_the_calls(controller: Controller) -> None:
         assert len(robot.get_tcp_force()) == 6
         robot.send_message("hello")
         until(lambda: controller.pendant.popup == "hello")
+
+
+def test_moves_along_the_axes_of_the_tool(controller: Controller) -> None:
+    turned = [0.3, -1.3, 1.2, -1.1, -1.4, 0.4]  # the tool points down, but for half a radian
+    with urx.Robot(controller.address) as robot:
+        robot.movej(turned, acc=6.0, vel=2.0)
+        begin = robot.getl(wait=True)
+        matrix = poses.to_matrix(begin)
+        assert robot.translate_tool((0.01, 0.0, -0.05), acc=2.0, vel=0.5) is not None
+        there = matrix[:3, 3] + matrix[:3, :3] @ [0.01, 0.0, -0.05]
+        assert near(robot.getl(wait=True), [*there, *begin[3:]])
+        robot.translate_tool((-0.01, 0.0, 0.05), acc=2.0, vel=0.5)
+        assert near(robot.getl(wait=True), begin)
+        robot.back(0.02, acc=2.0, vel=0.5)
+        assert near(robot.getl(wait=True)[:3], matrix[:3, 3] - 0.02 * matrix[:3, 2])
+        robot.movel_tool([0, 0, 0.02, 0, 0, 0.3], acc=2.0, vel=0.5)
+        assert near(poses.compose(begin, [0, 0, 0, 0, 0, 0.3]), robot.getl(wait=True))
+        robot.speedl_tool([0.0, 0.0, -0.05, 0.0, 0.0, 0.0], 2.0, 0.4)
+        until(lambda: near(controller.arm.sample.speed_target[:3], -0.05 * matrix[:3, 2], 5e-3))
+        robot.stopl(2.0)
+        assert robot.get_force() == pytest.approx(np.linalg.norm(robot.get_tcp_force(wait=False)), abs=3.0)
+
+
+def test_one_movep_after_the_other_without_waiting(controller: Controller) -> None:
+    """As the example of urx goes round a square: each one replaces the one before, on its way."""
+    with urx.Robot(controller.address) as robot:
+        robot.movej(NEAR, acc=6.0, vel=2.0)
+        begin = robot.getl(wait=True)
+        pose = list(begin)
+        for axis, side in ((2, 0.1), (1, 0.1), (2, -0.1)):
+            pose[axis] += side
+            assert robot.movep(pose, acc=2.0, vel=0.2, radius=0.05, wait=False) is None
+            until(lambda axis=axis: abs(robot.getl(wait=True)[axis] - pose[axis]) < 0.05)  # type: ignore[misc]
+        pose[1] -= 0.1
+        assert near(robot.movep(pose, acc=2.0, vel=0.2, radius=0, wait=True), begin)
