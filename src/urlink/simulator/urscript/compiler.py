@@ -32,6 +32,7 @@ from .instructions import (
     interpret,
     join,
     jump,
+    jump_to_label,
     kill,
     leave,
     skip_if_set,
@@ -67,6 +68,7 @@ from .syntax import (
     MethodCall,
     Name,
     Node,
+    NodeLabel,
     PoseDisplay,
     Return,
     Statement,
@@ -192,6 +194,7 @@ class _Compiler:
         self._used = self._top = FIRST + len(self._slots)
         self._makers: list[tuple[Callable[[int], Instruction], int]] = []
         self._loops: list[tuple[Label, Label]] = []
+        self._labels: dict[str | int, Label] = {}
         self._taking: dict[int, bool] = {}
         # Number of parts of the expressions since the last instruction.
         self._parts = 0
@@ -299,6 +302,13 @@ class _Compiler:
             raise self._program.error(s, f"not_in_a_loop_on_line:{line}:")
         label = self._loops[-1][isinstance(s, Break)]
         self._emit(s, lambda after: jump(label))
+
+    def _node_label(self, s: NodeLabel) -> None:
+        """A target of `jump_to_label`, by its name and its number; of several with one name the first."""
+        label = Label()
+        self._mark(label)
+        self._labels.setdefault(s.name, label)
+        self._labels.setdefault(s.number, label)
 
     def _halt(self, s: Halt) -> None:
         self._emit(s, lambda after: halt())
@@ -550,6 +560,9 @@ class _Compiler:
             arguments = self._arguments(node, builtin.parameters)
         if node.name == "interpreter_mode":
             return self._interpreter_mode(node, arguments)
+        if node.name == "jump_to_label":
+            self._emit(node, lambda after: jump_to_label(self._labels, arguments[0]))
+            return operations.constant(None)
         if not builtin.takes_time:
             return operations.call(builtin.function, arguments, node.place)
         slot = self._slot()
@@ -607,6 +620,7 @@ _STATEMENTS: dict[type[Statement], Callable[[_Compiler, Any], None]] = {
     Return: _Compiler._return,
     Break: _Compiler._leave_loop,
     Continue: _Compiler._leave_loop,
+    NodeLabel: _Compiler._node_label,
     Halt: _Compiler._halt,
     Kill: _Compiler._kill,
     Join: _Compiler._join,

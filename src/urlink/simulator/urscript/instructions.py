@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from . import values
@@ -22,6 +22,7 @@ __all__ = [
     "interpret",
     "join",
     "jump",
+    "jump_to_label",
     "kill",
     "leave",
     "skip_if_set",
@@ -125,6 +126,20 @@ def jump(label: Label) -> Instruction:
     """Jump to a label."""
     at = label.at
     return lambda f: at
+
+
+def jump_to_label(labels: Mapping[str | int, Label], wanted: Function) -> Instruction:
+    """Jump to the node of this function with a name or number."""
+    places = {name: label.at for name, label in labels.items()}
+
+    def run(f: Frame) -> int:
+        name = wanted(f)
+        at = places.get(name) if name.__class__ is str or name.__class__ is int else None
+        if at is None:
+            raise Fault(f"jump_to_label: there is no label '{values.to_str(name)}' in this function")
+        return at
+
+    return run
 
 
 def branch(condition: Function, otherwise: Label, after: int) -> Instruction:

@@ -17,6 +17,7 @@ from .syntax import (
     ListDisplay,
     Name,
     Node,
+    NodeLabel,
     PoseDisplay,
     Return,
     Unary,
@@ -57,7 +58,7 @@ def leaf_size(definition: Definition, names: Container[str]) -> int:
             case Name():
                 if node.name not in parameters and node.name not in names:
                     return 0
-            case Constant():
+            case Constant() | NodeLabel():
                 pass
             case Index() | Unary() | Binary() | ListDisplay() | PoseDisplay():
                 waiting += parts_of(node)

@@ -30,7 +30,7 @@ MAX_TOKENS = 131_072
 MAX_NESTING = 64
 #: parameters of one function; a call handles each, given or not
 MAX_PARAMETERS = 64
-#: instructions of one controller cycle, all threads together
+#: instructions of one controller cycle, all threads together, which share them evenly
 MAX_INSTRUCTIONS = 20_000
 #: work of one controller cycle, all threads together: elements and characters made, parts of long expressions, and
 #: the equivalent of other costly operations

@@ -4,7 +4,10 @@ A function is a list of instructions, and nothing in the machine calls itself. A
 globals, the thread that runs, and the function's own variables. An instruction is a Python function of the frame that
 returns the number of the next instruction, or one of the three numbers below that say why there is none.
 
-In each cycle every thread runs, in the order in which they were started, until it does something that takes time.
+In each cycle every thread runs, in the order in which they were started, until it does something that takes time, or
+until its slice of the cycle is over: then it goes on in the next one. So a loop that waits for a variable, such as the
+timers that PolyScope counts in a thread of their own, lets the other threads run. The program is stopped if none of its
+threads waits for anything, or if one loops for half a second while no other assigns to a global variable (a guess).
 Which thread a real controller runs first is not known; its manual says that each has a slice of every cycle.
 
 A critical section keeps a controller from taking turns in the middle of it, and nothing more: a driver in the field
@@ -18,6 +21,7 @@ import random
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
+from operator import is_
 from typing import Any, Literal, NamedTuple
 
 from linkcore.errors import BadValue
@@ -114,6 +118,8 @@ class Script:
 #: A function that takes time: it yields once for every cycle that it waits, and returns its value.
 Waiting = Generator[None, None, Any]
 
+#: Instructions of a thread that has used up its slice in the cycle before: it waits for another thread.
+_SPINNING = 1000
 # Small frames are part of the text's bound; larger ones count as memory.
 _SMALL_FRAME = 64
 
@@ -125,7 +131,20 @@ class ScriptThread:
         is_over: whether it has ended or was killed.
     """
 
-    __slots__ = ("_code", "_depth", "_destination", "_frame", "_next", "_stack", "_wait", "is_over", "machine", "world")
+    __slots__ = (
+        "_code",
+        "_depth",
+        "_destination",
+        "_frame",
+        "_next",
+        "_seen",
+        "_spins",
+        "_stack",
+        "_wait",
+        "is_over",
+        "machine",
+        "world",
+    )
 
     def __init__(self, machine: Machine, code: Code, frame: Frame) -> None:
         self.machine = machine
@@ -135,6 +154,10 @@ class ScriptThread:
         self._frame = frame
         self._next = 0
         self._depth = 0
+        # The global variables after it had used up its slice of the cycle before, and the cycles since another thread
+        # has assigned to one.
+        self._seen: list[Any] | None = None
+        self._spins = 0
         self._stack: list[tuple[Code, Frame, int, int]] = []
         self._wait: Waiting | None = None
         self._destination = 0
@@ -199,24 +222,43 @@ class ScriptThread:
                     self._wait = None
                     self._frame[self._destination] = done.value
             at, frame, instructions = self._next, self._frame, self._code.instructions
-            for left in range(machine.left, 0, -1):
+            most = machine.left if machine.left < machine.slice else machine.slice
+            if self._seen is not None:
+                most = min(most, self._waited(frame[GLOBALS]))
+            for left in range(most, 0, -1):
                 at = instructions[at](frame)  # still the number of this one where it fails
                 if at < 0:
                     if at == SWITCHED:
                         at, frame, instructions = self._next, self._frame, self._code.instructions
                     else:
-                        machine.left = left - 1
+                        machine.left -= most - left + 1
                         return
-            machine.left = 0
-            if machine.reads:
-                # It has read from a socket, for which a program waits anyway: it continues in the next cycle.
-                self._next = at
-                return
-            raise endless(machine.world.firmware)
+            machine.left -= most
+            self._next = at
+            # A program waits for a socket anyway: after a read, it continues in the next cycle.
+            if most and not machine.reads:
+                self._seen = list(frame[GLOBALS])
+                machine.spinning += 1
         except Fault as fault:
             raise self._error(at, str(fault), fault.place) from None
         except (BadValue, ArithmeticError, ValueError) as error:
             raise self._error(at, str(error), None) from None
+
+    def _waited(self, variables: list[Any]) -> int:
+        """Instructions for a thread that has used up its slice of the cycle before.
+
+        Raises:
+            Fault: it has done so for too long, while no other thread has assigned to a global variable.
+        """
+        seen, self._seen = self._seen or [], None
+        self._spins = self._spins + 1 if all(map(is_, seen, variables)) else 0
+        if self._spins > self.world.firmware.rate // 2:
+            raise endless(self.world.firmware)
+        return _SPINNING
+
+    def endless(self) -> ScriptError:
+        """The error of a program of which no thread waits for anything."""
+        return self._error(self._next, str(endless(self.machine.world.firmware)), None)
 
     def _error(self, at: int, text: str, place: int | None) -> ScriptError:
         places = self._code.places
@@ -237,6 +279,8 @@ class Machine:
         world: the controller.
         statements: from clients, in interpreter mode.
         left: instructions that may still be run in this cycle.
+        slice: those of them that one thread may run.
+        spinning: number of threads that have used up their slice in this cycle.
         reads: number of reads from sockets in this cycle.
         remote_calls: number of calls of methods of servers so far.
         random: for the function of that name; it gives the same numbers in every run.
@@ -249,8 +293,8 @@ class Machine:
         self.world = world
         self.statements: StatementQueue[StatementCode] = StatementQueue()
         self.statements.aborts = self.abort_motion
-        self.left = MAX_INSTRUCTIONS
-        self.reads = self.remote_calls = 0
+        self.left = self.slice = MAX_INSTRUCTIONS
+        self.spinning = self.reads = self.remote_calls = 0
         self.random = random.Random(0)
         self.history: deque[tuple[float, ...]] = deque(maxlen=500)
         self.has_moved = False
@@ -279,16 +323,19 @@ class Machine:
         Raises:
             ScriptError: a run-time error.
         """
-        self.left = MAX_INSTRUCTIONS
-        self.reads = self._work = 0
-        self.history.append(tuple(self.world.q_actual))
         threads = self._threads
+        self.left = MAX_INSTRUCTIONS
+        self.slice = MAX_INSTRUCTIONS // len(threads)
+        self.spinning = self.reads = self._work = 0
+        self.history.append(tuple(self.world.q_actual))
         # A thread that is started appends itself.
         for thread in threads:
             if not thread.is_over:
                 thread.run()
                 if self.main.is_over:
                     return
+        if self.spinning and self.spinning == sum(not thread.is_over for thread in threads):
+            raise self.main.endless()
         if any(thread.is_over for thread in threads):
             self._threads = [thread for thread in threads if not thread.is_over]
 

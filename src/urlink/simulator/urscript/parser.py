@@ -67,6 +67,7 @@ from .syntax import (
     Member,
     MethodCall,
     Name,
+    NodeLabel,
     Parameter,
     PoseDisplay,
     Return,
@@ -183,11 +184,6 @@ class _Parser:
         reader = _READERS.get(kind)
         if reader is not None:
             block.append(reader(self))
-        elif kind == "$":
-            self._at += 1
-            self._expect(NUMBER)
-            self._expect(STRING)
-            self._accept(STRING)
         elif kind == "pass":
             self._at += 1
         else:
@@ -255,6 +251,14 @@ class _Parser:
         if self._accept("="):
             return Assign(place, name, scope, [], self._expression())
         return Declare(place, name, scope)
+
+    def _node_label(self) -> NodeLabel:
+        place = self._take()
+        number = self._number(self._expect(NUMBER), self._texts[self._at - 1])
+        self._expect(STRING)
+        name = self._texts[self._at - 1][1:-1]
+        self._accept(STRING)
+        return NodeLabel(place, int(number), name)
 
     def _evaluate(self) -> Evaluate:
         return Evaluate(self._places[self._at], self._expression())
@@ -447,6 +451,7 @@ _READERS: dict[str, Callable[[_Parser], Statement]] = {
     "global": lambda parser: parser._declaration("global"),
     "local": lambda parser: parser._declaration("local"),
     "run": _Parser._evaluate,
+    "$": _Parser._node_label,
     NAME: _Parser._simple,
 }
 

@@ -28,6 +28,7 @@ __all__ = [
     "MethodCall",
     "Name",
     "Node",
+    "NodeLabel",
     "Parameter",
     "PoseDisplay",
     "Return",
@@ -228,6 +229,14 @@ class Join(Statement):
     """`join handle`"""
 
     handle: Expression
+
+
+@dataclass(slots=True)
+class NodeLabel(Statement):
+    """`$ 3 "home" "breakAfter"`: the beginning of a node of a program of PolyScope; a target of `jump_to_label`."""
+
+    number: int
+    name: str
 
 
 @dataclass(slots=True)

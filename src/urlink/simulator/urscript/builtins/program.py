@@ -72,6 +72,13 @@ def protective_stop(thread: ScriptThread) -> Waiting:
     yield
 
 
+@FAMILY.declare(takes_time=True, in_secondary=False, since="3.0")
+def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
+    """Go on at the node of the same function with this name, or number (a guess): `$ 3 "home"` before it in the text.
+    The compiler emits an instruction instead; this is never called."""
+    yield
+
+
 # -- interpreter mode --------------------------------------------------------------------------------
 
 

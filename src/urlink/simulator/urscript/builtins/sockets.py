@@ -97,8 +97,9 @@ def socket_send_int(thread: ScriptThread, value: Any, socket_name: Any = _NAME) 
 
 @FAMILY.declare()
 def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
-    what, new = string(name, "socket_set_var: name"), integer(value, "socket_set_var: value")
-    return _send(thread, socket_name, _bytes(f"SET {what} {new}\n"))
+    """The manual speaks of integers; public programs pass other numbers, of which `to_str` gives the text (a guess)."""
+    what, new = string(name, "socket_set_var: name"), number(value, "socket_set_var: value")
+    return _send(thread, socket_name, _bytes(f"SET {what} {to_str(new)}\n"))
 
 
 # -- reading -----------------------------------------------------------------------------------------

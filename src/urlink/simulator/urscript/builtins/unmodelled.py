@@ -17,7 +17,6 @@ __all__ = ["FAMILY"]
 
 FAMILY = Family()
 
-_LABELS = ["jump_to_label"]
 _NETWORK = [
     "eip_reader_factory",
     "eip_writer_factory",
@@ -42,7 +41,6 @@ def _unmodelled(name: str, what: str) -> Callable[..., Any]:
 for _names, _what in (
     (_NETWORK, "EtherNet/IP is"),
     (_CONVEYOR, "conveyors are"),
-    (_LABELS, "jumping is"),
     (_UNKNOWN, "what it gives is not known, and it is"),
 ):
     for _name in _names:
