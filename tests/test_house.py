@@ -29,6 +29,7 @@ AWAITED = {
     "linkcore.event_loop",
     "linkcore.net.awaited",
     "linkcore.aio.loop_connection",
+    "linkcore.aio.workers",
     "linkcore.aio.packets",
     "urlink.aio.calls",
     "urlink.aio.async_robot",

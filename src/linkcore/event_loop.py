@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, TypeVar
 
 from .errors import LocalError
 
-__all__ = ["happened", "running_loop", "within"]
+__all__ = ["finished", "happened", "running_loop", "within"]
+
+T = TypeVar("T")
 
 
 def running_loop(what: str) -> asyncio.AbstractEventLoop:
@@ -33,6 +35,16 @@ async def within(seconds: float, future: asyncio.Future[Any]) -> bool:
     """
     await asyncio.wait({future}, timeout=seconds)
     return future.done()
+
+
+async def finished(ending: asyncio.Future[T]) -> T:
+    """Wait for what has to come to its end; a task that is cancelled meanwhile ends after it."""
+    try:
+        await asyncio.wait({ending})
+    except asyncio.CancelledError:
+        await asyncio.wait({ending})
+        raise
+    return ending.result()
 
 
 def happened(future: asyncio.Future[None]) -> None:

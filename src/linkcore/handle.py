@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 from .arguments import check_callable, check_seconds
 from .callbacks import CallbackThread
 from .errors import Cancelled, LinkError, LinkTimeout
+from .pending_call import current_call, regardless
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -110,6 +111,9 @@ class Lifecycle:
         self._future.set_running_or_notify_cancel()
         self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
+        self._call = current_call()
+        if self._call is not None:
+            self._call.has_begun(self)
 
     @property
     def phase(self) -> Phase:
@@ -123,6 +127,11 @@ class Lifecycle:
     def is_over(self) -> bool:
         """It has ended, whichever way."""
         return _END in self._end
+
+    @property
+    def is_wanted(self) -> bool:
+        """It may begin: it is not over, and no task has given up the call that it was begun by."""
+        return not (self.is_over or (self._call is not None and self._call.is_given_up))
 
     @property
     def error(self) -> Exception | None:
@@ -144,6 +153,10 @@ class Lifecycle:
         """It was given up here; with `brake` the robot is stopped."""
         return self._apply(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
 
+    def give_up(self) -> bool:
+        """The task that awaited it was cancelled."""
+        return self.cancel("given up by the task that awaited it", brake=True)
+
     def fail(self, error: Exception, *, brake: bool = False) -> bool:
         """It cannot go on; with `brake` the robot is stopped."""
         return self._apply(Event.FAIL, error, brake)
@@ -160,7 +173,7 @@ class Lifecycle:
             if self._end.setdefault(_END, mine) is not mine:
                 return False
             if brake:
-                self.brake()
+                regardless(self.brake)
         except LinkError as failure:
             # It was stopped by other means, or the link is gone.
             _log.info("%s: the robot was not told to stop: %s", self.name, failure)
@@ -169,7 +182,7 @@ class Lifecycle:
         except BaseException:  # a second Ctrl-C: what it has interrupted may not have been sent
             if brake and self._end.get(_END) is mine:
                 with contextlib.suppress(LinkError):
-                    self.brake()
+                    regardless(self.brake)
             raise
         finally:
             if self._end.get(_END) is mine:

@@ -15,11 +15,11 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import AsyncIterator, Generator
-from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from linkcore.aio.workers import Workers
 from linkcore.errors import Closed
+from linkcore.event_loop import finished, running_loop
 
 from .client import Variables
 from .client import connect as connect_here
@@ -47,15 +47,15 @@ class AsyncRobot(Generic[R]):
     async def sync(self, timeout: float | None = None) -> None:
         """As `Variables.sync`. Several at once wait for each other.
 
-        Cancelling it does not end the exchange, which goes on to its answer or its deadline; the next sync comes after
-        it.
+        Cancelled before it is sent, it is not sent. After that the exchange goes on to its answer or its deadline; the
+        next sync comes after it.
 
         Raises:
             as `Variables.sync`.
         """
         if self._is_closed:
             raise Closed(f"{self.variables.address} was closed")
-        await asyncio.wrap_future(self._thread.submit(functools.partial(self.variables.sync, timeout)))
+        await self._thread.make(functools.partial(self.variables.sync, timeout))
 
     async def updates(self, timeout: float | None = None) -> AsyncIterator[R]:
         """Sync again and again, and give the robot after each answer, until the loop is left.
@@ -71,8 +71,11 @@ class AsyncRobot(Generic[R]):
         """Close the connection. Idempotent."""
         self._is_closed = True
         # Not in the robot's own thread, which may be in a sync that this is to end.
-        await asyncio.get_running_loop().run_in_executor(None, self.variables.close)
-        self._thread.close()
+        closing = asyncio.get_running_loop().run_in_executor(None, self.variables.close)
+        try:
+            await finished(closing)
+        finally:
+            self._thread.close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -93,15 +96,14 @@ class _Connecting(Generic[R]):
 
     async def _connect(self) -> AsyncRobot[R]:
         address, variables, options = self._arguments
+        running_loop("connect_async")
         thread = Workers(f"rhdlink {address}", 1)
-        connecting = thread.submit(lambda: connect_here(address, variables, **options))
         try:
-            return AsyncRobot(await asyncio.wrap_future(connecting), thread)
+            robot = await thread.make(lambda: connect_here(address, variables, **options), Variables.close)
         except BaseException:
-            # Given up, it may be connected all the same a moment later.
-            connecting.add_done_callback(_discard)
             thread.close()
             raise
+        return AsyncRobot(robot, thread)
 
     def __await__(self) -> Generator[Any, None, AsyncRobot[R]]:
         return self._connect().__await__()
@@ -141,8 +143,3 @@ def connect_async(address: str, variables: type[Variables] = Variables, **option
 
 #: The name that it had first.
 connect = connect_async
-
-
-def _discard(connecting: Future[R]) -> None:
-    if not connecting.cancelled() and connecting.exception() is None:
-        connecting.result().close()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
+from linkcore.pending_call import check_wanted
 from linkcore.stamp import Stamp
 
 from .errors import AccessDenied
@@ -204,7 +205,9 @@ class Connection:
             LinkTimeout: no reply in time; it stays outstanding.
             ConnectionLost: the connection is gone, or did not take the request.
             PacketError: the reply cannot be understood.
+            Cancelled: this thread makes a call that was given up; nothing was sent.
         """
+        check_wanted()
         try:
             self._transport.send(encode_ready(self.access) + data + END, max(until - time.monotonic(), 0.0))
         except LinkTimeout as error:

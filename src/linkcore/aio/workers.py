@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import TypeVar
 
 from ..errors import Closed, LocalError
+from ..pending_call import PendingCall
 
 __all__ = ["Workers"]
 
@@ -25,6 +28,8 @@ class Workers:
     def __init__(self, name: str, most: int) -> None:
         self._name = name
         self._threads = ThreadPoolExecutor(most, thread_name_prefix=name)
+        # Of its own, and started when it is needed: what stops the robot must not stand behind calls that wait.
+        self._undoing = ThreadPoolExecutor(1, thread_name_prefix=f"{name} stop")
         self.is_used = False
         self._is_closed = False
 
@@ -43,7 +48,42 @@ class Workers:
         except RuntimeError as error:
             raise LocalError(f"no thread could be started: {error}") from error
 
+    async def make(self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None) -> T:
+        """Call in a thread, and wait for the result. A task that is cancelled meanwhile gives the call up and ends.
+
+        Args:
+            undo: called with the result, in a thread, where the call was given up and has one all the same.
+
+        Raises:
+            Closed, LocalError: as `submit`.
+        """
+        pending = PendingCall()
+        making = self.submit(partial(pending.make, call))
+        try:
+            return await asyncio.wrap_future(making)
+        except asyncio.CancelledError:
+            self.give_up(pending, making, undo)
+            raise
+
+    def give_up(self, pending: PendingCall, making: Future[T], undo: Callable[[T], object]) -> None:
+        """Give up a call that was submitted: see `make`. Returns at once; idempotent."""
+
+        def made(making: Future[T]) -> None:
+            if not making.cancelled() and making.exception() is None:
+                self._undo(partial(undo, making.result()))
+
+        making.cancel()
+        pending.give_up(self._undo)
+        making.add_done_callback(made)
+
+    def _undo(self, call: Callable[[], object]) -> None:
+        try:
+            self._undoing.submit(call)
+        except RuntimeError:  # the robot is closed, so there is nothing to wait for; or the system has no thread left
+            call()
+
     def close(self) -> None:
         """Make no more calls; the threads end with what they do. Does not wait. Idempotent."""
         self._is_closed = True
+        self._undoing.shutdown(wait=False)
         self._threads.shutdown(wait=False, cancel_futures=True)

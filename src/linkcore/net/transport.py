@@ -30,6 +30,7 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from ..errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
+from ..pending_call import check_wanted
 from ..stamp import Stamp
 
 if sys.platform == "linux":
@@ -239,10 +240,12 @@ class TcpTransport:
 
         Raises:
             ConnectionLost: the connection is gone.
+            Cancelled: this thread makes a call that was given up; see `linkcore.pending_call`.
         """
         connection = self._socket
         if connection is None:
             raise ConnectionLost(f"{self.name} is not connected")
+        check_wanted()
         # The socket blocks, for the sake of `receive`: where a send cannot be told not to, ask for room first.
         flags = getattr(socket, "MSG_DONTWAIT", 0)
         try:

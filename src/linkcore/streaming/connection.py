@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer
+from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer
 from ..net.transport import Finished, Transport
 from ..realtime import urgent
 from ..stamp import Stamp
@@ -256,7 +256,12 @@ class Connection:
         rest = memoryview(data)
         with self._sending:
             while rest:
-                sent = self.send_some(rest)
+                try:
+                    sent = self.send_some(rest)
+                except Cancelled:
+                    if len(rest) < len(data):
+                        self.abort()
+                    raise
                 rest = rest[sent:]
                 if not sent and not self.wait_for_room(max(until - time.monotonic(), 0.0)):
                     self.abort()

@@ -13,6 +13,7 @@ from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
 from linkcore.aio.workers import Workers
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.event_loop import finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.recording.recorder import Recorder
 
@@ -206,11 +207,11 @@ class AsyncRobot:
     async def close(self) -> None:
         """End motions, close every stream, and the simulator if there is one, in two seconds. Idempotent.
 
-        It runs to its end even if the task that awaits it is cancelled.
+        A task that is cancelled meanwhile ends when this is done.
         """
         if self._ending is None:
             self._ending = asyncio.create_task(self._close())
-        await asyncio.shield(self._ending)
+        await finished(self._ending)
 
     async def _close(self) -> None:
         robot, workers = self._robot, self._workers
@@ -248,18 +249,12 @@ class _Connecting:
             raise LocalError("isolate=True is for urlink.connect: the event loop reads by itself")
         if isinstance(place, RecordingAddress):
             raise LocalError(f"{wanted.address} is a recording, which urlink.connect plays, and no event loop")
-        loop = asyncio.get_running_loop()
+        loop = running_loop("connect_async")
         workers = Workers(wanted.address, _CALLS)
         controller = None
         try:
             if isinstance(place, SimulatorAddress):
-                simulating = workers.submit(partial(threaded.simulated, place))
-                try:
-                    made: tuple[Controller, RobotAddress] = await asyncio.wrap_future(simulating)
-                except asyncio.CancelledError:
-                    simulating.add_done_callback(_discard)
-                    raise
-                controller, place = made
+                controller, place = await workers.make(partial(threaded.simulated, place), lambda made: made[0].close())
             known = await _identified(place, wanted)
             source = networked(
                 place,
@@ -300,7 +295,7 @@ def connect_async(address: str | os.PathLike[str], **options: Any) -> _Connectin
 
     Raises:
         BadAddress, BadValue, TypeError: at once, as `urlink.connect`.
-        LocalError: the address is a recording; raised when it is awaited or entered.
+        LocalError: the address is a recording, or no event loop of asyncio runs; raised when it is awaited or entered.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: there is no controller at the address; raised when it is
             awaited or entered.
     """
@@ -336,8 +331,3 @@ async def _identify(host: str, port: int, timeout: float) -> Identity:
     finally:
         transport.abort()  # nothing was sent
     return introduction.identity
-
-
-def _discard(simulating: Any) -> None:
-    if not simulating.cancelled() and simulating.exception() is None:
-        simulating.result()[0].close()

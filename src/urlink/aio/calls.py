@@ -7,15 +7,16 @@ has answered. So each call is made in a thread of the robot, while the event loo
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 from collections.abc import Callable, Generator
 from typing import Any, Generic, TypeVar
 
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.workers import Workers
-from linkcore.errors import LinkError
+from linkcore.event_loop import finished, running_loop
 from linkcore.handle import Handle
+from linkcore.pending_call import PendingCall
+from linkcore.recording.recorder import Recorder
 from linkcore.streaming.stream import Stream
 
 __all__ = ["Awaited", "Call"]
@@ -44,9 +45,11 @@ class Call(Generic[T]):
     """
 
     def __init__(self, workers: Workers, call: Callable[[], T]) -> None:
+        loop = running_loop("a command of a robot of connect_async")
         self._workers = workers
-        self._submitted = workers.submit(call)
-        self._begun: asyncio.Future[T] = asyncio.wrap_future(self._submitted)
+        self._pending = PendingCall()
+        self._submitted = workers.submit(functools.partial(self._pending.make, call))
+        self._begun: asyncio.Future[T] = asyncio.wrap_future(self._submitted, loop=loop)
         self._entered: Any = None
 
     async def begun(self) -> T:
@@ -65,7 +68,7 @@ class Call(Generic[T]):
         try:
             value = await asyncio.shield(self._begun)
             if isinstance(value, Handle):
-                await value
+                await asyncio.wrap_future(value._life.future)  # and not `value`, which would brake in this thread
         except asyncio.CancelledError:
             self.cancel()
             raise
@@ -75,41 +78,46 @@ class Call(Generic[T]):
         return self._ended().__await__()
 
     def cancel(self) -> None:
-        """Cancel: a call that has not begun is not made, and what runs on the robot is cancelled. Returns at once."""
-        self._submitted.cancel()
-        self._begun.add_done_callback(self._undo)
+        """Cancel: a call that has not sent anything sends nothing, and what runs on the robot is cancelled.
 
-    def _undo(self, begun: asyncio.Future[T]) -> None:
-        if begun.cancelled() or begun.exception() is not None:
-            return
-        value = begun.result()
-        if isinstance(value, Handle) and not value.done:
-            with contextlib.suppress(LinkError):  # the robot is closed, which has ended the command
-                self._workers.submit(value.cancel)
+        Returns at once; idempotent. A call that waits goes on waiting in its thread, to its own timeout.
+        """
+        self._workers.give_up(self._pending, self._submitted, _end)
+        self._begun.add_done_callback(_read)
 
     async def __aenter__(self) -> Any:
         value: Any = await self.begun()
         self._entered = value
         if isinstance(value, AsyncStream):
             return await value.__aenter__()
-        return await _made(self._workers, value.__enter__)
+        try:
+            return await self._workers.make(value.__enter__, lambda entered: value.__exit__(None, None, None))
+        except asyncio.CancelledError:
+            self.cancel()
+            raise
 
     async def __aexit__(self, *exc: object) -> None:
         value = self._entered
         if isinstance(value, AsyncStream):
             await value.close()
         else:
-            await _made(self._workers, functools.partial(value.__exit__, *exc))
+            await finished(asyncio.wrap_future(self._workers.submit(functools.partial(value.__exit__, *exc))))
 
 
-async def _made(workers: Workers, call: Callable[[], T]) -> T:
-    """Make a call; it runs to its end even if the task is cancelled."""
-    making = asyncio.wrap_future(workers.submit(call))
-    try:
-        return await asyncio.shield(making)
-    except asyncio.CancelledError:
-        await asyncio.wait({making})
-        raise
+def _end(value: Any) -> None:
+    """End what a call has made that was given up."""
+    if isinstance(value, Handle):
+        value.cancel()
+    elif isinstance(value, AsyncStream):
+        value.stream.close()
+    elif isinstance(value, Recorder):
+        value.close()
+
+
+def _read(begun: asyncio.Future[Any]) -> None:
+    """asyncio would log an error that nobody reads."""
+    if not begun.cancelled():
+        begun.exception()
 
 
 class Awaited:

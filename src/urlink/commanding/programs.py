@@ -357,8 +357,8 @@ class Programs:
         """Let a program go on that asks: it is still wanted, or its life would be over."""
 
         def claim() -> None:
-            if run.life.is_over:
-                raise Cancelled(f"{run.life.name} is over")
+            if not run.life.is_wanted:
+                raise Cancelled(f"{run.life.name} is over, or was given up")
 
         try:
             # Without waiting: this is the reader thread.
