@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from linkcore.callbacks import CallbackThread
-from linkcore.errors import LinkError
+from linkcore.errors import Closed, LinkError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
@@ -88,6 +88,7 @@ class SafetyMonitor:
         self._hooks: list[_Stop] = []
         self._silence_hooks: list[Callable[[float], object]] = []
         self._stop_callbacks: dict[object, _Stop] = {}
+        self._is_closed = False
 
     # -- questions -----------------------------------------------------------------------------------
 
@@ -167,12 +168,15 @@ class SafetyMonitor:
 
         Raises:
             LocalError: in a thread that would have to hear the news itself.
+            Closed: the robot is closed, so there will be no news.
         """
         until = time.monotonic() + timeout
         news: SimpleQueue[None] = SimpleQueue()
         self._waiting.append(news)
         try:
             while not self._is(condition):
+                if self._is_closed:
+                    raise Closed("the robot was closed")
                 left = until - time.monotonic()
                 if left <= 0.0:
                     return False
@@ -296,7 +300,9 @@ class SafetyMonitor:
 
     def close(self) -> None:
         """Listen no more, and let nothing through. Users are not told: it is no stop of the robot."""
+        self._is_closed = True
         self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):
             listening.end()
             self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]
+        self._wake()

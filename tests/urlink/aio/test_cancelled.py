@@ -1,0 +1,253 @@
+"""Each stream, command and block of a robot, cancelled at each turn of the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import urlink
+from tests.cancelling import Begun, Sent, run_cancelled, sends, turns
+from tests.waiting import until
+from urlink import Circular, Joint, Linear
+from urlink.simulator import Controller
+
+__all__ = ["sends"]
+
+READY = [0.3, -1.57, 1.57, -1.57, -1.57, 0.0]
+POSE_STEP = 0.01
+
+Use = Callable[[Any], Awaitable[object]]
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.25") as controller:
+        with urlink.connect(controller.address) as robot:
+            robot.motion.move_joints(READY, speed=3.0, acceleration=30.0, wait=True)
+        yield controller
+
+
+def q(robot: Any) -> list[float]:
+    """Where to go, never far: to one side of READY or to the other."""
+    here = robot.realtime.latest.q_actual
+    return [READY[0] + (0.05 if here[0] < READY[0] else -0.05), *READY[1:]]
+
+
+def pose(robot: Any, by: float = POSE_STEP) -> list[float]:
+    here: list[float] = robot.realtime.latest.tool_vector_actual.tolist()
+    return [here[0], here[1], 0.45 + (by if here[2] < 0.45 else -by), *here[3:]]
+
+
+def arc(robot: Any) -> tuple[list[float], list[float]]:
+    via, end = pose(robot, POSE_STEP / 2), pose(robot)
+    return [via[0] + 0.002, *via[1:]], end
+
+
+# -- streams ------------------------------------------------------------------------------------
+
+
+async def iterated(robot: Any) -> None:
+    async with robot.realtime.iterate(urlink.block, timeout=5) as states:
+        async for _ in states:
+            if states.stats.delivered == 5:
+                break
+
+
+async def iterated_plainly(robot: Any) -> None:
+    async for _ in robot.primary:
+        break
+
+
+async def subscribed(robot: Any) -> None:
+    come = asyncio.Event()
+    with await robot.secondary.subscribe(lambda state: come.set()):
+        await come.wait()
+
+
+async def outputs(robot: Any) -> None:
+    async with robot.rtde.outputs("timestamp", "actual_q", frequency=125) as stream:
+        await stream.wait()
+
+
+async def closed(robot: Any) -> None:
+    await robot.realtime.wait()
+    await robot.realtime.close()
+
+
+STREAMS: dict[str, Use] = {
+    "wait": lambda robot: robot.realtime.wait(),
+    "wait_until": lambda robot: robot.realtime.wait_until(lambda state: True),
+    "start": lambda robot: robot.secondary.start(),
+    "of": lambda robot: robot.primary.of(urlink.RobotModeData).wait(),
+    "iterate": iterated,
+    "async for": iterated_plainly,
+    "subscribe": subscribed,
+    "outputs": outputs,
+    "close": closed,
+    "identify": lambda robot: robot.identify(),
+}
+
+# -- commands ------------------------------------------------------------------------------------
+
+FAST = {"speed": 0.5, "acceleration": 10.0}
+
+
+def there_and_back(robot: Any) -> urlink.Trajectory:
+    here = robot.realtime.latest.q_actual.tolist()
+    return urlink.Trajectory.from_arrays(time=[0, 0.1, 0.2], q=[here, [*here[:5], here[5] + 0.01], here])
+
+
+async def begun_first(robot: Any) -> None:
+    handle = await robot.motion.move_joints(q(robot), **FAST).begun()
+    await handle
+
+
+COMMANDS: dict[str, Use] = {
+    "move_joints": lambda robot: robot.motion.move_joints(q(robot), **FAST),
+    "move_joints wait": lambda robot: robot.motion.move_joints(q(robot), wait=True, **FAST),
+    "its handle": begun_first,
+    "move_linear": lambda robot: robot.motion.move_linear(pose(robot), **FAST),
+    "move_circular": lambda robot: robot.motion.move_circular(*arc(robot), **FAST),
+    "path": lambda robot: robot.motion.path([Linear(pose(robot)), Joint(q(robot))], speed=0.5),
+    "path of an arc": lambda robot: robot.motion.path([Circular(*arc(robot))], speed=0.5),
+    "speed_joints": lambda robot: robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.1),
+    "speed_linear": lambda robot: robot.motion.speed_linear([0, 0, 0.01, 0, 0, 0], duration=0.1),
+    "stop": lambda robot: robot.motion.stop(),
+    "follow": lambda robot: robot.motion.follow(there_and_back(robot)),
+    "script": lambda robot: robot.script.run("sleep(0.05)"),
+    "script wait": lambda robot: robot.script.run("sleep(0.05)", wait=True),
+    "send_line": lambda robot: robot.script.send_line("set_analog_out(0, 0.1)"),
+    "set_digital_out": lambda robot: robot.io.set_digital_out(1, True),
+    "set_payload": lambda robot: robot.set_payload(1.0),
+    "set_tcp": lambda robot: robot.set_tcp([0, 0, 0, 0, 0, 0]),
+    "set_speed_slider": lambda robot: robot.set_speed_slider(1.0),
+    "zero_force_sensor": lambda robot: robot.zero_force_sensor(),
+    "popup": lambda robot: robot.popup("Hello"),
+    "dashboard": lambda robot: robot.dashboard.robot_mode(),
+    "register": lambda robot: robot.registers.write_integer(25, 1),
+    "wait_enabled": lambda robot: robot.safety.wait_enabled(5),
+    "call": lambda robot: robot.call(time.sleep, 0.01),
+}
+
+# -- blocks ------------------------------------------------------------------------------------
+
+
+async def servo(robot: Any) -> None:
+    async with robot.motion.servo(watchdog=0.5) as servo:
+        async for state in robot.realtime:
+            servo.send(state.q_target)
+            if servo.stats.count == 5:
+                break
+
+
+def left_soon(block: Callable[[Any], Any]) -> Use:
+    async def use(robot: Any) -> None:
+        async with block(robot):
+            await robot.realtime.wait()
+
+    return use
+
+
+BLOCKS: dict[str, Use] = {
+    "servo": servo,
+    "jog": left_soon(lambda robot: robot.motion.jog("tool", watchdog=0.5)),
+    "force_mode": left_soon(
+        lambda robot: robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0] * 6, [0.1] * 6, watchdog=0.5)
+    ),
+    "torque": left_soon(lambda robot: robot.motion.torque(watchdog=0.5)),
+    "freedrive": left_soon(lambda robot: robot.freedrive(watchdog=0.5)),
+    "teach": left_soon(lambda robot: robot.teach()),
+    "servo over RTDE": left_soon(lambda robot: robot.motion.servo(watchdog=0.5, link="rtde")),
+    "a motion": left_soon(lambda robot: robot.motion.move_joints(q(robot), speed=0.1)),
+}
+
+USES = {**STREAMS, **COMMANDS, **BLOCKS}
+
+
+def stands(controller: Controller) -> bool:
+    return not controller.is_running_program and not controller.arm.is_moving
+
+
+def may_follow(data: bytes) -> bool:
+    """What may be sent after a task was over: what stops the arm, and what an RTDE connection begins with.
+
+    RTDE packages begin with their size and their type; "U" is a data package.
+    """
+    return b"urlink_stop" in data or data[2:3] in (b"V", b"v", b"O", b"I", b"S")
+
+
+@contextlib.asynccontextmanager
+async def connected(address: str) -> AsyncIterator[Any]:
+    async with urlink.connect_async(address) as robot:
+        await robot.realtime.wait()
+        yield robot
+
+
+def check(number: int, controller: Controller, sent: list[Sent], work: Callable[[Begun], Any]) -> bool:
+    was_cancelled, late = run_cancelled(number, work, sent)
+    assert not [each for each in late if not may_follow(each)], number
+    until(lambda: stands(controller), 5.0)
+    return was_cancelled
+
+
+@pytest.mark.matrix
+@pytest.mark.parametrize("name", USES)
+def test_what_is_cancelled_ends_at_once_and_leaves_nothing(
+    name: str, controller: Controller, sends: list[Sent]
+) -> None:
+    async def work(begun: Begun) -> None:
+        async with connected(controller.address) as robot:
+            begun()
+            await USES[name](robot)
+
+    for number in turns(list(USES).index(name)):
+        if not check(number, controller, sends, work):
+            break
+
+
+@pytest.mark.matrix
+def test_connecting_that_is_cancelled_leaves_nothing(controller: Controller, sends: list[Sent]) -> None:
+    async def work(begun: Begun) -> None:
+        begun()
+        async with urlink.connect_async(controller.address):
+            pass
+
+    number = 1
+    while check(number, controller, sends, work):
+        number += 1
+    assert number > 3
+    assert not sends
+
+
+@pytest.mark.matrix
+@pytest.mark.parametrize("row", range(6))
+def test_a_task_that_is_cancelled_while_it_connects_does_not_move_the_arm(
+    row: int, controller: Controller, sends: list[Sent]
+) -> None:
+    async def work(begun: Begun) -> None:
+        begun()
+        async with urlink.connect_async(controller.address) as robot:
+            await robot.motion.move_joints(READY, speed=0.5)
+
+    for number in turns(row):
+        if not check(number, controller, sends, work):
+            break
+
+
+@pytest.mark.matrix
+def test_a_recording_that_is_cancelled_is_closed(tmp_path: Path, controller: Controller, sends: list[Sent]) -> None:
+    async def work(begun: Begun) -> None:
+        async with connected(controller.address) as robot:
+            begun()
+            async with robot.record(tmp_path / f"{number}.urlog"):
+                await robot.realtime.wait()
+
+    for number in turns(5):
+        if not check(number, controller, sends, work):
+            break
