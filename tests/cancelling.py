@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import os
 import threading
 import time
@@ -15,13 +16,10 @@ import pytest
 from linkcore.net.transport import TcpTransport
 from tests.waiting import until
 
-__all__ = ["Begun", "Sent", "run_cancelled", "turns"]
+__all__ = ["Sent", "Trial", "run_cancelled", "turns"]
 
 #: Seconds for anything that has to come to an end.
 _SOON = 20.0
-
-#: Tells that what is to be cancelled begins.
-Begun = Callable[[], None]
 
 
 class Sent(NamedTuple):
@@ -31,47 +29,69 @@ class Sent(NamedTuple):
     data: bytes
 
 
-class _Loop(asyncio.SelectorEventLoop):
-    """Cancels a task at the turn of that number, counted from the moment at which it has begun."""
+class Trial:
+    """What is to be cancelled: within ``with trial:`` in the task. The turns count from there on.
+
+    Attributes:
+        left: turns of the loop until the task is cancelled.
+        task: the task.
+        over: when the block was left.
+    """
 
     def __init__(self, number: int) -> None:
-        super().__init__()
         self.left = number
         self.task: asyncio.Task[None] | None = None
-        self.has_begun = False
+        self.over = math.inf
+        self._is_within = False
 
-    def begin(self) -> None:
-        self.has_begun = True
+    def __enter__(self) -> None:
+        self._is_within = True
 
-    def _run_once(self) -> None:
-        super()._run_once()  # type: ignore[misc]
-        if self.has_begun and self.left > 0 and self.task is not None and not self.task.done():
+    def __exit__(self, *exc: object) -> None:
+        self._is_within = False
+        self.over = time.monotonic()
+
+    def turn(self) -> None:
+        """The loop has made one."""
+        if self._is_within and self.left > 0:
             self.left -= 1
             if self.left == 0:
+                assert self.task is not None
                 self.task.cancel()
 
 
+class _Loop(asyncio.SelectorEventLoop):
+    """Tells of its turns."""
+
+    def __init__(self, told: Callable[[], None]) -> None:
+        super().__init__()
+        self._told = told
+
+    def _run_once(self) -> None:
+        super()._run_once()  # type: ignore[misc]
+        self._told()
+
+
 def run_cancelled(
-    number: int, work: Callable[[Begun], Coroutine[Any, Any, None]], sent: list[Sent]
+    number: int, work: Callable[[Trial], Coroutine[Any, Any, None]], sent: list[Sent]
 ) -> tuple[bool, list[bytes]]:
     """Run `work` in a loop of its own, and cancel it at a turn. It ends as cancelled then, and nothing of it is left.
 
     Args:
-        number: of the turn, from 1 on, since `work` called what it is given.
+        number: of the turn, from 1 on, in the block of the trial that `work` gets.
         sent: everything that this process has sent; see the fixture `sends`.
 
     Returns:
-        Whether it was cancelled before it came to its own end, and what was sent after the task was over.
+        Whether it was cancelled before it came to its own end, and what was sent after the block was left.
     """
     threads, descriptors = set(threading.enumerate()), _descriptors()
-    loop = _Loop(number)
+    trial = Trial(number)
+    loop = _Loop(trial.turn)
     try:
-        loop.task = task = loop.create_task(work(loop.begin))
-        over: list[float] = []
-        task.add_done_callback(lambda task: over.append(time.monotonic()))
+        trial.task = task = loop.create_task(work(trial))
         loop.run_until_complete(asyncio.wait({task}, timeout=_SOON))
         assert task.done(), "it goes on"
-        was_cancelled = loop.left == 0
+        was_cancelled = trial.left == 0
         assert task.cancelled() == was_cancelled, "a task that was cancelled has come to its own end"
         if not was_cancelled:
             task.result()
@@ -81,10 +101,11 @@ def run_cancelled(
     finally:
         loop.close()
     until(lambda: set(threading.enumerate()) <= threads, _SOON)
+    trial.task = None
     del loop, task
     gc.collect()
     until(lambda: _descriptors() <= descriptors, _SOON)
-    return was_cancelled, [each.data for each in tuple(sent) if each.at > over[0]]
+    return was_cancelled, [each.data for each in tuple(sent) if each.at > trial.over]
 
 
 async def _nothing_left() -> None:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
 
 import pytest
 
 import rhdlink.aio
-from rhdlink import Closed, ConnectFailed, Drive, Host, LinkTimeout, Mission, VelocityOmega
+from rhdlink import Closed, ConnectFailed, Drive, Host, LinkTimeout, LocalError, Mission, VelocityOmega
 from rhdlink.plugins.turtle import Turtle
 from rhdlink.world import World
+from tests.cancelling import Sent, Trial, run_cancelled, sends
 from tests.rhdlink.scripted import Peer, ScriptedServer, nothing_more_after_greeting
 from tests.waiting import until
+
+__all__ = ["sends"]
 
 
 @pytest.fixture
@@ -49,6 +53,46 @@ def test_a_robot_is_driven_while_other_things_go_on(host: Host, turtle: Turtle) 
 
     assert asyncio.run(drive()) > 100  # of which there would be one for each sync, if it were waited for
     assert turtle.world.odometry.x > 0.02
+
+
+async def connected(address: str) -> None:
+    async with rhdlink.connect_async(address, VelocityOmega, access="w"):
+        pass
+
+
+async def synced(address: str) -> None:
+    async with rhdlink.connect_async(address, VelocityOmega, access="w") as robot:
+        robot.variables.cmdtransvel = 0.5
+        for _ in range(3):
+            await robot.sync()
+
+
+async def updated(address: str) -> None:
+    async with rhdlink.connect_async(address, VelocityOmega, access="w") as robot:
+        async for _ in robot.updates():
+            return
+
+
+@pytest.mark.parametrize("use", [connected, synced, updated])
+def test_what_is_cancelled_at_any_turn_of_the_loop_ends_at_once_and_leaves_nothing(
+    host: Host, use: Callable[[str], Coroutine[Any, Any, None]], sends: list[Sent]
+) -> None:
+    async def work(trial: Trial) -> None:
+        with trial:
+            await use(host.address)
+
+    number, was_cancelled = 0, True
+    while was_cancelled:
+        number += 1
+        was_cancelled, late = run_cancelled(number, work, sends)
+        assert not late, number
+    assert number > 3
+
+
+def test_it_needs_a_loop_of_asyncio(host: Host) -> None:
+    """As in trio, which steps coroutines itself."""
+    with pytest.raises(LocalError, match="connect_async needs a running asyncio event loop"):
+        connected(host.address).send(None)
 
 
 def test_it_is_a_thread_less_when_it_is_closed(host: Host) -> None:

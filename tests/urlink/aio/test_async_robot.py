@@ -207,6 +207,19 @@ def test_nobody_there_and_what_cannot_be_is_an_error(tmp_path: Path) -> None:
     run(connect())
 
 
+def test_it_needs_a_loop_of_asyncio(controller: Controller) -> None:
+    """As in trio, which steps coroutines itself; and in a thread without a loop."""
+    with pytest.raises(LocalError, match=r"connect_async needs a running asyncio event loop.* trio"):
+        _awaited(urlink.connect_async(controller.address)).send(None)
+
+    async def command_elsewhere() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            with pytest.raises(LocalError, match="needs a running asyncio event loop"):
+                await asyncio.to_thread(lambda: robot.motion.stop())
+
+    run(command_elsewhere())
+
+
 def test_read_only_commands_nothing(controller: Controller) -> None:
     async def read() -> None:
         async with urlink.connect_async(controller.address, read_only=True) as robot:

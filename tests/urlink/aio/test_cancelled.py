@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import urlink
-from tests.cancelling import Begun, Sent, run_cancelled, sends, turns
+from tests.cancelling import Sent, Trial, run_cancelled, sends, turns
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.simulator import Controller
@@ -189,7 +189,7 @@ async def connected(address: str) -> AsyncIterator[Any]:
         yield robot
 
 
-def check(number: int, controller: Controller, sent: list[Sent], work: Callable[[Begun], Any]) -> bool:
+def check(number: int, controller: Controller, sent: list[Sent], work: Callable[[Trial], Any]) -> bool:
     was_cancelled, late = run_cancelled(number, work, sent)
     assert not [each for each in late if not may_follow(each)], number
     until(lambda: stands(controller), 5.0)
@@ -201,10 +201,10 @@ def check(number: int, controller: Controller, sent: list[Sent], work: Callable[
 def test_what_is_cancelled_ends_at_once_and_leaves_nothing(
     name: str, controller: Controller, sends: list[Sent]
 ) -> None:
-    async def work(begun: Begun) -> None:
+    async def work(trial: Trial) -> None:
         async with connected(controller.address) as robot:
-            begun()
-            await USES[name](robot)
+            with trial:
+                await USES[name](robot)
 
     for number in turns(list(USES).index(name)):
         if not check(number, controller, sends, work):
@@ -213,10 +213,10 @@ def test_what_is_cancelled_ends_at_once_and_leaves_nothing(
 
 @pytest.mark.matrix
 def test_connecting_that_is_cancelled_leaves_nothing(controller: Controller, sends: list[Sent]) -> None:
-    async def work(begun: Begun) -> None:
-        begun()
-        async with urlink.connect_async(controller.address):
-            pass
+    async def work(trial: Trial) -> None:
+        with trial:
+            async with urlink.connect_async(controller.address):
+                pass
 
     number = 1
     while check(number, controller, sends, work):
@@ -230,10 +230,10 @@ def test_connecting_that_is_cancelled_leaves_nothing(controller: Controller, sen
 def test_a_task_that_is_cancelled_while_it_connects_does_not_move_the_arm(
     row: int, controller: Controller, sends: list[Sent]
 ) -> None:
-    async def work(begun: Begun) -> None:
-        begun()
-        async with urlink.connect_async(controller.address) as robot:
-            await robot.motion.move_joints(READY, speed=0.5)
+    async def work(trial: Trial) -> None:
+        with trial:
+            async with urlink.connect_async(controller.address) as robot:
+                await robot.motion.move_joints(READY, speed=0.5)
 
     for number in turns(row):
         if not check(number, controller, sends, work):
@@ -242,11 +242,11 @@ def test_a_task_that_is_cancelled_while_it_connects_does_not_move_the_arm(
 
 @pytest.mark.matrix
 def test_a_recording_that_is_cancelled_is_closed(tmp_path: Path, controller: Controller, sends: list[Sent]) -> None:
-    async def work(begun: Begun) -> None:
+    async def work(trial: Trial) -> None:
         async with connected(controller.address) as robot:
-            begun()
-            async with robot.record(tmp_path / f"{number}.urlog"):
-                await robot.realtime.wait()
+            with trial:
+                async with robot.record(tmp_path / f"{number}.urlog"):
+                    await robot.realtime.wait()
 
     for number in turns(5):
         if not check(number, controller, sends, work):
