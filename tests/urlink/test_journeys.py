@@ -49,6 +49,7 @@ def test_move_joints() -> None:
         "urlink.urscript.programs",  # the text
         "urlink.urscript.wrapping",  # what is put around it
         "linkcore.handle",  # the one state machine of its life
+        "linkcore.pending_call",  # does the task for which this thread makes it still want it?
         "urlink.commanding.programs",  # the registry
         "urlink.commanding.channel",  # the one way out
         "linkcore.net.recall",  # is anything given up before that may still be carried out?

@@ -254,7 +254,9 @@ class _Connecting:
         controller = None
         try:
             if isinstance(place, SimulatorAddress):
-                controller, place = await workers.make(partial(threaded.simulated, place), lambda made: made[0].close())
+                simulated = partial(threaded.simulated, place)
+                made: tuple[Controller, RobotAddress] = await workers.make(simulated, lambda made: made[0].close())
+                controller, place = made
             known = await _identified(place, wanted)
             source = networked(
                 place,
