@@ -1,0 +1,78 @@
+"""Runs worlds: ``python -m tests.worlds --seeds 300 --jobs 2``; ``--seed 17`` for one, with its log."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from itertools import islice
+
+from .drawn import World, draw
+from .running import Outcome, run
+
+
+def outcome(seed: int) -> tuple[int, Outcome]:
+    return seed, run(draw(seed))
+
+
+def shrunk(world: World, most: int = 200) -> World:
+    """A smaller world in which something is still wrong."""
+    tried = 0
+    while tried < most:
+        for smaller in world.smaller():
+            tried += 1
+            if run(smaller).faults:
+                world = smaller
+                break
+            if tried >= most:
+                break
+        else:
+            break
+    return world
+
+
+def show(world: World, result: Outcome) -> None:
+    print(world)
+    print("\n".join(result.log))
+    for fault in result.faults:
+        print("FAULT:", fault)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.worlds", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=300, help="how many")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--seed", type=int, help="run this one, and print what happens")
+    parser.add_argument("--shrink", action="store_true", help="make a world in which something is wrong smaller")
+    given = parser.parse_args()
+    if given.seed is not None:
+        world = draw(given.seed)
+        result = run(world)
+        if given.shrink and result.faults:
+            world = shrunk(world)
+            result = run(world)
+        show(world, result)
+        return bool(result.faults)
+    begun, done, simulated, moved, failed = time.perf_counter(), 0, 0.0, 0.0, 0
+    seeds = iter(range(given.first, given.first + given.seeds))
+    with ProcessPoolExecutor(given.jobs) as pool:
+        while some := list(islice(seeds, 100)):
+            for seed, result in pool.map(outcome, some):
+                done += 1
+                simulated += result.simulated
+                moved += result.moved
+                if result.faults:
+                    failed += 1
+                    print(f"python -m tests.worlds --seed {seed}    # {result.faults[0].splitlines()[0]}", flush=True)
+    seconds = time.perf_counter() - begun
+    print(
+        f"{done} worlds, {failed} with faults; {simulated / 3600:.2f} h of simulated time, in {moved / 3600:.2f} h of it "
+        f"the arm moved; {seconds:.0f} s"
+    )
+    return bool(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
