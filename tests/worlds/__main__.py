@@ -68,7 +68,7 @@ def main() -> int:
                     print(f"python -m tests.worlds --seed {seed}    # {result.faults[0].splitlines()[0]}", flush=True)
     seconds = time.perf_counter() - begun
     print(
-        f"{done} worlds, {failed} with faults; {simulated / 3600:.2f} h of simulated time, in {moved / 3600:.2f} h of it "
+        f"{done} worlds, {failed} with faults; {simulated:.0f} s of simulated time, in {moved:.0f} s of it "
         f"the arm moved; {seconds:.0f} s"
     )
     return bool(failed)

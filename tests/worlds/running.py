@@ -139,7 +139,8 @@ class Run:
         self.watch = Watch(sim, self.controller, outcome)
         self.computers: list[Computer] = []
         self.gone: set[int] = set()
-        self.frozen: dict[int, float] = {}
+        #: those who press what is at the pendant
+        self.hands: list[threading.Thread] = []
 
     def everything(self) -> None:
         threads = []
@@ -161,6 +162,8 @@ class Run:
             thread.join(LIMIT / 2)
             if thread.is_alive() and number not in self.gone:
                 self.watch.fault(f"client {number} has not come to its end\n{self.sim.stacks()}")
+        for hand in self.hands:
+            hand.join(60.0)
         time.sleep(2 * BRAKING)
         with self.sim.on(self.robot):
             self.controller.close()
@@ -289,7 +292,8 @@ class Run:
                 controller.faults.clear()
 
         if event.what in ("protective_stop", "emergency_stop", "pendant_stop", "pendant_pause", "slider"):
-            threading.Thread(target=at_the_pendant, daemon=True, name=event.what).start()
+            self.hands.append(threading.Thread(target=at_the_pendant, daemon=True, name=event.what))
+            self.hands[-1].start()
         else:
             sim.at(event.at, happen)
 
