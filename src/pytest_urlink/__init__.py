@@ -14,15 +14,16 @@ import pytest
 
 if TYPE_CHECKING:
     from rhdlink.plugins.turtle import SmrTurtle, Turtle
-    from urlink import Robot
+    from urlink import Robot, Simulation
     from urlink.simulator import Controller
 
-__all__ = ["rhd_turtle", "urlink_controller", "urlink_robot"]
+__all__ = ["rhd_turtle", "simulated_time", "urlink_controller", "urlink_robot"]
 
 _MARKERS = (
     "urlink(model, firmware, faults, connect, ...): the simulated controller of this test: an arm, its firmware, "
     "faults by name such as 'protective_stop' or 'cut=realtime@2', arguments of urlink.connect, and others of "
     "urlink.simulator.Controller, such as stepped=True",
+    "simulated_time(seed, limit, latency, jitter): arguments of urlink.simulated_time",
     "rhd_turtle(smr, world, ...): the simulated mobile robot of this test: an SMR, arguments of rhdlink.world.World, "
     "and others of rhdlink.Host, such as pacing='lockstep'",
 )
@@ -42,6 +43,18 @@ def _wanted(request: pytest.FixtureRequest, name: str) -> dict[str, Any]:
             raise pytest.UsageError(f"{request.node.nodeid}: @pytest.mark.{name} takes its arguments by name")
         wanted = {**marker.kwargs, **wanted}
     return wanted
+
+
+@pytest.fixture
+def simulated_time(request: pytest.FixtureRequest) -> Iterator[Simulation]:
+    """The test, and the fixtures that it names after this one, in simulated time: see `urlink.simulated_time`.
+
+    ``@pytest.mark.simulated_time(seed=7)`` has its arguments.
+    """
+    import urlink
+
+    with urlink.simulated_time(**_wanted(request, "simulated_time")) as simulation:
+        yield simulation
 
 
 @pytest.fixture

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     )
     from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
     from linkcore.recording.table import Table as Table
+    from linkcore.simulated.takeover import Simulation as Simulation, simulated_time as simulated_time
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
     from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
@@ -100,6 +101,7 @@ else:
             """,
             "linkcore.handle": "Handle Motion Phase",
             "linkcore.recording.table": "Table",
+            "linkcore.simulated.takeover": "Simulation simulated_time",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "ConnectionEvent ConnectionState",

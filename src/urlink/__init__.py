@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from linkcore.realtime import RealtimeReport as RealtimeReport, realtime_options as realtime_options
     from linkcore.recording.recorder import Recorder as Recorder
     from linkcore.recording.table import Table as Table
+    from linkcore.simulated.takeover import Simulation as Simulation, simulated_time as simulated_time
     from linkcore.stamp import Stamp as Stamp
     from linkcore.streaming.backoff import Backoff as Backoff
     from linkcore.streaming.events import (
@@ -181,6 +182,7 @@ else:
             "linkcore.realtime": "RealtimeReport realtime_options",
             "linkcore.recording.recorder": "Recorder",
             "linkcore.recording.table": "Table",
+            "linkcore.simulated.takeover": "Simulation simulated_time",
             "linkcore.stamp": "Stamp",
             "linkcore.streaming.backoff": "Backoff",
             "linkcore.streaming.events": "Chunk ConnectionEvent ConnectionState Traffic",

@@ -143,15 +143,16 @@ def test_two_robots() -> None:
 
 
 @pytest.mark.slow
-def test_test_your_own_program() -> None:
+@pytest.mark.parametrize(("name", "passed"), [("test_your_own_program.py", 7), ("simulated_cell.py", 4)])
+def test_examples_of_tests(name: str, passed: int) -> None:
     """In the checkout, with pytest and without the plugins of the project's own tests."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "examples/test_your_own_program.py"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"examples/{name}"]
     env = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     done = subprocess.run(
         command, cwd=EXAMPLES.parent, env=env, capture_output=True, text=True, timeout=50, check=False
     )
     assert done.returncode == 0, done.stdout
-    assert "7 passed" in done.stdout
+    assert f"{passed} passed" in done.stdout
 
 
 def test_move_and_wait() -> None:

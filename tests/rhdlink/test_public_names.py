@@ -68,6 +68,7 @@ NAMES = [
     "Read",
     "RemoteError",
     "Scaled",
+    "Simulation",
     "Smr",
     "Stamp",
     "Structure",
@@ -92,6 +93,7 @@ NAMES = [
     "latest",
     "load",
     "read_config",
+    "simulated_time",
 ]
 
 

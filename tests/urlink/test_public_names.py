@@ -113,6 +113,7 @@ NAMES = [
     "Scripts",
     "Servo",
     "ServoStatistics",
+    "Simulation",
     "SingularityInfo",
     "Stamp",
     "State",
@@ -150,6 +151,7 @@ NAMES = [
     "latest",
     "load",
     "realtime_options",
+    "simulated_time",
 ]
 
 

@@ -159,7 +159,8 @@ class Run:
             with self.sim.on(self.computers[number]):
                 thread.start()
         for number, thread in enumerate(threads):
-            thread.join(LIMIT / 2)
+            while number not in self.gone and thread.is_alive() and self.sim.now < LIMIT / 2:
+                thread.join(1.0)
             if thread.is_alive() and number not in self.gone:
                 self.watch.fault(f"client {number} has not come to its end\n{self.sim.stacks()}")
         for hand in self.hands:
@@ -167,7 +168,9 @@ class Run:
         time.sleep(2 * BRAKING)
         with self.sim.on(self.robot):
             self.controller.close()
-        left = [name for name in self.sim.threads if not any(name.startswith(f"client {number}") for number in self.gone)]
+        left = [
+            name for name in self.sim.threads if not any(name.startswith(f"client {number}") for number in self.gone)
+        ]
         if left and not self.gone:
             self.watch.fault(f"threads are left: {left}")
         if not self.gone and self.sim.open_sockets:

@@ -21,6 +21,8 @@ __all__ = ["BUFFER", "Computer", "End", "Listener", "Network", "Route"]
 BUFFER = 128 * 1024
 #: Seconds until something is sent again for the first time, and at most.
 _RETRANSMIT = (0.2, 60.0)
+#: Seconds between two looks at what is not acknowledged, so that rounding cannot keep the clock where it is.
+_LEAST = 1e-4
 #: Seconds after which a connection is given up that nobody answers (Linux: tcp_syn_retries 6).
 _CONNECT = 127.0
 
@@ -300,8 +302,8 @@ class End:
         scheduler = self.network.scheduler
         pause = self._retransmit
         if self.user_timeout:
-            pause = min(pause, max(self._oldest + self.user_timeout - scheduler.now, 0.0))
-        scheduler.call_at(scheduler.now + pause, self._look)
+            pause = min(pause, self._oldest + self.user_timeout - scheduler.now)
+        scheduler.call_at(scheduler.now + max(pause, _LEAST), self._look)
 
     def _look(self) -> None:
         self._is_retransmitting = False
@@ -389,9 +391,14 @@ class Network:
         """Whether a packet that arrives now does so."""
         return source.is_on and not self.route(source, target).is_silent
 
+    def silence(self, source: Computer, target: Computer) -> None:
+        """Lose every packet in one direction, until `mend`."""
+        self.route(source, target).is_silent = True
+
     def cut(self, one: Computer, other: Computer) -> None:
         """Lose every packet between two computers, in both directions, until `mend`."""
-        self.route(one, other).is_silent = self.route(other, one).is_silent = True
+        self.silence(one, other)
+        self.silence(other, one)
 
     def mend(self, one: Computer, other: Computer) -> None:
         """Carry packets again."""

@@ -8,6 +8,7 @@ import gc
 import os
 import queue
 import random
+import re
 import select
 import selectors
 import socket
@@ -19,6 +20,7 @@ from concurrent.futures import thread as _pool
 from types import ModuleType
 from typing import Any
 
+from ..errors import BadValue, LocalError
 from . import primitives
 from .network import Computer, Network, Route
 from .scheduler import STEP, Scheduler, current, install
@@ -40,6 +42,10 @@ _KEPT = (
     "xdist",
     "execnet",
 )
+
+#: What can happen to a computer, and how it is written.
+_OF_COMPUTERS = ("suspend", "resume", "kill", "power_off", "power_on")
+_FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 
 #: Methods of `threading.Thread` that are replaced.
 _METHODS = ("start", "join", "is_alive")
@@ -108,6 +114,42 @@ class Simulation:
         """Call something at a time of the simulation, such as `computer.suspend`. It must not wait."""
         self._scheduler.call_at(seconds, call)
 
+    def schedule(self, *faults: str) -> None:
+        """Have faults happen to a computer, or to its cable: `schedule("cut=robot@5", "mend=robot@5.5")`.
+
+        Each is `NAME=COMPUTER@SECONDS`, in seconds since the block began. Of the cable between that computer and the
+        one of the block: `cut` (every packet is lost), `cut_to` and `cut_from` (in one direction), `mend`, `reset`
+        (every connection is reset at both ends). Of the computer: `suspend` and `resume` (its program; its kernel goes
+        on), `kill` (its program), `power_off`, `power_on`.
+
+        Raises:
+            BadValue: no such fault, no such computer, or no such time.
+        """
+        for text in faults:
+            match = _FAULT.fullmatch(text)
+            if match is None:
+                raise BadValue(f"{text!r} is no fault; expected NAME=COMPUTER@SECONDS, such as 'cut=robot@5'")
+            name, computer, seconds = match.groups()
+            if computer not in self.network.computers:
+                raise BadValue(f"{text!r}: there is no computer {computer!r}, but {', '.join(self.network.computers)}")
+            self.at(float(seconds), self._fault(name, self.network.computers[computer], text))
+
+    def _fault(self, name: str, there: Computer, text: str) -> Callable[[], object]:
+        network, here = self.network, self.here
+        of_cables: dict[str, Callable[[], object]] = {
+            "cut": lambda: network.cut(here, there),
+            "cut_to": lambda: network.silence(here, there),
+            "cut_from": lambda: network.silence(there, here),
+            "mend": lambda: network.mend(here, there),
+            "reset": lambda: network.reset(here, there),
+        }
+        if name in of_cables:
+            return of_cables[name]
+        if name not in _OF_COMPUTERS:
+            raise BadValue(f"{text!r}: no such fault; there are {', '.join([*of_cables, *_OF_COMPUTERS])}")
+        call: Callable[[], object] = getattr(there, name)
+        return call
+
     def stacks(self) -> str:
         """What every thread is doing."""
         return self._scheduler.stacks()
@@ -131,10 +173,10 @@ def simulated_time(
     Raises:
         Deadlock: every thread waits for another one, without a deadline.
         TimeLimit: see `limit`.
-        RuntimeError: a simulation goes on already.
+        LocalError: time is simulated already.
     """
     if current() is not None:
-        raise RuntimeError("time is simulated already")
+        raise LocalError("time is simulated already: one block cannot be inside another")
     scheduler = Scheduler(seed, limit)
     network = Network(scheduler, Route(latency, jitter))
     here = network.add("here", "192.168.0.1")

@@ -17,6 +17,7 @@ from concurrent.futures import TimeoutError as FutureTimeout
 
 import pytest
 
+from linkcore.errors import BadValue, LocalError
 from linkcore.simulated import Deadlock, Simulation, TimeLimit, simulated_time
 
 
@@ -299,7 +300,7 @@ def test_everything_is_put_back() -> None:
 
 
 def test_one_at_a_time() -> None:
-    with simulated_time(), pytest.raises(RuntimeError, match="already"), simulated_time():
+    with simulated_time(), pytest.raises(LocalError, match="already"), simulated_time():
         pass
 
 
@@ -336,3 +337,30 @@ def test_a_suspended_computer_takes_no_step() -> None:
         sim.at(7.25, other.resume)
         thread.join()
         assert seen == [1, 2, 3, 7.25, 8.25, 9.25, 10.25, 11.25, 12.25, 13.25]
+
+
+def test_faults_by_name() -> None:
+    with simulated_time() as sim:
+        robot = sim.computer("robot", "192.168.0.2")
+        to, back = sim.network.route(sim.here, robot), sim.network.route(robot, sim.here)
+        sim.schedule(
+            "cut=robot@1", "mend=robot@2", "cut_to=robot@3", "mend=robot@4", "cut_from=robot@5", "suspend=robot@6.5"
+        )
+        seen = []
+        for _ in range(6):
+            time.sleep(1.0)
+            time.sleep(1e-3)
+            seen.append((to.is_silent, back.is_silent, robot.is_running))
+        assert seen == [
+            (True, True, True),
+            (False, False, True),
+            (True, False, True),
+            (False, False, True),
+            (False, True, True),
+            (False, True, True),
+        ]
+        time.sleep(1.0)
+        assert not robot.is_running
+        for wrong in ("cut", "cut=robot", "cut=robot@soon", "cut=nobody@1", "shake=robot@1", "cut=robot@-1"):
+            with pytest.raises(BadValue, match=wrong.partition("=")[0]):
+                sim.schedule(wrong)
