@@ -56,15 +56,15 @@ def carried(seed: int, parts: int, *faults: str) -> tuple[int, float, int]:
         return count, took, sim.trace
 
 
-@pytest.mark.parametrize("pulled", [0.05, 1.0, 2.4])
+@pytest.mark.parametrize("pulled", [0.05, 1.0])
 def test_it_goes_on_when_the_cable_is_pulled(pulled: float) -> None:
-    count, took, _ = carried(1, 2, f"cut=cell@{pulled:.2f}", f"mend=cell@{pulled + 2.0:.2f}")
-    assert count == 2
-    assert took < 30.0
+    count, took, _ = carried(1, 1, f"cut=cell@{pulled:.2f}", f"mend=cell@{pulled + 1.0:.2f}")
+    assert count == 1
+    assert took < 15.0
 
 
 def test_the_same_seed_is_the_same_run() -> None:
-    faults = "cut=cell@1.5", "mend=cell@2.5"
+    faults = "reset=cell@1.5", "suspend=cell@2", "resume=cell@2.2"
     assert carried(7, 1, *faults) == carried(7, 1, *faults)
 
 

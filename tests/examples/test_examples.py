@@ -143,7 +143,7 @@ def test_two_robots() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "passed"), [("test_your_own_program.py", 7), ("simulated_cell.py", 4)])
+@pytest.mark.parametrize(("name", "passed"), [("test_your_own_program.py", 7), ("simulated_cell.py", 3)])
 def test_examples_of_tests(name: str, passed: int) -> None:
     """In the checkout, with pytest and without the plugins of the project's own tests."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"examples/{name}"]
