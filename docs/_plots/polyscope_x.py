@@ -10,7 +10,7 @@ from urlink.firmware import NEWEST, Firmware
 from urlink.interfaces.dashboard.commands import COMMANDS
 from urlink.interfaces.dashboard.robot_api import REQUESTS
 
-SIZE = (7.0, 4.6)
+SIZE = (7.0, 6.4)
 #: What a command is answered by.
 NOTHING, DASHBOARD_SERVER, ROBOT_API = range(3)
 COLOURS = ListedColormap(["#e2e8f0", "#2b6cb0", "#2f855a"])
@@ -27,7 +27,7 @@ def answered(command: str, firmware: Firmware) -> int:
 
 def draw(figure: Figure) -> str:
     """One column for each release, one row for each command that the Robot API has, and one for the others."""
-    releases = [NEWEST, *(Firmware(10, minor) for minor in range(7, 14))]
+    releases = [NEWEST, *(Firmware(10, minor) for minor in range(7, 15))]
     shared = [command for command in COMMANDS if command in REQUESTS]
     others = sum(command.e is not None for command in COMMANDS.values()) - len(shared)
     grid = [[answered(command, release) for release in releases] for command in shared]

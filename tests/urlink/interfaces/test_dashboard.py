@@ -208,7 +208,6 @@ def test_no_program_is_loaded(opened: Opened) -> None:
     [
         (lambda d: d.load("no.urp"), "load no.urp", "File not found: no.urp"),
         (lambda d: d.play(), "play", "Failed to execute: play"),
-        (lambda d: d.stop(), "stop", "Failed to execute: stop"),
         (lambda d: d.pause(), "pause", "Failed to execute: pause"),
     ],
 )

@@ -26,9 +26,10 @@ from urlink.interfaces.dashboard.stored_programs import StoredProgram, encode_fo
 from urlink.interfaces.enums import ProgramState, RobotMode, SafetyMode
 from urlink.ports import PORTS
 from urlink.simulator import Controller, Still
+from urlink.simulator.robot.modes import Power
 
 FILES = {"pick": "while True:\n  sync()\nend\n"}
-X12, X11, X7 = Firmware(10, 12), Firmware(10, 11), Firmware(10, 7)
+X14, X12, X11, X7 = Firmware(10, 14), Firmware(10, 12), Firmware(10, 11), Firmware(10, 7)
 
 
 @pytest.fixture(scope="module")
@@ -194,11 +195,12 @@ def test_a_list_of_programs_holds_nulls_and_is_looked_at() -> None:
 
 #: Commands that the Robot API does not have, and what the error has to name.
 LACKING: list[tuple[Callable[[Dashboard], object], str]] = [
-    (lambda desk: desk.popup("x"), "has nothing for 'popup'; robot.popup"),
-    (lambda desk: desk.close_popup(), "'close popup'"),
-    (lambda desk: desk.add_to_log("x"), "'addToLog'"),
-    (lambda desk: desk.robot_model(), "'get robot model'; robot.model"),
-    (lambda desk: desk.serial_number(), "'get serial number'"),
+    (lambda desk: desk.popup("x"), "has 'popup' is 10.14; robot.popup"),
+    (lambda desk: desk.close_popup(), "has 'close popup' is 10.14"),
+    (lambda desk: desk.add_to_log("x"), "has 'addToLog' is 10.14"),
+    (lambda desk: desk.robot_model(), "has 'get robot model' is 10.14; robot.model"),
+    (lambda desk: desk.serial_number(), "has 'get serial number' is 10.14"),
+    (lambda desk: desk.save_log(), "has nothing for 'saveLog'"),
     (lambda desk: desk.running(), r"'running'; program_state\(\)"),
     (lambda desk: desk.version(), "'version'; robot.firmware"),
     (lambda desk: desk.set_operational_mode("manual"), "'set operational mode'"),
@@ -249,6 +251,44 @@ def test_10_11_loads_by_another_request_and_10_7_serves_nothing() -> None:
         until(lambda: controller.is_up and controller.firmware == X7)
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection((controller.host, controller.ports["robot_api"]), 5)
+
+
+def test_10_14_has_popups_the_log_and_who_it_is() -> None:
+    with (
+        Controller("UR5e", "10.14", serial="20265500001") as controller,
+        urlink.connect(controller.address) as robot,
+    ):
+        desk = robot.dashboard
+        desk.popup("hello")
+        assert controller.pendant.popup == "hello"
+        desk.close_popup()
+        assert controller.pendant.popup is None
+        desk.close_safety_popup()
+        desk.add_to_log("something")
+        assert controller.pendant.log == ["something"]
+        assert (desk.polyscope_version(), desk.robot_model(), desk.serial_number()) == (
+            "10.14.0",
+            "UR5e",
+            "20265500001",
+        )
+        assert desk.generate_flight_report() == ""
+        with pytest.raises(BadValue, match="'popup' needs a text"):
+            desk.popup("")
+        with pytest.raises(LocalError, match=r"'set operational mode'; what 10\.14 wants for it is not known"):
+            desk.set_operational_mode("manual")
+        # As the vendor's client asks: with a title, and for all that stands there at once.
+        body = json.dumps({"title": "Attention", "message": "here"}).encode()
+        assert asked(controller, "POST", f"{BASE}/popup/v1", body)[0] == 200
+        assert controller.pendant.popup == "here"
+        information = asked(controller, "GET", f"{BASE}/system/v1/information")[1]
+        assert information == {"robotType": "UR5e", "serialNumber": "20265500001"}
+        assert asked(controller, "GET", f"{BASE}/openapi.json")[1]["info"]["version"] == "5.0.107"
+        controller.remote_control = False
+        with pytest.raises(DashboardRefused, match=r"PUT /system/v1/shutdown.*403"):
+            desk.shutdown()
+        controller.remote_control = True
+        desk.shutdown()
+        until(lambda: controller.modes.power is Power.OFF)
 
 
 def test_a_refused_connection_says_that_the_service_may_be_off() -> None:
@@ -309,7 +349,7 @@ def test_answers_in_the_words_of_the_dashboard(name: str, body: dict[str, Any], 
 def test_any_answer_is_read_or_refused(name: str, body: bytes) -> None:
     for status in (200, 500):
         try:
-            words = RobotApi(Answering(body, status), 1.0).do(name, "pick", X12)
+            words = RobotApi(Answering(body, status), 1.0).do(name, "pick", X14)
         except (PacketError, DashboardRefused):
             continue
         assert isinstance(words, str)

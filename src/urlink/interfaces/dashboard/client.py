@@ -346,8 +346,12 @@ class Dashboard:
     # -- reports -------------------------------------------------------------------------------------
 
     def generate_flight_report(self, kind: FlightReport = "system") -> str:
-        """Write a flight report, which takes up to three minutes; returns its id."""
-        return parse_text("generate flight report", self._do("generate flight report", kind))
+        """Write a flight report, which takes up to three minutes; returns its id.
+
+        PolyScope X knows no kinds, and what it answers is not known here: the id is empty then.
+        """
+        reply = self._do("generate flight report", kind)
+        return parse_text("generate flight report", reply) if reply else ""
 
     def generate_support_file(self, directory: str) -> str:
         """Write a support file to a directory of the controller's, which takes up to ten minutes; returns its name."""

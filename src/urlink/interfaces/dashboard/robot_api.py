@@ -2,12 +2,14 @@
 
 PolyScope X has no dashboard server. From 10.11 on it takes HTTP requests with bodies in JSON instead. The table has
 them by the names of the dashboard's commands, and the answers are translated into replies of the dashboard server, so
-that `Dashboard` reads both alike. Source: the vendor's own client library (docs/protocols/dashboard.md, Robot API).
-What is not in it:
+that `Dashboard` reads both alike. Source: the vendor's own client library (docs/protocols/dashboard.md, Robot API), for
+the requests of 10.14 its state of 2026-08. What is not in it:
 
 - which of the emergency stops is meant by EMERGENCY_STOP: taken as the robot's own;
 - that `play` does not go on with a paused program: `resume` is sent where it is paused;
-- the answer where no program is loaded: an empty body, an empty name and null are all taken as none.
+- the answer where no program is loaded: an empty body, an empty name and null are all taken as none;
+- the body that sets the operational mode, for which 10.14 has a path: it is not sent;
+- what the answer to a flight report holds: it is not read.
 """
 
 from __future__ import annotations
@@ -44,9 +46,10 @@ class ApiRequest:
     """One request.
 
     Attributes:
-        method: GET or PUT.
+        method: GET, PUT, POST or DELETE.
         path: below `BASE`.
-        body: JSON object; an empty value is the command's argument.
+        body: JSON object; an empty value is the command's argument, None any text, which is sent empty. No object:
+            nothing is sent.
         reply: name of the member of the answer that is returned; empty for none.
         words: the answer in the dashboard server's words, with the member in it.
         names: values of the member -> what the dashboard server calls them.
@@ -57,7 +60,7 @@ class ApiRequest:
 
     method: str
     path: str
-    body: Mapping[str, str] = field(default_factory=dict)
+    body: Mapping[str, str | None] = field(default_factory=dict)
     reply: str = ""
     words: str = "{}"
     names: Mapping[str, str] = field(default_factory=dict)
@@ -72,6 +75,12 @@ def _change(action: str, slow: float = 0.0) -> tuple[ApiRequest]:
 
 def _program(action: str) -> tuple[ApiRequest]:
     return (ApiRequest("PUT", _PROGRAM, {"action": action}, slow=15.0),)
+
+
+def _since_10_14(
+    method: str, path: str, body: Mapping[str, str | None] = MappingProxyType({}), reply: str = "", slow: float = 0.0
+) -> tuple[ApiRequest]:
+    return (ApiRequest(method, path, body, reply, since=(10, 14), slow=slow),)
 
 
 def _mode(path: str, words: str = "{}", names: Mapping[str, str] = MappingProxyType({})) -> tuple[ApiRequest]:
@@ -101,6 +110,15 @@ REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
         "safetymode": _mode("/robotstate/v1/safetymode", "Safetymode: {}", {"EMERGENCY_STOP": "ROBOT_EMERGENCY_STOP"}),
         "is in remote control": _mode("/system/v1/controlmode"),
         "get operational mode": _mode("/system/v1/operationalmode"),
+        "popup": _since_10_14("POST", "/popup/v1", {"title": None, "message": ""}),
+        "close popup": _since_10_14("DELETE", "/popup/v1"),
+        "close safety popup": _since_10_14("DELETE", "/popup/v1/safety"),
+        "addToLog": _since_10_14("POST", "/system/v1/log", {"message": ""}),
+        "PolyscopeVersion": _since_10_14("GET", "/versions/v1", reply="marketingVersion"),
+        "get robot model": _since_10_14("GET", "/system/v1/information", reply="robotType"),
+        "get serial number": _since_10_14("GET", "/system/v1/information", reply="serialNumber"),
+        "shutdown": _since_10_14("PUT", "/system/v1/shutdown"),
+        "generate flight report": _since_10_14("POST", "/supportfiles/v1", slow=180.0),
     }
 )
 
@@ -109,7 +127,8 @@ _INSTEAD = {
     "running": "program_state() tells whether a program plays",
     "safetystatus": "safety_mode() is there",
     "popup": "robot.popup() shows one by a program",
-    "get serial number": "no interface that is read here has it",
+    "set operational mode": "what 10.14 wants for it is not known here",
+    "clear operational mode": "what 10.14 wants for it is not known here",
     "get robot model": "robot.model has it",
     "version": "robot.firmware has it",
     "PolyscopeVersion": "robot.firmware has it",
@@ -207,7 +226,7 @@ class RobotApi:
         request = find(name, firmware)
         if request is None:
             raise LocalError(_lacking(name, firmware))
-        body = {key: _argument(name, argument) if value == "" else value for key, value in request.body.items()}
+        body = {key: _argument(name, argument) if value == "" else value or "" for key, value in request.body.items()}
         answer = self._ask(request, body, given_up)
         if not request.reply:
             return ""
@@ -257,13 +276,14 @@ def find(name: str, firmware: Firmware) -> ApiRequest | None:
 
 def _argument(name: str, argument: str | None) -> str:
     if not isinstance(argument, str) or not argument.strip():
-        raise BadValue(f"{name!r} needs the name of a program, not {argument!r}")
+        wanted = "a text" if name in ("popup", "addToLog") else "the name of a program"
+        raise BadValue(f"{name!r} needs {wanted}, not {argument!r}")
     return argument
 
 
 def _lacking(name: str, firmware: Firmware) -> str:
     begin = f"firmware {firmware} is PolyScope X, which has no dashboard server"
+    instead = f"; {_INSTEAD[name]}" if name in _INSTEAD else ""
     if name not in REQUESTS:
-        instead = f"; {_INSTEAD[name]}" if name in _INSTEAD else ""
         return f"{begin}, and its Robot API has nothing for {name!r}{instead}"
-    return f"{begin}; the first whose Robot API has {name!r} is {version_text(REQUESTS[name][0].since)}"
+    return f"{begin}; the first whose Robot API has {name!r} is {version_text(REQUESTS[name][0].since)}{instead}"

@@ -72,7 +72,9 @@ class RobotApiPort(AnsweringPort):
         """The answer to a request."""
         path = request.target.partition("?")[0]
         if path == f"{BASE}/openapi.json":
-            version = "3.1.4" if self._state.firmware >= (10, 12) else "3.0.0"
+            # Of the first two by the vendor's client, which asks for them.
+            versions = {(10, 14): "5.0.107", (10, 12): "3.1.4", (10, 11): "3.0.0"}
+            version = next(text for since, text in versions.items() if self._state.firmware >= since)
             return _answer(200, {"openapi": "3.0.3", "info": {"title": "Robot API", "version": version}})
         if path.startswith(BASE + PROGRAMS.rstrip("/")) and self._state.firmware >= STORED_PROGRAMS:
             return self._programs(request, path.removeprefix(BASE + PROGRAMS.rstrip("/")).strip("/"))
@@ -84,8 +86,7 @@ class RobotApiPort(AnsweringPort):
         if not fitting:
             return _refusal(405, f"{request.method} is not taken there")
         if request.method == "GET":
-            ((name, asked),) = fitting.items()
-            return _answer(200, {asked.reply: self._value(name)})
+            return _answer(200, {asked.reply: self._value(name) for name, asked in fitting.items()})
         return self._change(fitting, request.body)
 
     def _programs(self, request: HttpRequest, name: str) -> HttpResponse:
@@ -137,13 +138,15 @@ class RobotApiPort(AnsweringPort):
 
     def _change(self, fitting: Mapping[str, ApiRequest], body: bytes) -> HttpResponse:
         try:
-            said = json.loads(body)
+            said = json.loads(body) if body else {}
         except (ValueError, RecursionError):
             said = None
         if not isinstance(said, dict):
             return _refusal(400, "the body is no object in JSON")
         for name, request in fitting.items():
-            if all(isinstance(said.get(key), str) and value in ("", said[key]) for key, value in request.body.items()):
+            if all(
+                isinstance(said.get(key), str) and value in ("", None, said[key]) for key, value in request.body.items()
+            ):
                 argument = next((str(said[key]) for key, value in request.body.items() if value == ""), "")
                 return self._carry_out(_COMMANDS.get(name, name), argument)
         return _refusal(400, f"the body asks for nothing that is known: {str(said)[:200]}")
@@ -170,6 +173,12 @@ class RobotApiPort(AnsweringPort):
             return state.loaded or ""
         if name == "is in remote control":
             return "REMOTE" if state.remote_control else "LOCAL"
+        if name == "PolyscopeVersion":
+            return ".".join(map(str, state.firmware[:3]))
+        if name == "get robot model":
+            return state.model.name
+        if name == "get serial number":
+            return state.serial
         return self.operational_mode
 
 
