@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 from ..arguments import check_callable, check_seconds
 from ..streaming.events import ConnectionState
 from ..streaming.feed import Feed
-from ..streaming.policy import Policy, drop_oldest, latest
+from ..streaming.policy import Policy, check_lifespan, drop_oldest, latest
 from ..streaming.statistics import StreamStatistics
 from ..streaming.stream import Stream
 from ..streaming.subscription import Subscription
@@ -91,7 +91,9 @@ class AsyncFeed(Generic[T]):
                     return packet
         raise self._feed._why_none_of(looked_at, timeout)
 
-    def iterate(self, policy: Policy | None = None, timeout: float | None = None) -> Packets[T]:
+    def iterate(
+        self, policy: Policy | None = None, timeout: float | None = None, lifespan: float | None = None
+    ) -> Packets[T]:
         """Iterate with a policy or a timeout of your own; a plain ``async for`` keeps the newest state, or 1024 events.
 
         Ends when the stream is closed, or given up. Without a timeout it waits for as long as the back-off allows for a
@@ -101,6 +103,8 @@ class AsyncFeed(Generic[T]):
             policy: `latest`, `drop_oldest(n)`, or `block`, under which nothing is lost: the loop reads no more from
                 this robot while the task is behind.
             timeout: seconds within which each packet has to come.
+            lifespan: seconds after its arrival for which a packet is worth having; None for ever. One that is older
+                when its turn comes is dropped and counted as `expired`.
 
         Returns:
             The iterator; its `stats` count what was offered, delivered and dropped.
@@ -113,10 +117,10 @@ class AsyncFeed(Generic[T]):
         policy = self._feed._policy(policy, latest)
         if timeout is not None:
             timeout = check_seconds(timeout, "timeout")
-        return self._packets(policy, timeout)
+        return self._packets(policy, timeout, check_lifespan(lifespan))
 
-    def _packets(self, policy: Policy, timeout: float | None) -> Packets[T]:
-        return Packets(self._loop_connection, self._kind, policy, timeout, self._feed._why_nothing, self)
+    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None = None) -> Packets[T]:
+        return Packets(self._loop_connection, self._kind, policy, timeout, self._feed._why_nothing, self, lifespan)
 
     def __aiter__(self) -> Packets[T]:
         return self.iterate()

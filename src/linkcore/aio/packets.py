@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import LocalError
+from ..streaming.packet_queue import is_older
 from ..streaming.policy import Policy
 from ..streaming.statistics import SubscriptionStatistics
 from .loop_connection import LoopConnection
@@ -31,11 +32,13 @@ class LoopQueue:
             queue is full, until it is half empty. What was read in the same moment, at most 64 KiB, is still taken in,
             so up to some 60 packets more than the limit can wait.
         connection: is read no more when the queue is full.
+        lifespan: seconds after its arrival for which a packet can be taken; None for ever.
 
     Attributes:
         offered: packets that came here.
         taken: packets that the task took.
-        dropped: packets thrown away: one too many, or waiting when the queue was closed.
+        dropped: packets thrown away: one too many, too old, or waiting when the queue was closed.
+        expired: those of them that were older than the lifespan when their turn came.
         evicts: drops the oldest when it is full, rather than reading no more.
         is_over: `next` has said that no more will come.
     """
@@ -43,8 +46,9 @@ class LoopQueue:
     #: A queue is never in the way of another, so it is served before the callbacks.
     is_inline = False
 
-    def __init__(self, policy: Policy, connection: LoopConnection) -> None:
-        self.offered = self.taken = self.dropped = 0
+    def __init__(self, policy: Policy, connection: LoopConnection, lifespan: float | None = None) -> None:
+        self.offered = self.taken = self.dropped = self.expired = 0
+        self._lifespan = lifespan
         self.evicts = policy.evicts
         self.is_over = False
         self._limit = policy.limit
@@ -91,13 +95,16 @@ class LoopQueue:
 
     def take(self) -> Any | None:
         """A packet that has come, or None."""
-        if not self._packets:
-            return None
-        self.taken += 1
-        packet = self._packets.popleft()
-        if len(self._packets) <= self._limit // 2:
-            self._connection.release(self)
-        return packet
+        while self._packets:
+            packet = self._packets.popleft()
+            if len(self._packets) <= self._limit // 2:
+                self._connection.release(self)
+            if self._lifespan is None or not is_older(packet, self._lifespan):
+                self.taken += 1
+                return packet
+            self.dropped += 1
+            self.expired += 1
+        return None
 
     async def next(self, timeout: float | None = None) -> Any | None:
         """Wait for a packet and take it; None when time is up, or when no more will come: `is_over` tells which.
@@ -118,7 +125,7 @@ class LoopQueue:
             raise LocalError("another task waits for packets of this iterator; give each task one of its own")
         loop = asyncio.get_running_loop()
         try:
-            while not self._packets:
+            while (packet := self.take()) is None:
                 if self._is_ended:
                     self.is_over = True
                     return None
@@ -132,7 +139,7 @@ class LoopQueue:
             self._waiter = None
             if timer is not None:
                 timer.cancel()
-        return self.take()
+        return packet
 
 
 class Packets(Generic[T]):
@@ -147,6 +154,7 @@ class Packets(Generic[T]):
         policy: what to do when the task falls behind.
         timeout: seconds within which each has to come; None for ever.
         why_nothing: what to raise when it did not.
+        lifespan: seconds after its arrival for which a packet is worth having; None for ever.
     """
 
     def __init__(
@@ -157,6 +165,7 @@ class Packets(Generic[T]):
         timeout: float | None,
         why_nothing: Callable[[float], Exception],
         owner: object,
+        lifespan: float | None = None,
     ) -> None:
         self._connection = connection
         self._kind = kind
@@ -164,7 +173,7 @@ class Packets(Generic[T]):
         self._why_nothing = why_nothing
         self._owner = owner  # keeps the stream from being collected
         self._expand: Callable[[Any], Iterable[T]] | None = connection.fan_out.expander(kind)
-        self._queue = LoopQueue(policy, connection)
+        self._queue = LoopQueue(policy, connection, lifespan)
         self._parts: deque[T] = deque()  # of the packet that was taken last
         self._is_open = False
         self._missed = 0
@@ -173,7 +182,9 @@ class Packets(Generic[T]):
     def stats(self) -> SubscriptionStatistics:
         """The counters at this moment; ``offered == delivered + dropped + waiting``."""
         queue = self._queue
-        return SubscriptionStatistics(queue.offered, queue.taken, queue.dropped, 0, queue.waiting, self._missed)
+        return SubscriptionStatistics(
+            queue.offered, queue.taken, queue.dropped, 0, queue.waiting, self._missed, queue.expired
+        )
 
     def __aiter__(self) -> Self:
         return self

@@ -295,13 +295,13 @@ class Connection:
 
     # -- subscribers -----------------------------------------------------------------------------
 
-    def open_queue(self, kind: type, policy: Policy) -> PacketQueue:
+    def open_queue(self, kind: type, policy: Policy, lifespan: float | None = None) -> PacketQueue:
         """A queue of packets that are or hold a `kind`; connects if nothing has yet. See `close_queue`.
 
         Raises:
             RemoteError, LocalError, Closed: as `start`.
         """
-        queue = PacketQueue(policy)
+        queue = PacketQueue(policy, lifespan)
         self._join(queue, kind)
         return queue
 
@@ -327,6 +327,7 @@ class Connection:
         callback: Callable[[Any], object],
         *,
         policy: Policy,
+        lifespan: float | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
         gather: float = 0.0,
@@ -337,7 +338,7 @@ class Connection:
         Raises:
             RemoteError, LocalError, Closed: as `start`; LocalError also where there is no thread for the callback.
         """
-        queue = self.open_queue(kind, policy)
+        queue = self.open_queue(kind, policy, lifespan)
         options = self._options(kind, deadline, on_deadline)
         try:
             delivery = ThreadedDelivery(queue, callback, gather=gather, **options)

@@ -12,7 +12,7 @@ from ..wire.packet import State
 from .connection import Connection
 from .events import ConnectionEvent, ConnectionState
 from .history import History
-from .policy import Policy, block, check_policy, drop_oldest, latest
+from .policy import Policy, block, check_lifespan, check_policy, drop_oldest, latest
 from .subscription import Subscription
 
 __all__ = ["Feed"]
@@ -103,11 +103,18 @@ class Feed(Generic[T]):
             connection.close_queue(queue)
         raise self._why_none_of(looked_at, timeout)
 
-    def iterate(self, policy: Policy | None = None, timeout: float | None = None) -> Iterator[T]:
+    def iterate(
+        self, policy: Policy | None = None, timeout: float | None = None, lifespan: float | None = None
+    ) -> Iterator[T]:
         """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
 
         Ends when the stream is closed, or a recording is over. Without a timeout it waits for as long as the back-off
         allows for a robot that went away; `ConnectionEvent` tells of that.
+
+        Args:
+            policy: what to do when the loop falls behind, as for `subscribe`.
+            timeout: seconds within which each packet has to come.
+            lifespan: as for `subscribe`.
 
         Raises:
             BadValue: no policy, or no number of seconds.
@@ -118,13 +125,14 @@ class Feed(Generic[T]):
         policy = self._policy(policy, latest)
         if timeout is not None:
             timeout = check_seconds(timeout, "timeout")
+        lifespan = check_lifespan(lifespan)
         self._connection.refuse_to_wait("iterating")
-        return self._packets(policy, timeout)
+        return self._packets(policy, timeout, lifespan)
 
-    def _packets(self, policy: Policy, timeout: float | None) -> Iterator[T]:
+    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Iterator[T]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
-        queue = connection.open_queue(kind, policy)
+        queue = connection.open_queue(kind, policy, lifespan)
         take = queue.next
         try:
             while True:
@@ -151,6 +159,7 @@ class Feed(Generic[T]):
         callback: Callable[[T], object],
         *,
         policy: Policy | None = None,
+        lifespan: float | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
         inline: bool = False,
@@ -166,6 +175,8 @@ class Feed(Generic[T]):
             callback: gets each packet.
             policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by default
                 `drop_oldest(256)`, and 1024 for events. An inline callback has no queue, so it takes none.
+            lifespan: seconds after its arrival for which a packet is worth having; None for ever. One that is older
+                when its turn comes is dropped and counted as `expired`. Inline there is none: nothing waits.
             deadline: seconds within which a packet has to come.
             on_deadline: called with the seconds since the last packet, once for each time that it is longer than
                 `deadline`; by default the log gets a warning. Inline, it has a thread of its own.
@@ -184,14 +195,23 @@ class Feed(Generic[T]):
             check_callable(on_deadline, "on_deadline")
             if deadline is None:
                 raise BadValue("on_deadline was given without a deadline")
+        lifespan = check_lifespan(lifespan)
         connection, kind, owner = self._connection, self._kind, self._owner
         if inline:
-            if policy is not None:
-                raise BadValue("an inline callback has no queue in which packets could wait, so it takes no policy")
+            if policy is not None or lifespan is not None:
+                raise BadValue(
+                    "an inline callback has no queue in which packets could wait, so it takes no policy and no lifespan"
+                )
             return connection.subscribe_inline(kind, callback, deadline=deadline, on_deadline=on_deadline, owner=owner)
         policy = self._policy(policy, drop_oldest(256))
         return connection.subscribe(
-            kind, callback, policy=policy, deadline=deadline, on_deadline=on_deadline, owner=owner
+            kind,
+            callback,
+            policy=policy,
+            lifespan=lifespan,
+            deadline=deadline,
+            on_deadline=on_deadline,
+            owner=owner,
         )
 
     def history(self, seconds: float) -> History:

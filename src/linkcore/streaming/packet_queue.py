@@ -21,7 +21,13 @@ from typing import Any
 
 from .policy import Policy
 
-__all__ = ["PacketQueue"]
+__all__ = ["PacketQueue", "is_older"]
+
+
+def is_older(packet: Any, lifespan: float) -> bool:
+    """Whether a packet arrived more than so many seconds ago, by the monotonic clock; one without a stamp did not."""
+    received = packet.received
+    return received is not None and time.monotonic() - received.monotonic > lifespan
 
 
 class PacketQueue:
@@ -32,17 +38,21 @@ class PacketQueue:
 
     Args:
         policy: what to do when the consumer falls behind.
+        lifespan: seconds after its arrival (`received`) for which a packet can be taken; None for ever.
 
     Attributes:
         offered: packets that were offered to this queue.
+        expired: those of `dropped` that were older than the lifespan when their turn came.
         evicts: drops the oldest when it is full, rather than making the reader wait.
     """
 
     #: A queue is never in the way of another, so the reader serves it before the callbacks that it calls itself.
     is_inline = False
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy, lifespan: float | None = None) -> None:
         self.offered = 0
+        self.expired = 0  # raised by the consumer
+        self._lifespan = lifespan
         self.evicts = policy.evicts
         self._limit = policy.limit
         self._packets: deque[Any] = deque()
@@ -61,8 +71,8 @@ class PacketQueue:
 
     @property
     def dropped(self) -> int:
-        """Packets thrown away: one too many, or waiting when the queue was closed."""
-        return self._evicted + self._discarded
+        """Packets thrown away: one too many, too old, or waiting when the queue was closed."""
+        return self._evicted + self._discarded + self.expired
 
     @property
     def waiting(self) -> int:
@@ -150,6 +160,9 @@ class PacketQueue:
                 if self._reader_sleeps and len(packets) <= self._limit // 2:
                     self._reader_sleeps = False
                     self._to_reader.put(None)
+                if self._lifespan is not None and is_older(packet, self._lifespan):
+                    self.expired += 1
+                    continue
                 return packet
             if self._is_ended:
                 self._is_over = True

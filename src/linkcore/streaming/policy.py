@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ..arguments import check_seconds
 from ..errors import BadValue
 
-__all__ = ["Policy", "block", "check_policy", "drop_oldest", "latest"]
+__all__ = ["Policy", "block", "check_lifespan", "check_policy", "drop_oldest", "latest"]
 
 
 @dataclass(frozen=True)
@@ -56,3 +57,12 @@ def check_policy(value: Any) -> Policy:
     if not isinstance(value, Policy):
         raise BadValue(f"policy={value!r}; expected latest, drop_oldest(n) or block, the objects and not their names")
     return value
+
+
+def check_lifespan(value: Any) -> float | None:
+    """Seconds after its arrival for which a packet is worth having; None for ever.
+
+    Raises:
+        BadValue: it is no positive number of seconds.
+    """
+    return None if value is None else check_seconds(value, "lifespan", positive=True)

@@ -76,10 +76,11 @@ class SubscriptionStatistics:
     Attributes:
         offered: packets that came for it.
         delivered: packets that its callback took.
-        dropped: packets thrown away, because it fell behind or was closed.
+        dropped: packets thrown away, because it fell behind or was closed, or because they had expired.
         raised: packets whose callback raised.
         waiting: packets in its queue, and the one in its callback.
         missed_deadlines: how often nothing came in time.
+        expired: packets among `dropped` that were older than the lifespan when they would have been delivered.
     """
 
     offered: int
@@ -88,6 +89,7 @@ class SubscriptionStatistics:
     raised: int
     waiting: int
     missed_deadlines: int
+    expired: int = 0
 
 
 #: Seconds that a look at counters waits for a thread that is between two of them: four turns of Python's threads.

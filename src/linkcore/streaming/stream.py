@@ -94,13 +94,16 @@ class Stream(Feed[T]):
         kind: type | None = None,
         *,
         policy: Policy | None = None,
+        lifespan: float | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
         inline: bool = False,
     ) -> Subscription:
         """As `Feed.subscribe`; with `kind`, to packets of that class: ``of(kind).subscribe(...)``."""
         feed: Feed[Any] = self.of(self._kind if kind is None else kind)
-        return feed.subscribe(callback, policy=policy, deadline=deadline, on_deadline=on_deadline, inline=inline)
+        return feed.subscribe(
+            callback, policy=policy, lifespan=lifespan, deadline=deadline, on_deadline=on_deadline, inline=inline
+        )
 
     def join(self, timeout: float | None = None) -> bool:
         """Wait until a recording is over and all of it is delivered; False when time is up.

@@ -160,6 +160,7 @@ class ThreadedDelivery(Delivery):
             raised=self._raised,
             waiting=self._queue.waiting + self._is_calling,
             missed_deadlines=self.missed_deadlines,
+            expired=self._queue.expired,
         )
 
     def close(self, timeout: float) -> None:

@@ -233,8 +233,8 @@ class RemoteRobot:
         """Have a command cancelled, or refused if it comes; without waiting for an answer, which may never come."""
         with contextlib.suppress(zenoh.ZError):  # the session is closed, and with it this client's motions end
             selector = f"{self._key}/command/cancel?client={self.client}"
-            ignore = zenoh.handlers.Callback(lambda reply: None)
-            self._session.get(selector, ignore, payload=json_of({"command": asked}), timeout=self._timeout)
+            ignored: queue.SimpleQueue[zenoh.Reply] = queue.SimpleQueue()
+            self._session.get(selector, ignored.put, payload=json_of({"command": asked}), timeout=self._timeout)
 
     def _asked(self, what: str) -> dict[str, Any]:
         return self._first(f"{self._key}/{what}", self._timeout, None)
