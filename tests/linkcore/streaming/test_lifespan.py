@@ -150,7 +150,9 @@ def test_a_task_that_waits() -> None:
         queue.offer([Packet(3, old)])
         await asyncio.sleep(0)
         queue.offer([Packet(4, Stamp.now())])
-        assert (await waiting).number == 4
+        packet = await waiting
+        assert packet is not None
+        assert packet.number == 4
         assert queue.expired == 4
 
     asyncio.run(asyncio.wait_for(wait(), 20))
