@@ -50,7 +50,7 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
         BadValue: it is no number, not a number (NaN), or below what is allowed.
     """
     try:
-        seconds = math.nan if isinstance(value, (str, bytes)) else float(value)
+        seconds = math.nan if isinstance(value, (bool, str, bytes)) else float(value)
     except (TypeError, ValueError):
         seconds = math.nan
     if (seconds > 0 or (seconds == 0 and not positive)) and not (finite and seconds == math.inf):
@@ -117,7 +117,7 @@ def other_unit(value: float, unit: str, least: float, most: float) -> str:
 
 def check_whole(value: Any, name: str, least: int, most: int) -> None:
     """Raise `BadValue` unless `value` is a whole number from `least` to `most`."""
-    if not isinstance(value, int) or not least <= value <= most:
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise BadValue(f"{name}={value!r}; expected a whole number from {least} to {most}")
 
 

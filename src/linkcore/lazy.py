@@ -41,7 +41,10 @@ def lazy_names(
         if name in of_package:
             return import_module(f".{name}", package)  # which makes it an attribute of the package
         if name not in home:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            from .text import similar  # a package is imported without it
+
+            hint = "" if name.startswith("_") else similar(name, [*public, *of_package])
+            raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
         value = getattr(import_module(home[name], package), name)
         setattr(sys.modules[package], name, value)  # from now on it is found without asking here
         return value

@@ -81,6 +81,7 @@ if TYPE_CHECKING:
         StatementDiscarded as StatementDiscarded,
         ToleranceExceeded as ToleranceExceeded,
     )
+    from .compat.interface import NotOffered as NotOffered
     from .firmware import Firmware as Firmware
     from .interfaces.dashboard.client import Dashboard as Dashboard, DashboardRefused as DashboardRefused
     from .interfaces.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
@@ -145,6 +146,12 @@ if TYPE_CHECKING:
         UnknownSubPackage as UnknownSubPackage,
     )
     from .interfaces.realtime.packets import RealtimeState as RealtimeState
+    from .interfaces.rtde.protocol import (
+        InputInUse as InputInUse,
+        NoSuchVariable as NoSuchVariable,
+        RtdeRefused as RtdeRefused,
+    )
+    from .kinematics.arm import Unreachable as Unreachable
     from .models import UnknownModel as UnknownModel
     from .motion import (
         Circular as Circular,
@@ -198,6 +205,7 @@ else:
             ".commanding.safety": "Safety",
             ".commanding.scripts": "Program Scripts",
             ".data.recording": "Recording load",
+            ".compat.interface": "NotOffered",
             ".decoding": "decode",
             ".errors": """
                 CompileError NoContact NotConfirmed NotEnabled NotRunning ProgramStopped SafetyStop
@@ -223,6 +231,8 @@ else:
                 SubPackage ToolCommunicationInfo ToolData ToolModeInfo UnknownSubPackage
             """,
             ".interfaces.realtime.packets": "RealtimeState",
+            ".interfaces.rtde.protocol": "InputInUse NoSuchVariable RtdeRefused",
+            ".kinematics.arm": "Unreachable",
             ".models": "UnknownModel",
             ".motion": """
                 Circular Contact ContactMotion ForceMode Freedrive Jog Joint Linear Motions PathMotion Servo

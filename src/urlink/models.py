@@ -68,6 +68,8 @@ _ALPHA = np.array([_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0])
 class UnknownModel(LocalError, ValueError):
     """A name that no arm in `MODELS` has."""
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
 
 @dataclass(frozen=True, eq=False)
 class Model:

@@ -19,6 +19,7 @@ from .address import Address, RecordingAddress, RobotAddress, SimulatorAddress, 
 from .commanding.interlock import STALE_AFTER, Policy
 from .commanding.options import CommandsVia, Options
 from .firmware import Firmware
+from .foreign_names import AnswersForeignNames
 from .identity import Identity, KnownIdentity
 from .interfaces.primary.robot_state import RobotState
 from .interfaces.realtime.packets import RealtimeState
@@ -278,7 +279,7 @@ def assemble(
     return Robot(address, source, controller, known=known, control=control)
 
 
-class Robot:
+class Robot(AnswersForeignNames):
     """A robot: its streams, and what it is. A context manager that closes itself; made by `connect`.
 
     Attributes:
@@ -661,11 +662,17 @@ class Robot:
     def _repr_html_(self) -> str:
         from linkcore.html_view import html_table  # imported here: importing the library stays cheap
 
+        known = self._who.last
+        streams = tuple(self._streams.items())
+        opened = ", ".join(name for name, _ in streams) or "none; the first use of robot.realtime connects it"
+        who = html_table(
+            self.address, (), [("model", known.model), ("firmware", known.firmware), ("open streams", opened)]
+        )
         rows = [
             (name, stream.connection.value, f"{stream.stats.rate:.0f} Hz", stream.stats.received)
-            for name, stream in tuple(self._streams.items())
+            for name, stream in streams
         ]
-        return html_table(repr(self), ("stream", "connection", "rate", "received"), rows)
+        return who + (html_table("streams", ("stream", "connection", "rate", "received"), rows) if rows else "")
 
     def __repr__(self) -> str:
         known = self._who.last

@@ -21,6 +21,8 @@ def numbers(values: ArrayLike, name: str) -> FloatArray:
     Raises:
         BadValue: they are no numbers, or no regular array of them.
     """
+    if isinstance(values, (str, bytes)):
+        raise BadValue(f"{name} is {values!r}; expected numbers")
     try:
         array = np.array(values)
         if array.dtype.kind not in "fiu":

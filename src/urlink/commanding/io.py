@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar
 
-from linkcore.errors import LinkTimeout
+from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.stream import Stream
 
+from ..foreign_names import AnswersForeignNames
 from ..interfaces.enums import AnalogDomain
 from ..interfaces.primary.robot_state import MasterboardData, RobotState, ToolData
 from ..interfaces.realtime.packets import RealtimeState
@@ -24,6 +25,8 @@ __all__ = ["IO", "Analog"]
 
 T = TypeVar("T")
 
+#: Digital signals that a state has, at most.
+_BITS = 18
 #: Seconds to wait for a first state.
 _FIRST_STATE = 2.0
 #: Part of its range by which an analogue output may be off: the reported value may be a measured one.
@@ -42,7 +45,7 @@ class Analog(NamedTuple):
     domain: AnalogDomain
 
 
-class IO:
+class IO(AnswersForeignNames):
     """Inputs and outputs by number, each kind from 0.
 
     Setting raises `BadValue` for an output that this robot has not, before anything is sent; `NotRunning` where the
@@ -215,8 +218,31 @@ class IO:
         newest = feed.latest
         return feed.wait(_FIRST_STATE) if newest is None else newest
 
+    def _repr_html_(self) -> str:
+        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+
+        try:
+            board = self._masterboard()
+        except LinkError as error:
+            return html_table("IO", (), (), [f"not known: {error}"])
+
+        def on(bits: int) -> str:
+            return ", ".join(str(bit) for bit in range(_BITS) if bits >> bit & 1) or "none"
+
+        rows = [
+            ("digital inputs that are on, by their bits", on(board.digital_input_bits)),
+            ("digital outputs that are on, by their bits", on(board.digital_output_bits)),
+            *((f"analogue input {n}", _shown(self.analog_in(n))) for n in (0, 1)),
+            *((f"analogue output {n}", _shown(self.analog_out(n))) for n in (0, 1)),
+        ]
+        return html_table("IO", (), rows, ["bits 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool"])
+
     def __repr__(self) -> str:
         return "<IO: inputs and outputs by number>"
+
+
+def _shown(signal: Analog) -> str:
+    return f"{signal.value:.4g} {'A' if signal.domain == AnalogDomain.CURRENT else 'V'}"
 
 
 def _bit(bits: int, index: int) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from linkcore.arguments import check_callable, check_number
 from linkcore.errors import LinkError, LinkTimeout
 
+from ..foreign_names import AnswersForeignNames
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from .interlock import Interlock, Policy, Status
 from .monitor import SafetyMonitor
@@ -14,7 +15,7 @@ from .monitor import SafetyMonitor
 __all__ = ["Safety"]
 
 
-class Safety:
+class Safety(AnswersForeignNames):
     """The interlock that every motion has to pass, kept up to date from the robot's streams.
 
     Nothing here resets a stop: that is done by a person at the robot, or by `robot.dashboard`.
@@ -148,6 +149,18 @@ class Safety:
             with monitor.decision() as interlock:
                 why = in_the_way(interlock) or "the connection was just lost"
             raise LinkTimeout(f"not within {timeout:g} s: {why}")
+
+    def _repr_html_(self) -> str:
+        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+
+        rows: list[tuple[str, object]] = [
+            ("motions", "let through" if self.refusal is None else f"refused: {self.refusal}"),
+            ("robot mode", getattr(self.robot_mode, "name", "not known")),
+            ("safety mode", getattr(self.mode, "name", "not known")),
+            ("stop that holds", self.cause or "none"),
+            ("policy", self.policy),
+        ]
+        return html_table("Safety", (), rows)
 
     def __repr__(self) -> str:
         return f"<Safety policy={self.policy!r}: {self._monitor.refusal() or 'enabled'}>"

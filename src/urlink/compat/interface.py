@@ -26,6 +26,8 @@ _RECONNECT_TIMEOUT = 10.0
 class NotOffered(LocalError, NotImplementedError):
     """A call of the other client that is not offered here; the message names what replaces it."""
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
 
 def succeeds(act: Callable[[], object]) -> bool:
     """Whether the call succeeded. Its error goes to the log, since the other client only returns False."""

@@ -31,6 +31,8 @@ _SAME = 1e-6
 class Unreachable(BadValue):
     """The pose is out of reach: no joint positions put the tool there."""
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
 
 class Arm:
     """Forward and inverse kinematics of one arm.

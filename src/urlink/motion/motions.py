@@ -15,6 +15,7 @@ from linkcore.handle import Motion
 
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose, check_speeds
 from ..firmware import Firmware
+from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import programs, yielding
@@ -55,7 +56,7 @@ LinkName = Literal["reverse", "rtde"]
 M = TypeVar("M", bound=Motion)
 
 
-class Motions:
+class Motions(AnswersForeignNames):
     """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
 
     With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, or
@@ -663,6 +664,14 @@ class Motions:
             check_number(gain, "gain", 100.0, 2000.0),
             period,
         )
+
+    def _repr_html_(self) -> str:
+        from linkcore.html_view import html_table  # imported here: importing the library stays cheap
+
+        current = self.current
+        now = "no motion runs" if current is None else f"{current!r}, {current.progress:.0%}"
+        begins = [name for name in dir(type(self)) if name[0] != "_" and name != "current"]
+        return html_table("Motions", (), [("now", now), ("begun by", ", ".join(begins))])
 
     def __repr__(self) -> str:
         return f"<Motions current={self.current!r}>"

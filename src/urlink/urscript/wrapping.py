@@ -139,8 +139,20 @@ class Wrapped(NamedTuple):
         return min(max(own, 1), self.lines), max(column - self.indent, 1)
 
     def words(self, text: str) -> str:
-        """The controller's words with the line in them, where there is one, as `place`."""
-        return _NUMBER_IN_TEXT.sub(lambda found: f"{found[1]}{self.place(int(found[2]), 1)[0]}", text)
+        """The controller's words with the line in them, where there is one, as `place`.
+
+        A program that ends in the middle of a statement is found wrong in the line after it, which is not the user's:
+        that line is not quoted.
+        """
+        found = _NUMBER_IN_TEXT.match(text)
+        if found is None:
+            return text
+        line = int(found[2])
+        if line - (self.first if line == 1 else self.above) > self.lines:
+            return f"{found[1]}{self.lines}: the program ends in the middle of a statement"
+        quoted = text[found.end() :]
+        own = quoted.replace(":" + " " * self.indent, ":", 1) if quoted.startswith(":") else quoted
+        return f"{found[1]}{self.place(line, 1)[0]}{own}"
 
 
 class _Item(NamedTuple):

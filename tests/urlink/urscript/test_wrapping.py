@@ -212,3 +212,14 @@ def test_whatever_is_sent_is_one_program(lines: list[str]) -> None:
 def test_the_last_statement_is_whole(end: str) -> None:
     with pytest.raises(BadValue, match=r"line 2 .* in the middle of a statement"):
         wrap(f"a = 1\n{end}\n\n", "t")
+
+
+def test_a_line_that_the_user_has_not_written_is_not_quoted() -> None:
+    """A bracket that stays open is found in the line after the program, which is the library's own."""
+    wrapped = wrap("popup(1", "t")
+    sent = wrapped.text.splitlines()
+    after = next(number for number, line in enumerate(sent, 1) if "popup(1" in line) + 1
+    said = f"syntax_error_on_line:{after}:{sent[after - 1]}:"
+    assert wrapped.words(said) == "syntax_error_on_line:1: the program ends in the middle of a statement"
+    assert wrapped.words(f"syntax_error_on_line:{after - 1}:  popup(1:") == "syntax_error_on_line:1:popup(1:"
+    assert wrapped.words("Division by zero") == "Division by zero"

@@ -15,6 +15,8 @@ class DashboardRefused(RemoteError):
         reply: what the controller answered, in its own words.
     """
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
     def __init__(self, command: str, reply: str) -> None:
         super().__init__(command, reply)
         self.command = command

@@ -44,6 +44,8 @@ class GripperFault(RemoteError):
         fault: number of the fault; 0 where it is none of the gripper's own.
     """
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
     def __init__(self, text: str, fault: int = 0) -> None:
         super().__init__(text, fault)
         self.fault = fault

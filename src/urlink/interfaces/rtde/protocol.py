@@ -79,6 +79,8 @@ class RtdeRefused(RemoteError):
         names: the variables that it refuses; empty where it does not say.
     """
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
     def __init__(self, text: str, names: tuple[str, ...] = ()) -> None:
         super().__init__(text, names)
         self.names = names
@@ -90,9 +92,13 @@ class RtdeRefused(RemoteError):
 class NoSuchVariable(RtdeRefused):
     """The controller does not have a variable: it answered NOT_FOUND, or an unknown type."""
 
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
+
 
 class InputInUse(RtdeRefused):
     """Another client, or a fieldbus, holds an input: the controller answered IN_USE."""
+
+    __module__ = "urlink"  # where users import it from, and what a traceback shows
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:

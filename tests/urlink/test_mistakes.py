@@ -1,0 +1,177 @@
+"""What newcomers try, and the advice that each mistake is answered with, before anything is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+import urlink
+from linkcore.errors import LinkError, LocalError
+from urlink.foreign_names import _OWN, own_name
+from urlink.simulator import Controller, Still
+
+Q = [0, -1.57, 1.57, -1.57, -1.57, 0]
+POSE = [-0.49, -0.13, 0.49, 0.0, 3.14, 0.0]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Any]:
+    """Untyped: type checkers refuse most of what is tried here."""
+    with (
+        Controller("UR5e", "5.11", motion=Still()) as controller,
+        urlink.connect(controller.address) as robot,
+    ):
+        robot.realtime.wait(10)
+        robot.primary.wait(10)
+        yield robot
+
+
+Try = Callable[[Any], object]
+#: (what is tried, kind of error, part of its message)
+MISTAKES: list[tuple[Try, type[Exception], str]] = [
+    # names of URScript, ur_rtde and urx
+    (lambda r: r.motion.movej(Q), AttributeError, r"here it is: robot.motion.move_joints\(q\)"),
+    (lambda r: r.motion.movel(POSE), AttributeError, "move_linear"),
+    (lambda r: r.motion.movec(POSE, POSE), AttributeError, "move_circular"),
+    (lambda r: r.motion.movep(POSE), AttributeError, r"robot.motion.path\("),
+    (lambda r: r.movej(Q), AttributeError, "move_joints"),
+    (lambda r: r.move_j(Q), AttributeError, "move_joints"),
+    (lambda r: r.moveJ(Q), AttributeError, "move_joints"),
+    (lambda r: r.moveL(POSE), AttributeError, "move_linear"),
+    (lambda r: r.servoJ(Q, 0, 0, 0.002, 0.1, 300), AttributeError, "robot.motion.servo"),
+    (lambda r: r.speedL(Q), AttributeError, "speed_linear"),
+    (lambda r: r.stopj(2), AttributeError, "robot.motion.stop"),
+    (lambda r: r.stop(), AttributeError, "robot.motion.stop"),
+    (lambda r: r.forceMode(), AttributeError, "force_mode"),
+    (lambda r: r.getActualQ(), AttributeError, r"robot.realtime.wait\(\).q_actual"),
+    (lambda r: r.getActualTCPPose(), AttributeError, "tool_vector_actual"),
+    (lambda r: r.get_actual_tcp_pose(), AttributeError, "tool_vector_actual"),
+    (lambda r: r.getl(), AttributeError, "tool_vector_actual"),
+    (lambda r: r.get_inverse_kin(POSE), AttributeError, "kinematics.inverse"),
+    (lambda r: r.setStandardDigitalOut(0, True), AttributeError, "robot.io.set_digital_out"),
+    (lambda r: r.set_digital_out(0, True), AttributeError, "robot.io.set_digital_out"),
+    (lambda r: r.io.getDigitalIn(0), AttributeError, "robot.io.digital_in"),
+    (lambda r: r.zeroFtSensor(), AttributeError, "zero_force_sensor"),
+    (lambda r: r.send_program("movej"), AttributeError, "robot.script.run"),
+    (lambda r: r.power_on(), AttributeError, "robot.dashboard.power_on"),
+    (lambda r: r.disconnect(), AttributeError, "robot.close"),
+    (lambda r: r.safety.unlock_protective_stop(), AttributeError, "robot.dashboard.unlock"),
+    (lambda r: r.motion.home(), AttributeError, "move_joints"),
+    # misspelt
+    (lambda r: r.moton, AttributeError, "did you mean 'motion'"),
+    (lambda r: r.motion.move_joint(Q), AttributeError, "did you mean 'move_joints'"),
+    (lambda r: r.safety.enabel(), AttributeError, "did you mean 'enable'"),
+    (lambda r: r.io.set_digital_output(0, True), AttributeError, "did you mean 'set_digital_out'"),
+    (lambda r: urlink.conect("sim://"), AttributeError, "did you mean 'connect'"),  # type: ignore[attr-defined]
+    (lambda r: r.rtde.outputs("actual_Q").wait(5), urlink.NoSuchVariable, "did you mean actual_q"),
+    # values
+    (lambda r: r.motion.move_joints("home"), LocalError, "q is 'home'; expected numbers"),
+    (lambda r: r.motion.move_joints(["0"] * 6), LocalError, "q: expected numbers"),
+    (lambda r: r.motion.move_joints(0.5), LocalError, "expected six numbers"),
+    (lambda r: r.motion.move_joints(Q[:5]), LocalError, "expected six numbers"),
+    (lambda r: r.motion.move_joints([*Q, 0]), LocalError, "expected six numbers"),
+    (lambda r: r.motion.move_joints([*Q[:5], None]), LocalError, "q: expected numbers"),
+    (lambda r: r.motion.move_joints([*Q[:5], float("nan")]), LocalError, "is not finite"),
+    (lambda r: r.motion.move_joints({0: 1.0}), LocalError, "q: expected numbers"),
+    (lambda r: r.motion.move_joints(Q, speed=0), LocalError, "speed is 0 rad/s"),
+    (lambda r: r.motion.move_joints(Q, speed="fast"), LocalError, "speed is 'fast'; expected a number"),
+    (lambda r: r.motion.move_joints(Q, acceleration=-1), LocalError, "acceleration is -1 rad/s²"),
+    (lambda r: r.motion.move_joints(Q, wait="yes"), LocalError, "wait='yes'; expected"),
+    (lambda r: r.motion.move_linear(POSE[:3]), LocalError, "expected six numbers"),
+    (lambda r: r.motion.path(Q), LocalError, "expected a Joint, Linear or Circular"),
+    (lambda r: r.motion.path([]), LocalError, "expected 1 to"),
+    (lambda r: r.motion.follow([Q, Q]), LocalError, "is no Trajectory"),
+    (lambda r: r.motion.jog("world"), LocalError, "frame='world'; expected"),
+    (lambda r: r.motion.until_contact("down"), LocalError, "direction is 'down'; expected numbers"),
+    (lambda r: r.motion.force_mode("flange", Q, Q, Q), LocalError, "expected 'base', 'tool', or a pose"),
+    (lambda r: r.io.set_digital_out(8, True), LocalError, "expected a whole number from 0 to 7"),
+    (lambda r: r.io.set_digital_out(0, "on"), LocalError, "expected True or False"),
+    (lambda r: r.io.set_analog_out(0, 10), LocalError, "0 to 1"),
+    (lambda r: r.io.set_tool_voltage(5), LocalError, "expected 0, 12 or 24"),
+    (lambda r: r.set_speed_slider(50), LocalError, "0 to 1"),
+    (lambda r: r.set_payload("1 kg"), LocalError, "payload mass is '1 kg'; expected a number"),
+    (lambda r: r.set_tcp([0, 0, 0.1]), LocalError, "expected six numbers"),
+    (lambda r: r.script.run(""), LocalError, "program"),
+    (lambda r: r.script.run("movej(["), LocalError, "ends in the middle of a statement"),
+    (lambda r: r.script.run(None), LocalError, "program"),
+    (lambda r: r.realtime.wait(timeout=True), LocalError, "timeout=True; expected a number of seconds"),
+    (lambda r: r.realtime.wait("5"), LocalError, "timeout='5'; expected a number of seconds"),
+    (lambda r: r.realtime.subscribe("print"), LocalError, "expected a function"),
+    (lambda r: r.realtime.of("RobotModeData"), LocalError, "RobotModeData"),
+    (lambda r: r.kinematics.inverse(POSE[:3], Q), LocalError, "must be 6 finite numbers"),
+    (lambda r: r.record("run.csv"), LocalError, "record a .urlog"),
+    (lambda r: urlink.connect("192.168.56.101:30003"), LocalError, "30003"),
+    (lambda r: urlink.connect("sim://ur7"), LocalError, "known are"),
+    (lambda r: urlink.connect("sim://", timeout=True), LocalError, "timeout is True; expected a number"),
+    (lambda r: urlink.connect(""), LocalError, "address"),
+    (lambda r: urlink.load("no such file.urlog"), LocalError, "no such file"),
+]
+
+
+@pytest.mark.parametrize(("attempt", "kind", "advice"), MISTAKES, ids=[advice for _, _, advice in MISTAKES])
+def test_a_mistake_is_answered_with_advice(robot: Any, attempt: Try, kind: type[Exception], advice: str) -> None:
+    with pytest.raises(kind, match=advice):
+        attempt(robot)
+    assert robot.motion.current is None
+
+
+def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
+    """Each dotted name in the table can be looked up on a robot, or in the library."""
+    for name, advice in _OWN.items():
+        assert name == name.lower().replace("_", "")
+        for word in advice.replace("(", " ").replace(",", " ").split():
+            owner, *parts = word.split(".")
+            if owner not in ("robot", "urlink") or not parts:
+                continue
+            value = robot if owner == "robot" else urlink
+            if parts == ["realtime", "wait"]:
+                value = value.realtime.wait(5)
+                parts = [part for part in advice.partition("wait().")[2].split()[:1] if part]
+            for part in parts:
+                value = getattr(value, part)
+    assert own_name("no_such_name") is None
+
+
+def test_private_names_get_no_advice(robot: Any) -> None:
+    with pytest.raises(AttributeError, match=r"Robot has no attribute '_repr_png_'$"):
+        robot._repr_png_()
+    assert not hasattr(robot, "_ipython_display_")
+
+
+@pytest.mark.parametrize("part", ["", "motion", "safety", "io"])
+def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None:
+    shown = (getattr(robot, part) if part else robot)._repr_html_()
+    wanted = {"": "5.11", "motion": "move_joints", "safety": "let through", "io": "digital outputs"}[part]
+    assert wanted in shown
+    assert shown.count("<tr>") >= 2
+
+
+def test_a_notebook_shows_a_robot_before_a_stream_is_open() -> None:
+    with urlink.connect("sim://ur10e?firmware=5.11") as robot:
+        assert "<td>UR10e</td>" in robot._repr_html_()
+        assert "the first use of robot.realtime connects it" in robot._repr_html_()
+
+
+def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
+    """And from `urlink`, which the page of errors says of all."""
+    import importlib
+    from pathlib import Path
+
+    import urlink.compat.interface  # the errors of everything are defined then
+    import urlink.kinematics
+    import urlink.rtde
+
+    def kinds(of: type[LinkError]) -> Iterator[type[LinkError]]:
+        for kind in of.__subclasses__():
+            yield kind
+            yield from kinds(kind)
+
+    page = (Path(__file__).parents[2] / "docs" / "errors.md").read_text(encoding="utf-8")
+    found = [kind for kind in kinds(LinkError) if kind.__module__.partition(".")[0] in ("urlink", "linkcore")]
+    assert len(found) > 30
+    for kind in found:
+        assert getattr(importlib.import_module(kind.__module__), kind.__name__) is kind
+        assert getattr(urlink, kind.__name__) is kind
+        assert kind.__name__ in page, kind
