@@ -159,6 +159,23 @@ modbus_send_custom_command("192.168.0.5", 255, 6, [1, 2])
             run(program)
 
 
+def test_modbus_registers_that_are_read_and_written_are_lists(controller: Controller, run: Run) -> None:
+    add = 'modbus_add_rw_signal("192.168.0.5", 255, 100, 3, 200, 2, "axes")\n'
+    controller.modbus["axes"] = [1, 2, 3]
+    read = "textmsg(modbus_get_signal_status('axes'))"
+    assert run(f"{add}modbus_set_output_register('axes', [7, 65535])\n{read}") == ("[1,2,3]",)
+    axes = controller.modbus.signal("axes")
+    assert axes is not None
+    assert axes.written == (7, 65535)
+    controller.modbus["axes"] = [4, 5, 6]
+    assert run(read) == ("[4,5,6]",)
+    for value, error in (([1, 2], "takes no"), (7, "takes no"), ([1, 2, 65536], "from 0 to 65535")):
+        with pytest.raises(BadValue, match=error):
+            controller.modbus["axes"] = value
+    with pytest.raises(urlink.ScriptFailed, match="register_value is from 0 to 65535"):
+        run("modbus_set_output_register('axes', [0, 65536])")
+
+
 def test_the_tool_is_set_up_by_a_program(controller: Controller, run: Run) -> None:
     run(
         "set_tool_communication(True, 115200, 2, 1, 1.5, 3.5)\nset_tool_voltage(24)\nset_tool_output_mode(0)\n"

@@ -6,15 +6,19 @@ Guesses: that signals outlive the program that added them, and that a signal is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from linkcore.errors import BadValue
 
-__all__ = ["ModbusSignal", "ModbusSignals"]
+__all__ = ["KINDS", "READ_AND_WRITE", "ModbusSignal", "ModbusSignals", "Value"]
 
-#: What `modbus_add_signal` calls the types 0 to 3.
-KINDS = ("digital input", "digital output", "register input", "register output")
+#: 0 or 1, 0 to 65535, or a list of the latter.
+Value = int | tuple[int, ...]
+
+#: What `modbus_add_signal` calls the types 0 to 3; and the registers of `modbus_add_rw_signal`, with function code 23.
+KINDS = ("digital input", "digital output", "register input", "register output", "list of registers")
+READ_AND_WRITE = 4
 #: Values of a register.
 _HIGHEST = 65535
 
@@ -26,8 +30,10 @@ class ModbusSignal:
     Attributes:
         host: address of the device.
         slave, address: of the signal in it.
-        kind: 0 digital input, 1 digital output, 2 register input, 3 register output.
-        value: 0 or 1, or 0 to 65535.
+        kind: 0 digital input, 1 digital output, 2 register input, 3 register output, 4 registers that are read and
+            others that are written.
+        value: 0 or 1, or 0 to 65535; of kind 4 as many of these as are read.
+        written: numbers of the registers that a program has written, of kind 4.
         frequency: with which it would be read, Hz.
         watchdog: whether a failure of it stops programs.
         choice: state of an output while no program runs, 0 to 4.
@@ -39,7 +45,8 @@ class ModbusSignal:
     slave: int
     address: int
     kind: int
-    value: int = 0
+    value: Value = 0
+    written: tuple[int, ...] = ()
     frequency: float = 10.0
     watchdog: bool = False
     choice: int = 0
@@ -57,7 +64,7 @@ class ModbusSignal:
         return self.kind in (0, 2)
 
 
-class ModbusSignals(Mapping[str, int]):
+class ModbusSignals(Mapping[str, Value]):
     """Name -> value of the signals of one controller. A value may be set before a program adds the signal.
 
     Args:
@@ -67,25 +74,29 @@ class ModbusSignals(Mapping[str, int]):
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._signals: dict[str, ModbusSignal] = {}
-        self._values: dict[str, int] = {}
+        self._values: dict[str, Value] = {}
 
-    def __getitem__(self, name: str) -> int:
+    def __getitem__(self, name: str) -> Value:
         signal = self._signals.get(name)
         return self._values[name] if signal is None else signal.value
 
-    def __setitem__(self, name: str, value: int) -> None:
-        """Set the value of a signal: 0 or 1, or 0 to 65535.
+    def __setitem__(self, name: str, value: int | Sequence[int]) -> None:
+        """Set the value of a signal: 0 or 1, or 0 to 65535; a list of these for registers that are read together.
 
         Raises:
             BadValue: the signal cannot have this value.
         """
         signal = self._signals.get(name)
         highest = 1 if signal is not None and signal.is_digital else _HIGHEST
-        if not isinstance(value, int) or not 0 <= value <= highest:
+        numbers = (value,) if isinstance(value, int) else tuple(value)
+        if not all(isinstance(number, int) and 0 <= number <= highest for number in numbers):
             raise BadValue(f"Modbus signal {name!r} takes a whole number from 0 to {highest}, not {value!r}")
-        self._values[name] = int(value)
+        new: Value = int(value) if isinstance(value, int) else tuple(map(int, value))
+        if signal is not None and _length(signal.value) != _length(new):
+            raise BadValue(f"Modbus signal {name!r} is a {KINDS[signal.kind]}, and takes no {value!r}")
+        self._values[name] = new
         if signal is not None:
-            signal.value = int(value)
+            signal.value = new
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
@@ -109,9 +120,10 @@ class ModbusSignals(Mapping[str, int]):
         signal.error, signal.invalid_since = error, self._clock()
 
     def add(self, name: str, signal: ModbusSignal) -> None:
-        """Add a signal; it replaces one with the same name."""
-        highest = 1 if signal.is_digital else _HIGHEST
-        signal.value = min(self._values.get(name, 0), highest)
+        """Add a signal; it replaces one with the same name, and takes over a value that was set before and fits."""
+        old = self._values.get(name)
+        if old is not None and _length(old) == _length(signal.value):
+            signal.value = min(old, 1) if signal.is_digital and isinstance(old, int) else old
         self._signals[name] = signal
         self._values[name] = signal.value
 
@@ -123,3 +135,8 @@ class ModbusSignals(Mapping[str, int]):
     def seconds_invalid(self, signal: ModbusSignal) -> float:
         """For how long a signal has had an error, s; 0 if it has none."""
         return max(self._clock() - signal.invalid_since, 0.0) if signal.error else 0.0
+
+
+def _length(value: Value) -> int | None:
+    """Number of values in a list; None for a single one."""
+    return None if isinstance(value, int) else len(value)

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...robot.modbus import KINDS, ModbusSignal
+from ...robot.modbus import KINDS, READ_AND_WRITE, ModbusSignal
 from ..errors import Fault, type_error
 from ..machine import ScriptThread
-from .declaration import Family, boolean, integer, is_list, number, string
+from .declaration import Family, boolean, integer, is_list, number, string, vector
 
 __all__ = ["FAMILY"]
 
@@ -42,7 +42,38 @@ def modbus_add_signal(
         string(IP, f"{what}: IP"),
         integer(slave_number, f"{what}: slave_number", 0, 255),
         integer(signal_address, f"{what}: signal_address", 0, 65535),
-        integer(signal_type, f"{what}: signal_type", 0, len(KINDS) - 1),
+        integer(signal_type, f"{what}: signal_type", 0, READ_AND_WRITE - 1),
+    )
+    thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
+
+
+@FAMILY.declare(since="5.0")
+def modbus_add_rw_signal(
+    thread: ScriptThread,
+    IP: Any,
+    slave_number: Any,
+    read_register_address: Any,
+    read_register_count: Any,
+    write_register_address: Any,
+    write_register_count: Any,
+    signal_name: Any,
+    sequential_mode: Any = False,
+) -> None:
+    """Registers that are read and others that are written at once, with function code 23: lists of numbers.
+
+    In the manual (17.18); the parameters, the counts, and the release that it came with are guesses.
+    """
+    what = "modbus_add_rw_signal"
+    boolean(sequential_mode, f"{what}: sequential_mode")
+    read = integer(read_register_count, f"{what}: read_register_count", 1, 125)
+    integer(write_register_address, f"{what}: write_register_address", 0, 65535)
+    signal = ModbusSignal(
+        string(IP, f"{what}: IP"),
+        integer(slave_number, f"{what}: slave_number", 0, 255),
+        integer(read_register_address, f"{what}: read_register_address", 0, 65535),
+        READ_AND_WRITE,
+        (0,) * read,
+        (0,) * integer(write_register_count, f"{what}: write_register_count", 1, 121),
     )
     thread.world.modbus.add(string(signal_name, f"{what}: signal_name"), signal)
 
@@ -55,7 +86,7 @@ def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
 
 @FAMILY.declare(since="3.0")
 def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
-    """True or False for a digital signal, a number for a register."""
+    """True or False for a digital signal, a number for a register, a list of numbers for several."""
     signal = _signal(thread, signal_name, "modbus_get_signal_status")
     return bool(signal.value) if signal.is_digital else signal.value
 
@@ -79,8 +110,13 @@ def modbus_set_output_signal(
 def modbus_set_output_register(
     thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
 ) -> None:
+    """Of registers that were added by `modbus_add_rw_signal`, all those that are written, as a list."""
     what = "modbus_set_output_register"
-    _set(thread, signal_name, integer(register_value, f"{what}: register_value", 0, 65535), what, False)
+    signal = _signal(thread, signal_name, what)
+    if signal.kind != READ_AND_WRITE:
+        return _set(thread, signal_name, integer(register_value, f"{what}: register_value", 0, 65535), what, False)
+    numbers = vector(register_value, f"{what}: register_value", len(signal.written))
+    signal.written = tuple([integer(number, f"{what}: register_value", 0, 65535) for number in numbers])
 
 
 @FAMILY.declare(since="3.0")
