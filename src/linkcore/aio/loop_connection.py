@@ -64,6 +64,7 @@ class LoopConnection(Connection):
         self._timer: asyncio.TimerHandle | None = None
         self._timer_wait: float | None = None
         self._quiet_since = 0.0
+        self._is_taking = False  # and calls back: what is called may look too
 
     # -- beginning and ending --------------------------------------------------------------------
 
@@ -298,8 +299,9 @@ class LoopConnection(Connection):
 
     def _take_waiting(self) -> bool:
         """Hand out what has come; False if nothing has."""
-        if self._receiver is None or self._descriptor < 0:
+        if self._receiver is None or self._descriptor < 0 or self._is_taking:
             return False
+        self._is_taking = True
         try:
             received = self._awaited.receive_waiting()
             if received is None:
@@ -310,10 +312,15 @@ class LoopConnection(Connection):
         except Exception as error:
             self._end(error)
             return False
+        finally:
+            self._is_taking = False
         return True
 
     def look(self) -> None:
-        """Hand out what has come, before anybody concludes that nothing has: the loop may have been held up."""
+        """Hand out what has come, before anybody concludes that nothing has: the loop may have been held up.
+
+        In the thread of the loop.
+        """
         while self._take_waiting():
             pass
 

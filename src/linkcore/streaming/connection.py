@@ -289,6 +289,9 @@ class Connection:
         """
         return self._transport.wait_for_room(timeout)
 
+    def look(self) -> None:
+        """Hand out what has come already, in the thread that reads; nothing to do where that thread only reads."""
+
     def abort(self) -> None:
         """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
         self._transport.abort()

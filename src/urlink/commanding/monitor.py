@@ -162,6 +162,10 @@ class SafetyMonitor:
 
         if self._section.may_wait:
             self.wait_for(is_settled, _NEXT_WORD)
+        elif not self._is(is_settled):
+            for connection in self._connections.values():
+                if connection.reads_here():
+                    connection.look()
 
     def wait_for(self, condition: Callable[[Interlock], object], timeout: float) -> bool:
         """Wait until the interlock is such; False when time is up.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,27 @@ def test_a_stop_does_not_stand_behind_what_waits(controller: Controller) -> None
             # A thread that waits for the input is left; it ends with the robot.
 
     run(stop())
+
+
+@pytest.mark.parametrize("is_handle", [True, False])
+def test_a_loop_that_was_held_up_can_still_stop_the_arm(controller: Controller, is_handle: bool) -> None:
+    """What the robot has sent meanwhile is read before it is concluded that it is silent."""
+
+    async def hold_up() -> None:
+        async with urlink.connect_async(controller.address, stale_after=0.3) as robot:
+            begin = (await robot.realtime.wait()).q_actual
+            motion = robot.motion.move_joints(begin + 0.5, speed=0.1)
+            handle = await motion.begun()
+            waiting = asyncio.create_task(_awaited(handle if is_handle else motion))
+            await robot.realtime.wait_until(lambda state: bool(np.any(np.abs(state.qd_actual) > 0.05)))
+            waiting.cancel()
+            time.sleep(0.6)  # in which the loop reads nothing
+            await asyncio.wait({waiting})
+            assert waiting.cancelled()
+            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)), timeout=4.0)
+            assert handle.phase is urlink.Phase.CANCELLED
+
+    run(hold_up())
 
 
 async def _awaited(call: Any) -> object:
