@@ -96,6 +96,9 @@ class Line:
         """Every thread: nothing waits, since nothing could come."""
         return True
 
+    def look(self) -> None:
+        """What was told has been handed out."""
+
     def tell(self, packet: Any) -> None:
         for each in tuple(self.subscribers):
             if isinstance(packet, each.kind):

@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from linkcore.callbacks import CallbackThread
-from linkcore.errors import Closed, LinkError
+from linkcore.errors import LinkError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
 from linkcore.wire.packet import State
@@ -66,6 +66,7 @@ class SafetyMonitor:
 
     Attributes:
         clock: the same.
+        is_closed: `close` was called; there will be no news.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class SafetyMonitor:
         self._hooks: list[_Stop] = []
         self._silence_hooks: list[Callable[[float], object]] = []
         self._stop_callbacks: dict[object, _Stop] = {}
-        self._is_closed = False
+        self.is_closed = False
 
     # -- questions -----------------------------------------------------------------------------------
 
@@ -168,21 +169,18 @@ class SafetyMonitor:
                     connection.look()
 
     def wait_for(self, condition: Callable[[Interlock], object], timeout: float) -> bool:
-        """Wait until the interlock is such; False when time is up.
+        """Wait until the interlock is such; False when time is up, or the robot was closed.
 
         Raises:
             LocalError: in a thread that would have to hear the news itself.
-            Closed: the robot is closed, so there will be no news.
         """
         until = time.monotonic() + timeout
         news: SimpleQueue[None] = SimpleQueue()
         self._waiting.append(news)
         try:
             while not self._is(condition):
-                if self._is_closed:
-                    raise Closed("the robot was closed")
                 left = until - time.monotonic()
-                if left <= 0.0:
+                if left <= 0.0 or self.is_closed:
                     return False
                 with self._section.waiting(), contextlib.suppress(Empty):
                     news.get(timeout=left)
@@ -304,7 +302,7 @@ class SafetyMonitor:
 
     def close(self) -> None:
         """Listen no more, and let nothing through. Users are not told: it is no stop of the robot."""
-        self._is_closed = True
+        self.is_closed = True
         self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):
             listening.end()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from linkcore.arguments import check_callable, check_number
-from linkcore.errors import LinkError, LinkTimeout
+from linkcore.errors import Closed, LinkError, LinkTimeout
 
 from ..foreign_names import AnswersForeignNames
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
@@ -89,6 +89,7 @@ class Safety(AnswersForeignNames):
             BadValue: `timeout` is no number of seconds.
             LocalError: in a callback that was subscribed with ``inline=True``, which would wait for itself.
             LinkTimeout: it still was not so after `timeout` seconds; says what is in the way.
+            Closed: the robot was closed meanwhile.
         """
         self._wait(lambda interlock: interlock.blocked(self._monitor.clock()), timeout)
 
@@ -146,6 +147,8 @@ class Safety(AnswersForeignNames):
         monitor = self._monitor
         monitor.listen()
         if not monitor.wait_for(lambda interlock: monitor.is_connected and in_the_way(interlock) is None, timeout):
+            if monitor.is_closed:
+                raise Closed("the robot was closed")
             with monitor.decision() as interlock:
                 why = in_the_way(interlock) or "the connection was just lost"
             raise LinkTimeout(f"not within {timeout:g} s: {why}")

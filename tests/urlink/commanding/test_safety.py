@@ -499,6 +499,16 @@ def test_closing_closes_the_interlock(robot: StandIn) -> None:
     assert heard == []  # the robot has not stopped
 
 
+def test_closing_ends_waiting(robot: StandIn) -> None:
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause)
+    closing = threading.Timer(0.05, robot.monitor.close)
+    closing.start()
+    with pytest.raises(Closed, match="the robot was closed"):
+        robot.safety.wait_enabled(60.0)
+    closing.join(10)
+
+
 def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: StandIn) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     until(lambda: robot.safety.cause)
