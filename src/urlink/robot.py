@@ -28,7 +28,6 @@ from .urscript.text import integer
 from .urscript.wrapping import StartPlace
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from typing_extensions import Self
 
     from linkcore.recording.recorder import Recorder
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
     from .motion.teaching import Teaching
     from .rtde import OutputStream, Registers, Rtde
     from .simulator import Controller
+    from .vectors import Numbers
 
 __all__ = ["Robot", "connect"]
 
@@ -532,7 +532,7 @@ class Robot(AnswersForeignNames):
         self,
         axes: Sequence[object] | None = None,
         *,
-        frame: ArrayLike | str = "base",
+        frame: Numbers | str = "base",
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> Freedrive:
@@ -564,7 +564,7 @@ class Robot(AnswersForeignNames):
         button: bool = False,
         on_point: Callable[[TaughtPoint], object] | None = None,
         axes: Sequence[object] | None = None,
-        frame: ArrayLike | str = "base",
+        frame: Numbers | str = "base",
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> Teaching:

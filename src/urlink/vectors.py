@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from linkcore.errors import BadValue
 
-__all__ = ["JOINTS", "FloatArray", "numbers", "six", "six_limits"]
+__all__ = ["JOINTS", "FloatArray", "Numbers", "numbers", "six", "six_limits"]
 
 FloatArray = NDArray[np.float64]
+#: A row of numbers as users give it: joints, a pose. Text is none, which `numpy.typing.ArrayLike` would take.
+Numbers = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
 
 #: The joints by name, from base to wrist 3.
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")

@@ -175,3 +175,15 @@ def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
         assert getattr(importlib.import_module(kind.__module__), kind.__name__) is kind
         assert getattr(urlink, kind.__name__) is kind
         assert kind.__name__ in page, kind
+
+
+def test_types_refuse_text_for_joints(robot: urlink.Robot) -> None:
+    """An unused `type: ignore` is an error, so type checkers have to refuse each line."""
+    with pytest.raises(LocalError, match="q is 'home'; expected numbers"):
+        robot.motion.move_joints("home")  # type: ignore[arg-type]
+    with pytest.raises(LocalError, match="pose is 'home'; expected numbers"):
+        robot.motion.move_linear("home")  # type: ignore[arg-type]
+    with pytest.raises(LocalError, match="q is 'home'; expected numbers"):
+        urlink.Joint("home")  # type: ignore[arg-type]
+    with pytest.raises(LocalError, match="pose is 'home'; expected numbers"):
+        urlink.Linear("home")  # type: ignore[arg-type]

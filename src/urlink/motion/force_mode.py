@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from numpy.typing import ArrayLike
-
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
 
 from ..bounds import POSITION, TOOL_SPEED, TOOL_TURN, TURN, check_pose
 from ..firmware import Firmware
 from ..urscript import yielding
-from ..vectors import FloatArray, six
+from ..vectors import FloatArray, Numbers, six
 from .context import MotionContext
 from .kept_word import KeptWord
 from .linked import Link
@@ -88,7 +86,7 @@ def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
     return tuple(map(bool, axes))
 
 
-def frame_of(context: MotionContext, frame: ArrayLike | str) -> tuple[float, ...]:
+def frame_of(context: MotionContext, frame: Numbers | str) -> tuple[float, ...]:
     """The pose of a frame: "base", "tool" as it is now, or a pose in the base frame.
 
     Raises:
@@ -111,7 +109,7 @@ class ForceMode(LinkedBlock):
         self,
         context: MotionContext,
         pressing: Pressing,
-        wrench: ArrayLike,
+        wrench: Numbers,
         watchdog: float,
         open_link: Callable[[], Link],
     ) -> None:
@@ -139,7 +137,7 @@ class ForceMode(LinkedBlock):
         assert self._told.values is not None  # there is a wrench from the first word on
         return six(self._told.values, "wrench")
 
-    def set_wrench(self, wrench: ArrayLike) -> None:
+    def set_wrench(self, wrench: Numbers) -> None:
         """Exert another wrench from the next state on. Along axes that are not compliant it has no effect.
 
         Raises:
@@ -151,7 +149,7 @@ class ForceMode(LinkedBlock):
         self._told.values = _wrench(wrench).tolist()
 
 
-def _wrench(wrench: ArrayLike) -> FloatArray:
+def _wrench(wrench: Numbers) -> FloatArray:
     values = six(wrench, "wrench")
     for name, value in zip(_NAMES, values.tolist(), strict=True):
         check_number(value, f"wrench[{name}]", -_LARGEST, _LARGEST, "Nm" if name.startswith("r") else "N")

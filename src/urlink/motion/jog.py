@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from linkcore.handle import Motion
 
@@ -15,7 +14,7 @@ from ..commanding.section import Section
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.jogging import jogging
 from ..urscript.links import InputRegisters, ReverseSocket
-from ..vectors import FloatArray
+from ..vectors import FloatArray, Numbers
 from .context import MotionContext
 from .linked import Link, LinkedProgram
 from .linked_block import LinkedBlock
@@ -106,7 +105,7 @@ class Jog(LinkedBlock):
         self.timeout = timeout
         self._arm = identity.arm
 
-    def move(self, speeds: ArrayLike) -> None:
+    def move(self, speeds: Numbers) -> None:
         """Move at these speeds until others come, or `timeout` seconds are over. Does not wait.
 
         Args:

@@ -19,7 +19,7 @@ from ..foreign_names import AnswersForeignNames
 from ..interfaces.realtime.packets import RealtimeState
 from ..models import Model
 from ..urscript import programs, yielding
-from ..vectors import FloatArray, numbers, six
+from ..vectors import FloatArray, Numbers, numbers, six
 from .contact import ContactMotion
 from .context import MotionContext
 from .follower import Follower
@@ -82,7 +82,7 @@ class Motions(AnswersForeignNames):
 
     def move_joints(
         self,
-        q: ArrayLike,
+        q: Numbers,
         speed: float = 1.05,
         acceleration: float = 1.4,
         *,
@@ -108,7 +108,7 @@ class Motions(AnswersForeignNames):
 
     def move_linear(
         self,
-        pose: ArrayLike,
+        pose: Numbers,
         speed: float = 0.25,
         acceleration: float = 1.2,
         *,
@@ -134,8 +134,8 @@ class Motions(AnswersForeignNames):
 
     def move_circular(
         self,
-        via: ArrayLike,
-        to: ArrayLike,
+        via: Numbers,
+        to: Numbers,
         speed: float = 0.25,
         acceleration: float = 1.2,
         *,
@@ -203,7 +203,7 @@ class Motions(AnswersForeignNames):
         return _waited(motion, seconds)
 
     def speed_joints(
-        self, qd: ArrayLike, acceleration: float = 1.4, *, duration: float = 0.5, link: LinkName = "reverse"
+        self, qd: Numbers, acceleration: float = 1.4, *, duration: float = 0.5, link: LinkName = "reverse"
     ) -> Motion:
         """Move the joints at a speed, and brake after `duration`.
 
@@ -226,7 +226,7 @@ class Motions(AnswersForeignNames):
         return self._speed("speed_joints", programs.speed_joints, speeds, hardest, duration, link)
 
     def speed_linear(
-        self, xd: ArrayLike, acceleration: float = 1.2, *, duration: float = 0.5, link: LinkName = "reverse"
+        self, xd: Numbers, acceleration: float = 1.2, *, duration: float = 0.5, link: LinkName = "reverse"
     ) -> Motion:
         """Move the tool at a speed in the base frame, and brake after `duration`; see `speed_joints`.
 
@@ -416,7 +416,7 @@ class Motions(AnswersForeignNames):
 
     def until_contact(
         self,
-        direction: ArrayLike,
+        direction: Numbers,
         speed: float = 0.02,
         *,
         acceleration: float = 0.5,
@@ -471,10 +471,10 @@ class Motions(AnswersForeignNames):
 
     def force_mode(
         self,
-        frame: ArrayLike | str,
+        frame: Numbers | str,
         selection: Sequence[object],
-        wrench: ArrayLike,
-        limits: ArrayLike,
+        wrench: Numbers,
+        limits: Numbers,
         *,
         kind: int = 2,
         damping: float | None = None,
@@ -546,7 +546,7 @@ class Motions(AnswersForeignNames):
         return Torque(self._context, limits, friction_compensation, watchdog, self._opener(link))
 
     def _freedrive(
-        self, axes: Sequence[object] | None, frame: ArrayLike | str, watchdog: float, link: LinkName
+        self, axes: Sequence[object] | None, frame: Numbers | str, watchdog: float, link: LinkName
     ) -> Freedrive:
         """See `Robot.freedrive`."""
         free = None if axes is None else axes_of(axes, "axes")

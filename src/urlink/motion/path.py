@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue
@@ -26,7 +25,7 @@ from linkcore.handle import Lifecycle, Motion
 from ..bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import programs
-from ..vectors import JOINTS, FloatArray, six
+from ..vectors import JOINTS, FloatArray, Numbers, six
 
 if TYPE_CHECKING:
     from ..curves import Curve
@@ -97,7 +96,7 @@ class Joint(Waypoint):
     """
 
     def __init__(
-        self, q: ArrayLike, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
+        self, q: Numbers, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
     ) -> None:
         super().__init__(blend, speed, acceleration)
         self.q = six(q, "q")
@@ -117,7 +116,7 @@ class Linear(Waypoint):
     """
 
     def __init__(
-        self, pose: ArrayLike, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
+        self, pose: Numbers, *, blend: float = 0.0, speed: float | None = None, acceleration: float | None = None
     ) -> None:
         super().__init__(blend, speed, acceleration)
         self.pose = check_pose(pose, "pose")
@@ -139,8 +138,8 @@ class Circular(Waypoint):
 
     def __init__(
         self,
-        via: ArrayLike,
-        to: ArrayLike,
+        via: Numbers,
+        to: Numbers,
         *,
         blend: float = 0.0,
         speed: float | None = None,

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
@@ -15,7 +14,7 @@ from linkcore.errors import BadValue, LocalError
 from ..interfaces.realtime.packets import RealtimeState
 from ..urscript.links import InputRegisters, ReverseSocket
 from ..urscript.text import integer
-from ..vectors import JOINTS, six
+from ..vectors import JOINTS, Numbers, six
 from .context import MotionContext
 from .filtered_targets import FilteredTargets
 from .following import AHEAD
@@ -133,7 +132,7 @@ class Servo(LinkedBlock):
         self._limit = SpeedLimit(model, 1.0 / rate)
         self._cycle = cycle
 
-    def send(self, q: ArrayLike) -> None:
+    def send(self, q: Numbers) -> None:
         """Send one set-point; with a target filter, a target.
 
         Args:
@@ -160,7 +159,7 @@ class Servo(LinkedBlock):
             self._limit.take(self._last or values, values, now)
         self._count_one(values, now)
 
-    def schedule(self, target: ArrayLike | Joint | Linear, at: float) -> float | None:
+    def schedule(self, target: Numbers | Joint | Linear, at: float) -> float | None:
         """Be at a waypoint at a time on the robot's clock, which is that of `RealtimeState.time`.
 
         Between waypoints the joints move in a smooth curve, from the present set-point through all waypoints that are
@@ -202,7 +201,7 @@ class Servo(LinkedBlock):
             self._count_one(values, self._context.clock())
         return reached
 
-    def _joints_of(self, target: ArrayLike | Joint | Linear, state: RealtimeState, near: list[float]) -> ArrayLike:
+    def _joints_of(self, target: Numbers | Joint | Linear, state: RealtimeState, near: list[float]) -> Numbers:
         if not isinstance(target, Waypoint):
             return target
         if target.has_motion_of_its_own or not isinstance(target, (Joint, Linear)):
@@ -280,7 +279,7 @@ class Servo(LinkedBlock):
         seconds = max(now - self._sent_at, self._cycle)
         return [(there - here) / seconds for here, there in zip(self._last, values, strict=True)]
 
-    def _in_range(self, q: ArrayLike) -> list[float]:
+    def _in_range(self, q: Numbers) -> list[float]:
         values = six(q, "q")
         if self._model is not None:
             self._model.check_joints(values)

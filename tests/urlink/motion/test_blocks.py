@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Phase
@@ -22,7 +21,7 @@ from urlink.models import model
 from urlink.motion.force_mode import ForceMode
 from urlink.motion.linked_block import LinkedBlock
 from urlink.motion.motions import LinkName
-from urlink.vectors import FloatArray
+from urlink.vectors import FloatArray, Numbers
 
 DOWN = [0, 0, -10.0, 0, 0, 0.5]
 B = TypeVar("B", bound=LinkedBlock)
@@ -51,7 +50,7 @@ def link_of(robot: Rehearsal) -> LinkName:
     return "rtde" if robot.has_registers else "reverse"
 
 
-def press(robot: Rehearsal, frame: ArrayLike | str = "base", **options: Any) -> ForceMode:
+def press(robot: Rehearsal, frame: Numbers | str = "base", **options: Any) -> ForceMode:
     axes, limits = [0, True, 1, 0, 0, 0], [0.1, 0.2, 0.3, 1, 2, 3]
     return robot.motion.force_mode(frame, axes, DOWN, limits, link=link_of(robot), **options)
 
