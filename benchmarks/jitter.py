@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 
 import urlink
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 
 RATE = 125
 BAND = (7.5e-3, 8.5e-3)
 
 
 def serve(pipe: Connection) -> None:
-    with Controller("UR5", "3.4") as controller:
+    with Controller("UR5", "3.4", motion=Demonstration()) as controller:
         pipe.send(dict(controller.ports))
         pipe.recv()
 

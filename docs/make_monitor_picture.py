@@ -38,7 +38,7 @@ def main() -> None:
     """Watch the simulator, and save the last glance."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "images" / "monitor.svg")
-    parser.add_argument("--address", default="sim://")
+    parser.add_argument("--address", default="sim://?motion=demo")
     parser.add_argument("--interface", choices=("realtime", "primary"), default="realtime")
     parser.add_argument("--seconds", type=float, default=6.0)
     args = parser.parse_args()
@@ -56,7 +56,9 @@ def main() -> None:
             console = Console(record=True, width=WIDTH, file=nowhere, force_terminal=True)
             console.print(Picture(glance))
     args.output.parent.mkdir(exist_ok=True)
-    svg = console.export_svg(title=f"urlink monitor {args.address}", theme=_THEME, unique_id="monitor")
+    svg = console.export_svg(
+        title=f"urlink monitor {args.address.removesuffix('?motion=demo')}", theme=_THEME, unique_id="monitor"
+    )
     # A picture in a document loads no fonts, and should not ask anybody for one.
     args.output.write_text(re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL))
 

@@ -15,7 +15,7 @@ import numpy as np
 import rhdlink
 import urlink
 from rhdlink.plugins.turtle import Turtle
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Demonstration
 
 #: Seconds after which something that has to come has not come, on a machine that is busy.
 TIMEOUT = 30.0
@@ -37,7 +37,7 @@ def until(condition: Callable[[], object]) -> None:
 @contextmanager
 def streams() -> Iterator[Round]:
     """Subscriptions of every policy to streams that are read all the time."""
-    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+    with Controller("UR5e", "5.11", motion=Demonstration()) as controller, urlink.connect(controller.address) as robot:
         policies = [urlink.latest, urlink.drop_oldest(8), urlink.block]
 
         def listen() -> None:

@@ -1,7 +1,7 @@
 """One arm follows another that a person leads by hand, through LeRobot's own interfaces.
 
 python teleoperate.py 192.168.56.101 192.168.56.102      # leader, follower
-python teleoperate.py sim:// sim:// --seconds 2
+python teleoperate.py "sim://?motion=demo" sim:// --seconds 2
 """
 
 from __future__ import annotations

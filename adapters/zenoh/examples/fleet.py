@@ -32,7 +32,7 @@ import numpy as np
 import urlink
 import urlink_zenoh
 from urlink import Chunk, RecordingWriter, Stamp
-from urlink.simulator import Controller, Still
+from urlink.simulator import Controller, Demonstration, Still
 
 FIRMWARE = "3.15"
 #: Seconds from the start within which every robot has to be seen.
@@ -195,7 +195,7 @@ def longest_gap(path: Path) -> float:
 
 def record(path: Path, seconds: float) -> Path:
     """Record a simulated arm, written rather than waited for: the arm is stepped without a clock."""
-    controller = Controller("UR5", FIRMWARE)
+    controller = Controller("UR5", FIRMWARE, motion=Demonstration())
     writer = RecordingWriter(path)
     channel = writer.add_channel({"name": "realtime", "firmware": FIRMWARE, "model": "UR5"})
     for number in range(int(seconds * 125)):
