@@ -611,7 +611,7 @@ def test_uploading_again_and_a_script_of_ones_own(controller: Controller, contro
 
 
 def test_forward_kinematics_with_a_tool(controller: Controller, control: Interface) -> None:
-    """It sends a package of 104 bytes for a recipe of 56, in which the tool is not."""
+    """For a tool of zeros it sends a package of 104 bytes for a recipe of 56, in which the tool is not."""
     q = [0.3, -1.3, 1.2, -1.4, -1.4, 0.4]
     for tool in ([0.0] * 6, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]):
         got = control.getForwardKinematics(q, tool)
