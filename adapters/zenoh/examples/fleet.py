@@ -169,8 +169,10 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
     lost = [found[each].missed - counted[each].missed for each in names]
     print(f"packets a second of each robot: {min(rates):.1f} to {max(rates):.1f}, together {sum(rates):.0f}")
     print(f"missed while there was no router: {sum(each.missed for each in counted.values())}; with it: {sum(lost)}")
+    clock = sum(each.missing for each in ended.values())
+    print(f"cycles of the controllers' own clocks that are in no recording: {clock}")
     gaps = {name: longest_gap(ended[name].path) for name in names}
-    # Packets are numbered where they are published: what was missed was offered too.
+    # Packets are numbered where they are received of the robot: what was missed was offered too.
     rows = [(each, ended[each].packets + ended[each].missed, ended[each].packets, gaps[each]) for each in names]
     for name, offered, received, gap in rows if args.each else ():
         print(f"  {name}: offered {offered}, received {received}, lost {offered - received}, longest gap {gap:.2f} s")

@@ -25,6 +25,7 @@ from urlink.simulator import Controller
 from urlink_zenoh import Collector, RemoteRobot, Sample, Server, open_session, robots
 from urlink_zenoh.expiry import Expiry
 from urlink_zenoh.keys import attachment, stamped
+from urlink_zenoh.publication import Publication
 
 #: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
 pytestmark = pytest.mark.urlink(
@@ -84,6 +85,55 @@ def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
     times = [sample.state.to_dict()["time"] for sample in states]
     assert np.diff(times) == pytest.approx(0.02, abs=1e-6)
     assert any(isinstance(sample.state, urlink.RobotState) for sample in packages)
+
+
+@pytest.mark.parametrize("rate", [None, 100.0])
+def test_what_a_queue_of_the_server_drops_has_been_numbered(
+    router: zenoh.Session,
+    endpoint: str,
+    session: zenoh.Session,
+    urlink_robot: urlink.Robot,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    rate: float | None,
+) -> None:
+    samples: list[Sample] = []
+    goes_on, is_held = threading.Event(), threading.Event()
+    goes_on.set()
+    put = Publication.put
+
+    def hold(publication: Publication, payload: bytes, *rest: Any) -> None:
+        if len(payload) > 1000 and not goes_on.is_set():
+            is_held.set()
+            goes_on.wait(30)
+        put(publication, payload, *rest)
+
+    monkeypatch.setattr(Publication, "put", hold)
+    with (
+        open_session([endpoint]) as ours,
+        Server(ours, {"arm": urlink_robot}, rate=rate, interfaces=("realtime",)),
+        Collector(session, tmp_path) as collector,
+        RemoteRobot(session, "arm") as remote,
+        remote.watch(samples.append) as watch,
+    ):
+        until(lambda: len(samples) > 20 and "arm" in collector.robots)
+        goes_on.clear()
+        assert is_held.wait(10)
+        held = urlink_robot.realtime.stats.received
+        until(lambda: urlink_robot.realtime.stats.received > held + 500)  # the queue has room for 256
+        goes_on.set()
+        until(lambda: watch.missed)
+        count = len(samples)
+        until(lambda: len(samples) > count + 20 and collector.robots["arm"].packets > count)
+        robot = collector.robots["arm"]
+    times = [sample.state.to_dict()["time"] for sample in samples]
+    # One of the queue's drops may be noted with the packet before or after; all of them are, in the end.
+    span = round((times[-1] - times[0]) * (rate or 500))
+    assert samples[-1].sequence - samples[0].sequence == pytest.approx(span, abs=1)
+    assert watch.missed == samples[-1].sequence - samples[0].sequence + 1 - len(samples) > (rate or 500) / 5
+    assert robot.missing == pytest.approx(robot.missed, abs=1)
+    run = urlink.load(robot.path)
+    assert sum(gap.cycles for gap in run.realtime.gaps) >= robot.missing > (rate or 500) / 5
 
 
 def test_a_client_moves_a_robot_and_sets_outputs(

@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import zenoh
 
-from urlink import Chunk, ConnectionEvent, ConnectionLost, ConnectionState, LinkError, RecordingWriter, Stamp
+from urlink import (
+    Chunk,
+    ConnectionEvent,
+    ConnectionLost,
+    ConnectionState,
+    LinkError,
+    RealtimeState,
+    RecordingWriter,
+    Stamp,
+    State,
+)
 
 from .client import RemoteRobot, Sample, Watch
 from .keys import PREFIX
@@ -23,6 +33,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Collected", "Collector"]
 
+#: Seconds that a clock goes on at most between two packets; more is the time of something else.
+_ANOTHER_CLOCK = 3600.0
+
 _log = logging.getLogger("urlink.zenoh")
 
 
@@ -31,13 +44,15 @@ class Collected(NamedTuple):
 
     Attributes:
         packets: that were written.
-        missed: by the numbers of the packets: published, and not arrived here.
+        missed: by the numbers of the packets: received by the server, and not arrived here.
+        missing: by the controller's own clock: cycles of which no packet is in the recording, for whatever reason.
         restarts: times that its server began anew, or was out of sight.
         path: the recording, which `urlink.connect` opens.
     """
 
     packets: int
     missed: int
+    missing: int
     restarts: int
     path: Path
 
@@ -48,7 +63,10 @@ class _File:
     def __init__(self, path: Path, info: Mapping[str, object]) -> None:
         self.writer = RecordingWriter(path)
         self.channel = self.writer.add_channel(info)
-        self.packets = self.missed = self.restarts = 0
+        self.packets = self.missed = self.missing = self.restarts = 0
+        rate = info.get("rate")
+        self.period = 1.0 / rate if isinstance(rate, (int, float)) and rate > 0 else None
+        self.time: float | None = None  # of the last packet, by the controller's clock
         self.expected: int | None = None
 
     def add(self, sample: Sample) -> None:
@@ -62,6 +80,15 @@ class _File:
         self.expected = sample.sequence + 1
         self.writer.add(self.channel, Chunk(bytes(sample.state), sample.received))
         self.packets += 1
+        self._look_at_clock(sample.state)
+
+    def _look_at_clock(self, state: State) -> None:
+        if self.period is None or not isinstance(state, RealtimeState):
+            return
+        before, self.time = self.time, state.time
+        # Backwards, or far ahead: it was started again.
+        if before is not None and 1.5 * self.period < state.time - before < _ANOTHER_CLOCK:
+            self.missing += max(round((state.time - before) / self.period) - 1, 1)
 
 
 class Collector:
@@ -105,7 +132,7 @@ class Collector:
     def robots(self) -> dict[str, Collected]:
         """What has been recorded, by robot."""
         return {
-            name: Collected(file.packets, file.missed, file.restarts, file.writer.path)
+            name: Collected(file.packets, file.missed, file.missing, file.restarts, file.writer.path)
             for name, file in list(self._files.items())
         }
 
@@ -149,7 +176,10 @@ class Collector:
         if file is None:
             info = {"name": self._interface, "address": f"zenoh:{self._prefix}/{name}"}
             with RemoteRobot(self._session, name, prefix=self._prefix) as robot:
-                info |= robot.info["recording"]
+                said = robot.info
+            info |= said["recording"]
+            if self._interface == "realtime":
+                info["rate"] = said["published"]
             began = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
             file = self._files[name] = _File(self.directory / f"{name}-{began}.urlog", info)
         return file

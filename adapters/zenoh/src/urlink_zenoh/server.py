@@ -124,6 +124,7 @@ class _Served:
         self.key = key
         self._robot = robot
         self._numbers = itertools.count(1)
+        self._rate: float | None = None  # of the real-time packets that are published
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
@@ -175,38 +176,43 @@ class _Served:
     def _publish_packets(self, interface: str, publication: Publication, rate: float | None) -> None:
         robot = self._robot
         stream = getattr(robot, interface)
-        sequence, came = itertools.count(), itertools.count()
+        taken = itertools.count()
+        last = -1
+        subscriptions: list[Subscription] = []
         firmware = robot.firmware
         encoding = packets_of(interface, firmware)
         every = 1 if rate is None else max(round(firmware.rate / rate), 1)
+        if interface == "realtime":
+            self._rate = firmware.rate / every
 
         def put(packet: State) -> None:
-            nonlocal firmware, encoding
-            if next(came) % every or packet.received is None:
+            nonlocal firmware, encoding, last
+            # Numbered as the stream has received them: what the queue of this callback has dropped has its number too.
+            number = (next(taken) + (subscriptions[-1].stats.dropped if subscriptions else 0)) // every
+            if number == last or packet.received is None:
                 return
+            last = number
             with contextlib.suppress(LinkError):
                 # Known, but for the first packet after a reconnect: it may have come back with another firmware.
                 now = robot.firmware
                 if now != firmware:
                     firmware, encoding = now, packets_of(interface, now)
                     self._describe()
-            publication.put(bytes(packet), encoding, attachment(next(sequence), packet.received))
+            publication.put(bytes(packet), encoding, attachment(number, packet.received))
 
         def tell(event: ConnectionEvent) -> None:
             error = None if event.error is None else str(event.error)
             said = {"interface": interface, "state": event.state.value, "error": error, "time": event.received.wall}
             self._connection.put(json_of(said))
 
-        subscriptions: list[Subscription] = [
-            stream.subscribe(tell, ConnectionEvent),
-            stream.subscribe(put, RealtimeState if interface == "realtime" else State),
-        ]
+        subscriptions.append(stream.subscribe(tell, ConnectionEvent))
+        subscriptions.append(stream.subscribe(put, RealtimeState if interface == "realtime" else State))
         for subscription in subscriptions:
             self._stack.callback(subscription.close)
 
     def _describe(self) -> None:
         commands = sorted([*COMMANDS, "cancel"]) if self._is_commanded else []
-        self._info.put(json_of({**described(self._robot), "commands": commands}))
+        self._info.put(json_of({**described(self._robot), "published": self._rate, "commands": commands}))
 
     def tell_status(self) -> None:
         """Publish how the robot is."""
