@@ -12,8 +12,8 @@ from .table import Table
 
 __all__ = ["FileWriter", "chosen", "export"]
 
-#: Writes tables, by name, to a path.
-FileWriter = Callable[[Path, Mapping[str, Table], Progress], None]
+#: Writes tables, by name, to a path, with a description of where they come from.
+FileWriter = Callable[[Path, Mapping[str, Table], Mapping[str, str], Progress], None]
 
 
 def export(
@@ -21,6 +21,7 @@ def export(
     tables: Mapping[str, Table],
     writers: Mapping[str, FileWriter],
     progress: Progress | None = None,
+    about: Mapping[str, str] | None = None,
 ) -> Path:
     """Write tables to a file, which replaces one of the same name once it is complete.
 
@@ -28,6 +29,7 @@ def export(
 
     Args:
         writers: suffix -> function that writes such a file.
+        about: what the file says of itself where its format has a place for that: robot, beginning, clocks.
 
     Raises:
         BadValue: unknown suffix, or the format cannot hold these tables.
@@ -40,7 +42,7 @@ def export(
         raise BadValue(f"{path}: no format has the suffix {path.suffix!r}; expected one of {', '.join(writers)}")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     try:
-        writer(unfinished, tables, progress or unseen)
+        writer(unfinished, tables, about or {}, progress or unseen)
         os.replace(unfinished, path)
     except OSError as error:
         raise BadRecording(f"cannot write {path}: {error.strerror or error}") from error

@@ -38,6 +38,10 @@ class McapFile:
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[tuple[str, int], int] = {}
 
+    def describe(self, about: Mapping[str, str]) -> None:
+        """Write what the file says of itself, as the metadata record `recording`."""
+        self._writer.add_metadata("recording", dict(about))
+
     def write(self, topics: Iterable[Topic]) -> None:
         """Append messages, in the order of their stamps."""
         topics = list(topics)
@@ -68,19 +72,20 @@ class McapFile:
         self._writer.finish()
 
 
-def write_mcap(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
+def write_mcap(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
     """A topic for each table, with a message for each row, of a type made of the fields of the table."""
 
     def topics(start: float, stop: float) -> list[Topic]:
         return [table_topic(name, table.between(start, stop), "recorded_msgs") for name, table in tables.items()]
 
-    write_stretches(path, tables, topics, progress)
+    write_stretches(path, tables, topics, about, progress)
 
 
 def write_stretches(
     path: Path,
     tables: Mapping[str, Table],
     topics: Callable[[float, float], Iterable[Topic]],
+    about: Mapping[str, str],
     progress: Progress,
     begin: Iterable[Topic] = (),
 ) -> None:
@@ -88,6 +93,7 @@ def write_stretches(
 
     Args:
         topics: makes the messages from one time to another, s since the recording began.
+        about: the metadata record `recording`.
         begin: messages that are written once, before all others.
     """
     filled = [table for table in tables.values() if len(table)]
@@ -95,6 +101,7 @@ def write_stretches(
     last = max((table.time[-1] for table in filled), default=0.0)
     with path.open("xb") as file:
         mcap = McapFile(file)
+        mcap.describe(about)
         mcap.write(begin)
         for start in np.arange(first, last + _STRETCH, _STRETCH).tolist():
             mcap.write(topics(start, start + _STRETCH))

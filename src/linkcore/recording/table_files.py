@@ -32,8 +32,8 @@ def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
     return next(iter(tables.values()))
 
 
-def write_csv(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
-    """A line for each row; numbers with all their digits, `wall` as in ISO 8601."""
+def write_csv(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
+    """A line for each row; numbers with all their digits, `wall` as in ISO 8601. It has no place for `about`."""
     table = _only(path, tables, ".csv")
     columns = flat_columns(table)
     with path.open("x", newline="", encoding="utf-8") as file:
@@ -48,8 +48,8 @@ def write_csv(path: Path, tables: Mapping[str, Table], progress: Progress) -> No
             progress(min(begin + _ROWS, len(table)) / len(table))
 
 
-def write_parquet(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
-    """A column for each number of a row; units and meanings are metadata of the columns."""
+def write_parquet(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
+    """A column for each number of a row; units and meanings are metadata of the columns, `about` of the file."""
     table = _only(path, tables, ".parquet")
     with needs("parquet", "a .parquet file"):
         import pyarrow
@@ -63,38 +63,47 @@ def write_parquet(path: Path, tables: Mapping[str, Table], progress: Progress) -
     for name, array in columns.items():
         kind = pyarrow.timestamp("ns", tz="UTC") if name == "wall" else None
         kind = kind or (pyarrow.string() if array.dtype == object else pyarrow.from_numpy_dtype(array.dtype))
-        about = described.get(name)
-        metadata = {"unit": about.unit, "doc": about.doc} if about else {"unit": "s"} if name == "t" else None
+        column = described.get(name)
+        metadata = {"unit": column.unit, "doc": column.doc} if column else {"unit": "s"} if name == "t" else None
         schema.append(pyarrow.field(name, kind, metadata=metadata))
-    with pyarrow.parquet.ParquetWriter(path, pyarrow.schema(schema)) as writer:
+    described_schema = pyarrow.schema(schema, metadata=dict(about))
+    with pyarrow.parquet.ParquetWriter(path, described_schema) as writer:
         for begin in range(0, max(len(table), 1), 10 * _ROWS):
             part = {name: array[begin : begin + 10 * _ROWS] for name, array in columns.items()}
             arrays = [
                 pyarrow.array(part[field.name].astype("i8") if field.name == "wall" else part[field.name], field.type)
                 for field in schema
             ]
-            writer.write_table(pyarrow.table(arrays, schema=pyarrow.schema(schema)))
+            writer.write_table(pyarrow.table(arrays, schema=described_schema))
             progress(min((begin + 10 * _ROWS) / max(len(table), 1), 1.0))
 
 
-def write_mat(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
-    """A structure for each table: ``realtime.q_actual`` is n by 6. `wall` is seconds since 1970, UTC."""
+def write_mat(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
+    """A structure for each table: ``realtime.q_actual`` is n by 6. `wall` is seconds since 1970, UTC.
+
+    `about` is a structure too.
+    """
     with needs("mat", "a .mat file"):
         import scipy.io
     content: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         arrays = {field.replace(".", "_"): array for field, array in table.arrays().items()}
         content[name] = {"t": table.time, "wall": table.wall.astype(np.int64) / 1e9, **arrays}
+    content["about"] = dict(about)
     with path.open("xb") as file:
         scipy.io.savemat(file, content, long_field_names=True, oned_as="column", do_compression=True)
     progress(1.0)
 
 
-def write_h5(path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
-    """A group for each table, a data set for each field with its unit and meaning. `wall` is ns since 1970, UTC."""
+def write_h5(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
+    """A group for each table, a data set for each field with its unit and meaning. `wall` is ns since 1970, UTC.
+
+    `about` are attributes of the file.
+    """
     with needs("h5", "an .h5 file"):
         import h5py
     with h5py.File(path, "x") as file:
+        file.attrs.update(about)
         for done, (name, table) in enumerate(tables.items()):
             group = file.create_group(name)
             group.create_dataset("t", data=table.time).attrs["unit"] = "s"

@@ -230,7 +230,7 @@ class Recording:
         if fields is None and is_of_one:
             tables = dict(list(tables.items())[:1])
         writers = {**TABLE_WRITERS, ".mcap": self._write_mcap}
-        return export(path, chosen(tables, fields, rate), writers, progress)
+        return export(path, chosen(tables, fields, rate), writers, progress, self._about())
 
     def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
         """Fields over time, one panel each. A notebook shows it; `Plot.save` writes it to a file.
@@ -262,7 +262,22 @@ class Recording:
         who = f"{self.model}, firmware {self.firmware}" if self.model else ""
         return Plot(curves, f"{self.path.name}  {who}".strip())
 
-    def _write_mcap(self, path: Path, tables: Mapping[str, Table], progress: Progress) -> None:
+    def _about(self) -> dict[str, str]:
+        """What an exported file says of itself."""
+        said = {"robot": self.model, "firmware": self.firmware, "address": self._said("address")}
+        records = np.flatnonzero(self._index.kind == Kind.BYTES)
+        if len(records):
+            first = records[np.argmin(self._index.monotonic[records])]
+            said["start"] = f"{self._index.wall[first].astype('M8[ns]')}Z"
+        said["clock"] = (
+            "t: s since start, by the monotonic clock of the computer that recorded; wall: its UTC; "
+            "time and timestamp: the controller's own clock"
+        )
+        return {key: str(value) for key, value in said.items() if value is not None}
+
+    def _write_mcap(
+        self, path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress
+    ) -> None:
         tables = {name: table for name, table in tables.items() if len(table)}
         arm = self._arm() if tables else None
         described = [] if arm is None else [description_topic(arm, min(each.wall[0] for each in tables.values()))]
@@ -278,7 +293,7 @@ class Recording:
                     found.setdefault("/log", log_topic(stream.robot_messages[begin:end], said.wall[begin:end]))
             return found.values()
 
-        write_stretches(path, tables, topics, progress, described)
+        write_stretches(path, tables, topics, about, progress, described)
 
     def _info(self, name: str) -> Mapping[str, Any]:
         if name not in self.channels:

@@ -210,3 +210,37 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert [batch.message.log_time for batch in batches] == table.wall.astype(int).tolist()
     assert [batch.decoded_message.transpos for batch in batches] == table["transpos"].tolist()
     assert table.export(drive, ["transpos"]).read_text().startswith("t,wall,transpos\n")
+
+
+def test_a_file_says_which_robot_it_is_of(recording: urlink.Recording, tmp_path: Path) -> None:
+    start = f"{recording.realtime.wall[0] - np.timedelta64(round(recording.realtime.time[0] * 1e9), 'ns')}Z"
+    said: dict[str, dict[str, str]] = {}
+    for suffix, package in (
+        (".parquet", "pyarrow.parquet"),
+        (".h5", "h5py"),
+        (".mat", "scipy.io"),
+        (".mcap", "mcap.reader"),
+    ):
+        read = reader(package)
+        path = recording.export(tmp_path / f"run{suffix}", ["q_actual"])
+        if suffix == ".parquet":
+            about = read.read_schema(path).metadata
+            said[suffix] = {key.decode(): value.decode() for key, value in about.items()}
+        elif suffix == ".h5":
+            with read.File(path) as file:
+                said[suffix] = dict(file.attrs)
+        elif suffix == ".mat":
+            about = read.loadmat(path, simplify_cells=True)["about"]
+            said[suffix] = {key: str(value) for key, value in about.items()}
+        else:
+            with path.open("rb") as file:
+                (about,) = (
+                    each.metadata for each in read.make_reader(file).iter_metadata() if each.name == "recording"
+                )
+            said[suffix] = dict(about)
+    for suffix, about in said.items():
+        assert (about["robot"], about["firmware"]) == (recording.model, str(recording.firmware)), suffix
+        assert abs(np.datetime64(about["start"].rstrip("Z")) - np.datetime64(start.rstrip("Z"))) < np.timedelta64(
+            1, "ms"
+        )
+        assert "monotonic clock" in about["clock"]
