@@ -155,8 +155,10 @@ class Recording:
         channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
         # Who recorded fewer packets than the robot sends has said how many.
         rate = self._info("realtime").get("rate")
-        is_said = isinstance(rate, (int, float)) and 0 < rate < float("inf")
-        periods = (1.0 / rate,) if is_said else periods_of(channel.parts[0].layout.size if channel.parts else 0)
+        if isinstance(rate, (int, float)) and 0 < rate < float("inf"):
+            periods: tuple[float, ...] = (1.0 / rate,)
+        else:
+            periods = periods_of(channel.parts[0].layout.size if channel.parts else 0)
         return self._table("realtime", channel, PeerClock("time", 1.0, periods))
 
     @cached_property
