@@ -29,6 +29,9 @@ _FIRST_RUN = 64
 _MOST = 1 << 16
 #: Bytes that are searched at a time for a record after damage.
 _SEARCHED = 1 << 20
+#: Bytes that are summed up for records which turn out to be none: so many, and so many for each byte of the file before
+#: them. What begins like a longer one is passed over, or a file of lengths would take time by the square of its size.
+_TRIED, _TRIED_EACH = 1 << 20, 16
 
 Numbers = NDArray[np.int64]
 
@@ -73,6 +76,7 @@ class Index:
         begin = bytes(self.data[: len(MAGIC)])
         if begin != MAGIC:
             raise BadRecording(f"{self.path} is not a recording: it begins with {begin!r}, not {MAGIC!r}")
+        self._tried = 0
         starts, strides, counts = np.array(self._runs(), np.int64).reshape(-1, 3).T
         stride = np.repeat(strides, counts)
         within = np.arange(len(stride)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -118,12 +122,12 @@ class Index:
         runs: list[tuple[int, int, int]] = []
         view = memoryview(self.data.data)
         end, at, records = len(view), len(MAGIC), 0
-        unpack, crc32 = FRAME.unpack_from, zlib.crc32
         start = stride = count = 0  # of the run that is being found
         while at < end:
-            length, crc = unpack(view, at) if end - at >= FRAME.size else (0, 0)
-            after = at + FRAME.size + length
-            if not HEAD.size <= length <= LARGEST or after > end or crc32(view[at + FRAME.size : after]) != crc:
+            after = self._end_of_record(view, at)
+            if not after:
+                length = FRAME.unpack_from(view, at)[0] if end - at >= FRAME.size else 0
+                after = at + FRAME.size + length
                 found = self._next(view, at, after)
                 self.gaps.append(Gap(records, at, found - at))
                 at = found
@@ -169,20 +173,25 @@ class Index:
             kinds = self.data[begin + FRAME.size : stop + FRAME.size]
             likely = (lengths >= HEAD.size) & (lengths <= LARGEST) & (kinds <= int(Kind.END))
             for place in (np.flatnonzero(likely) + begin).tolist():
-                if _is_record(view, place):
+                if self._end_of_record(view, place):
                     return int(place)
             begin, stop = stop, stop + _SEARCHED
         return len(view)
 
-
-def _is_record(view: memoryview, at: int) -> bool:
-    if len(view) - at < FRAME.size + HEAD.size:
-        return False
-    length, crc = FRAME.unpack_from(view, at)
-    after = at + FRAME.size + length
-    if not HEAD.size <= length <= LARGEST or after > len(view):
-        return False
-    return zlib.crc32(view[at + FRAME.size : after]) == int(crc)
+    def _end_of_record(self, view: memoryview, at: int) -> int:
+        """The offset behind the intact record at `at`; 0 if there is none."""
+        if len(view) - at < FRAME.size + HEAD.size:
+            return 0
+        length, crc = FRAME.unpack_from(view, at)
+        after: int = at + FRAME.size + length
+        if not HEAD.size <= length <= LARGEST or after > len(view):
+            return 0
+        if self._tried and self._tried + length > _TRIED + _TRIED_EACH * at:
+            return 0
+        if zlib.crc32(view[at + FRAME.size : after]) == crc:
+            return after
+        self._tried += length
+        return 0
 
 
 def _mapped(path: Path) -> NDArray[np.uint8]:

@@ -221,6 +221,7 @@ xml_values = st.recursive(
             "<data/>",
             "<struct><member><name>a</name></member></struct>",
             f"<value><int>{'9' * 5000}</int></value>",
+            f"<value><int>{'9' * 400}</int></value>",
             f"<value>{'a' * 20_000}</value>",
         ]
     ),

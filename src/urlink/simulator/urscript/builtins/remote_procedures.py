@@ -8,6 +8,7 @@ ends the program, and that structs with other members are structs of URScript to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 from urllib.parse import urlsplit
@@ -150,11 +151,18 @@ def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
             raise Fault(f"String too long: {len(result)} characters")
         return result
     if isinstance(result, (int, float)):
-        return checked(result if -(2**31) <= result < 2**31 else float(result))
+        return _number(result)
     if isinstance(result, list):
         return list_of([_value(item, what, charge, depth + 1) for item in result], charge)
     if isinstance(result, dict):
         if result.keys() == set(_POSE) and all(isinstance(result[key], (int, float)) for key in _POSE):
-            return Pose(float(checked(float(result[key]))) for key in _POSE)
+            return Pose(float(_number(result[key])) for key in _POSE)
         return struct_of({str(key): _value(member, what, charge, depth + 1) for key, member in result.items()}, charge)
     raise Fault(f"{what}: a value of XML-RPC that URScript does not have: {type(result).__name__}")
+
+
+def _number(result: float | int) -> float | int:
+    """An integer that 32 bits do not hold becomes a float."""
+    if isinstance(result, float) or -(2**31) <= result < 2**31:
+        return checked(result)
+    return checked(float(result) if abs(result) < 1e300 else math.inf)
