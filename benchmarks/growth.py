@@ -1,10 +1,10 @@
 """How does the time of every parser grow with its input? The exponent, from 1 to 64 KiB, for the worst inputs known.
 
-Each input is doubled six times, and the processor time of each size is the best of several runs. The exponent is that
-of the last two increments: by how much more time the step from 32 to 64 KiB costs than the one from 16 to 32, as a
-logarithm to the base 2. It is 1 where time is proportional to size, whatever is spent once or not before a frame is
-whole, and 2 where it is quadratic; 0 where nothing more is spent, as most parsers refuse what is longer than their bound.
-The goal is less than 1.2 for every one.
+Each input is doubled six times, and the processor time of each size is the best of several runs. The exponent is 1
+where time is proportional to size, 2 where it is quadratic, and 0 where nothing more is spent: most parsers refuse what
+is longer than a bound. It is the smaller one of two estimates, since each is wrong where the other is right: the slope
+from 16 to 64 KiB in logarithms, which is too large for a framer that does nothing before a frame is whole; and that of
+the last two increments, in which the noise of the machine counts twice. The goal is less than 1.2 for every one.
 
 The inputs are of three kinds: strings on which expressions and loops of earlier versions were slow, strings made for
 the expressions and loops that are there now, and what a search over repeated fragments found worst (`--search`).
@@ -423,9 +423,9 @@ def growth(parser: Parser, made: Callable[[int], bytes], rounds: int) -> tuple[f
     """The exponent, and the milliseconds for each size."""
     times = [milliseconds(parser, made(size), rounds) for size in SIZES]
     before, last = times[-2] - times[-3], times[-1] - times[-2]
-    if last < _NOTICED or last < 0.1 * times[-1]:
+    if last < max(_NOTICED, 0.1 * times[-1]):
         return 0.0, times
-    return math.log2(last / max(before, _NOTICED)), times
+    return min(math.log(times[-1] / times[-3], 4), math.log2(last / max(before, _NOTICED))), times
 
 
 def searched(name: str, count: int, seed: int) -> list[Callable[[int], bytes]]:

@@ -623,6 +623,7 @@ def test_addresses() -> None:
         (("localhost",), {"unsent": "maybe"}, "unsent='maybe'; expected 'discard' or 'send'"),
         (("localhost",), {"timeout": 0}, "timeout=0; expected a positive number of seconds"),
         (("localhost",), {"timeout": "5"}, "timeout='5'; expected a positive number of seconds"),
+        (("localhost",), {"timeout": True}, "timeout=True; expected a positive number of seconds"),
         (("localhost",), {"timeout": float("inf")}, "timeout=inf; expected a positive number of seconds"),
         (("localhost",), {"width": 3}, "width=3; expected None or 2 or 4"),
         (("localhost",), {"limits": 3}, r"limits=3; expected rhdlink.Limits\(...\)"),

@@ -20,6 +20,7 @@ from ..plugins.turtle import SmrTurtle, Turtle
 from ..smrcl.mission import Mission, MissionRun
 from ..smrcl.outbox import Said
 from ..smrcl.profile import PROFILES
+from ..smrcl.robot_conf import RobotConf, read_robot_conf
 from ..smrcl.robot_link import ClientLink, PluginLink, RobotLink
 from ..smrcl.server import PORT, MissionServer
 from ..world import World
@@ -64,6 +65,9 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("--profile", choices=sorted(PROFILES), default="sound", help="as MRC does it, or sound (sound)")
     parser.add_argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in")
+    parser.add_argument(
+        "--calibration", metavar="NAME", help="of the calibrations in --conf (the robot's name, or this computer's)"
+    )
     parser.add_argument("--trace", action="store_true", help="show each line as it is executed")
     parser.add_argument("--svg", metavar="FILE", help="draw the turtle's path into FILE at the end: .svg or .png")
     add_world(parser)
@@ -108,9 +112,10 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _execute(args: argparse.Namespace) -> int:
+    conf = _conf(args)
     link, driven = _link(args, is_realtime=args.realtime)
     try:
-        mission = Mission(Path(args.file), link, compat=args.profile, conf=args.conf, log_folder=args.log_folder)
+        mission = Mission(Path(args.file), link, compat=args.profile, conf=conf, log_folder=args.log_folder)
         _listen(mission, args)
         with Interruption() as interruption:
             run = mission.start()
@@ -191,13 +196,14 @@ def _trace(said: Said) -> None:
 def _serve(args: argparse.Namespace) -> int:
     if args.file is not None:
         args.usage_error("--serve takes its commands from clients, not from a script")
+    conf = _conf(args)
     link, driven = _link(args, is_realtime=True)
     server = MissionServer(
         link,
         port=args.port,
         address=args.listen,
         compat=args.profile,
-        conf=args.conf,
+        conf=conf,
         log_folder=args.log_folder,
     )
     if args.profile == "mrc":
@@ -220,6 +226,20 @@ def _serve(args: argparse.Namespace) -> int:
     finally:
         link.close()
     return 0
+
+
+def _conf(args: argparse.Namespace) -> RobotConf | str | None:
+    """What the robot is, as far as it is told.
+
+    Raises:
+        BadConfiguration: the calibration that is asked for is not there.
+    """
+    if args.calibration is None:
+        path: str | None = args.conf
+        return path
+    if args.conf is None:
+        args.usage_error("--calibration is the name of files beside --conf")
+    return read_robot_conf(args.conf, calibration=args.calibration)
 
 
 def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, World | None]:

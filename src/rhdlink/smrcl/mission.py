@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkcore.arguments import check_callable
+from linkcore.arguments import check_callable, check_seconds
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, LinkTimeout, LocalError
 from linkcore.handle import Handle, Lifecycle
@@ -78,7 +78,7 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
         period = getattr(link, "period", conf.period)
         conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
     elif not isinstance(conf, RobotConf):
-        conf = read_robot_conf(conf)
+        conf = read_robot_conf(conf, robot=link.name.rpartition(":")[0])
     lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
     lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
     if lacking:
@@ -101,8 +101,8 @@ class Mission:
         robot: a robot that is connected with write access; an address; a plugin such as `Turtle()`, which is run in
             this process, as fast as it goes; None to check the script only.
         compat: "sound", or "mrc" for what the original does, see `Profile`.
-        conf: what the robot is: a `RobotConf`, or the path of a `robot.conf`, or of the folder it is in; by default
-            what a robot with such variables usually is.
+        conf: what the robot is: a `RobotConf`, or the path of a `robot.conf`, or of the folder it is in, with the
+            calibrations of the robot's name; by default what a robot with such variables usually is.
         variables: variables of the script that exist before it begins.
         limits: bounds.
         log_folder: where the logs go that the script saves, and as ``log`` what is left in it at the end; by default
@@ -218,14 +218,16 @@ class Mission:
             How it went.
 
         Raises:
+            BadValue: `timeout` is no number of seconds.
             LinkTimeout: it was not over in time; the robot stands.
             BadMission: the script cannot work, and has not begun.
             MissionFailed: a line could not be executed.
             AccessDenied, WrongVariables, ...: the robot cannot be driven.
             ConnectionLost, LinkTimeout: it went away.
         """
+        seconds = math.inf if timeout is None else check_seconds(timeout, "timeout")
         run = self._prepare()
-        run._run(math.inf if timeout is None else time.monotonic() + timeout)
+        run._run(time.monotonic() + seconds)
         if run.error is not None:
             raise run.error
         return run

@@ -6,6 +6,8 @@ in it; those for hardware that missions here do not have (``<filter>``, ``<gpsmo
 
 from __future__ import annotations
 
+import logging
+import math
 import os
 import platform
 from collections.abc import Iterator, Mapping
@@ -17,6 +19,8 @@ from ..host.config import LARGEST, BadConfiguration, Element, parse_xml
 from .motion.control import Drive, MotionParameters
 
 __all__ = ["SMR", "VELOMEGA", "RobotConf", "Route", "Scale", "Setting", "parse_robot_conf", "read_robot_conf"]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -140,35 +144,72 @@ VELOMEGA = RobotConf(
 )
 
 
-def read_robot_conf(path: str | os.PathLike[str]) -> RobotConf:
-    """The configuration in a `robot.conf`.
+def read_robot_conf(path: str | os.PathLike[str], *, calibration: str | None = None, robot: str = "") -> RobotConf:
+    """The configuration in a `robot.conf`, with the calibrations beside it.
+
+    MRC names calibrations after the computer that it runs on, which is the robot:
+    ``<name>_demo_odo_calib.dat``, ``<name>_demo_ls_calib.dat``, ``<name>_demo_ir_calib.dat``. What is not calibrated is
+    logged as a warning, with the names of the calibrations that are there.
 
     Args:
-        path: the file; or a folder with `robot.conf` in it, as `calib/` is. Then the calibrations of this computer
-            (``<hostname>_demo_odo_calib.dat``, ``..._ls_calib.dat``, ``..._ir_calib.dat``) and `wdssparam.dat` are
-            read as well, if they are there.
+        path: the file; or the folder that it is in, `calib/` as a rule, where calibrations and `wdssparam.dat` are
+            looked for as well.
+        calibration: the name in the names of the files; then at least one has to be there, also where `path` is the
+            file. By default that of `robot`, else that of this computer.
+        robot: host name of the robot, with or without its domain.
 
     Raises:
-        BadConfiguration: it cannot be read, or says what cannot be.
+        BadConfiguration: it cannot be read, or says what cannot be; or there is no calibration of that name.
     """
     place = Path(path)
     if not place.is_dir():
-        return parse_robot_conf(_read(place), place.name)
+        conf = parse_robot_conf(_read(place), place.name)
+        return conf if calibration is None else _calibrated(conf, place.parent, calibration)
     conf = parse_robot_conf(_read(place / "robot.conf"), "robot.conf")
-    odometry, line, infrared = (place / f"{platform.node()}_demo_{kind}_calib.dat" for kind in ("odo", "ls", "ir"))
-    if odometry.is_file():
-        width, ratio, mean = _numbers(odometry, 3)
-        conf = replace(conf, width=width, right_scale=2 * ratio / (1 + ratio) * mean, left_scale=2 / (1 + ratio) * mean)
-    if line.is_file():
-        found = _numbers(line, 2 * conf.line_size)
-        conf = replace(conf, line_white=found[: conf.line_size], line_black=found[conf.line_size :])
-    if infrared.is_file():
-        found = _numbers(infrared, 12)
-        conf = replace(conf, ir_k1=found[::2], ir_k2=found[1::2])
     if (table := place / "wdssparam.dat").is_file():
         found = _numbers(table, None)
         rows = tuple(zip(found[::3], found[1::3], found[2::3], strict=False))
         conf = replace(conf, motion=replace(conf.motion, wall_table=rows))
+    if calibration is not None:
+        return _calibrated(conf, place, calibration)
+    names = (robot, robot.partition(".")[0], platform.node())
+    name = next((each for each in names if each and any(_calibrations(place, each))), names[-1])
+    return _calibrated(conf, place, name, is_needed=False)
+
+
+#: Kinds of calibrations by the names of their files, and what they calibrate.
+_KINDS = {"odo": "odometry", "ls": "line sensors", "ir": "infrared sensors"}
+
+
+def _calibrations(folder: Path, name: str) -> list[str]:
+    """The kinds of calibrations that are there under a name."""
+    return [kind for kind in _KINDS if (folder / f"{name}_demo_{kind}_calib.dat").is_file()]
+
+
+def _calibrated(conf: RobotConf, folder: Path, name: str, *, is_needed: bool = True) -> RobotConf:
+    there = _calibrations(folder, name)
+    lacking = [kind for kind in _KINDS if kind not in there]
+    if lacking:
+        files = ", ".join(f"{name}_demo_{kind}_calib.dat" for kind in lacking)
+        text = f"{folder}: {', '.join(_KINDS[kind] for kind in lacking)} not calibrated: there is no {files}"
+        others = {each.name.partition("_demo_")[0] for each in folder.glob("*_demo_*_calib.dat")} - {name}
+        if others:
+            text += f"; there are calibrations of {', '.join(sorted(others))}, which `calibration` takes"
+        if is_needed and not there:
+            raise BadConfiguration(text)
+        _log.warning("%s", text)
+    odometry, line, infrared = (folder / f"{name}_demo_{kind}_calib.dat" for kind in _KINDS)
+    if "odo" in there:
+        width, ratio, mean = _numbers(odometry, 3)
+        if not (width > 0.0 and ratio > 0.0 and mean > 0.0):
+            raise BadConfiguration(f"{odometry.name}: width, ratio and mean have to be above 0")
+        conf = replace(conf, width=width, right_scale=2 * ratio / (1 + ratio) * mean, left_scale=2 / (1 + ratio) * mean)
+    if "ls" in there:
+        found = _numbers(line, 2 * conf.line_size)
+        conf = replace(conf, line_white=found[: conf.line_size], line_black=found[conf.line_size :])
+    if "ir" in there:
+        found = _numbers(infrared, 12)
+        conf = replace(conf, ir_k1=found[::2], ir_k2=found[1::2])
     return conf
 
 
@@ -298,6 +339,8 @@ def _numbers(path: Path, count: int | None) -> tuple[float, ...]:
         found = tuple(float(word) for line in text.splitlines() for word in line.partition(";")[0].split())
     except ValueError as error:
         raise BadConfiguration(f"{path.name}: {error}") from error
+    if not all(map(math.isfinite, found)):
+        raise BadConfiguration(f"{path.name} holds a number that is not finite")
     if count is not None and len(found) < count:
         raise BadConfiguration(f"{path.name} has {len(found)} numbers; expected {count}")
     return found if count is None else found[:count]

@@ -463,3 +463,10 @@ def test_a_link_that_was_given_is_left_open() -> None:
     assert link.writers == 1
     link.close()
     assert link.writers == 0
+
+
+def test_a_timeout_is_a_number_of_seconds() -> None:
+    with pytest.raises(BadValue, match=r"timeout=True; expected a number of seconds, 0 or more"):
+        Mission("wait 0.1\n", turtle()).run(timeout=True)
+    with Mission("wait 0.1\n", turtle()).start() as run, pytest.raises(BadValue, match="timeout=True"):
+        run.wait(timeout=True)

@@ -7,9 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from rhdlink import Host, connect
 from rhdlink.host.config import BadConfiguration
+from rhdlink.plugins.turtle import Turtle
+from rhdlink.smrcl.mission import suitable_conf
 from rhdlink.smrcl.motion.control import Drive
 from rhdlink.smrcl.robot_conf import RobotConf, parse_robot_conf, read_robot_conf
+from rhdlink.smrcl.robot_link import ClientLink
 from tests.rhdlink.smrcl.bench import Bench
 
 #: As DTU's robots have it, for the turtle.
@@ -94,3 +98,47 @@ def test_a_calibration_that_cannot_be_read_says_why(tmp_path: Path, kind: str, t
     (tmp_path / f"{platform.node()}_demo_{kind}_calib.dat").write_text(text)
     with pytest.raises(BadConfiguration, match=said):
         read_robot_conf(tmp_path)
+
+
+def calibrated(folder: Path, *names: str) -> Path:
+    """A folder with the calibrations of the odometry of some robots: their widths are 0.21 m, 0.22 m, ..."""
+    (folder / "robot.conf").write_text("<mrc/>")
+    for number, name in enumerate(names):
+        (folder / f"{name}_demo_odo_calib.dat").write_text(f"{21 + number}e-2 1.0 0.0001\n")
+    return folder
+
+
+def test_the_calibration_is_that_of_the_robot_or_of_the_one_that_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    calibrated(tmp_path, "smr1", "smr2", platform.node())
+    assert read_robot_conf(tmp_path, robot="smr1").width == 0.21
+    assert read_robot_conf(tmp_path, robot="smr2.elektro.dtu.dk").width == 0.22
+    assert read_robot_conf(tmp_path, robot="localhost").width == 0.23
+    assert read_robot_conf(tmp_path, robot="smr1", calibration="smr2").width == 0.22
+    assert read_robot_conf(tmp_path / "robot.conf", calibration="smr2").width == 0.22
+    assert "line sensors, infrared sensors not calibrated: there is no smr2_demo_ls_calib.dat" in caplog.text
+    with pytest.raises(BadConfiguration, match=r"no smr3_demo_odo_calib.dat.*; there are calibrations of .*smr1, smr2"):
+        read_robot_conf(tmp_path, calibration="smr3")
+
+
+def test_what_is_not_calibrated_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    calibrated(tmp_path, "smr1")
+    assert read_robot_conf(tmp_path).width == RobotConf().width
+    assert "odometry, line sensors, infrared sensors not calibrated" in caplog.text
+    assert "there are calibrations of smr1, which `calibration` takes" in caplog.text
+
+
+def test_a_mission_takes_the_calibration_of_its_robot(tmp_path: Path) -> None:
+    with Host([Turtle()], port=0) as host, connect(host.address, access="w") as robot:
+        link = ClientLink(robot)
+        link.name = "smr7.elektro.dtu.dk:24902"
+        (calibrated(tmp_path, "smr7") / "robot.conf").write_text(TEXT)
+        assert suitable_conf(tmp_path, link).width == 0.21
+
+
+@pytest.mark.parametrize("text", ["0 1 1e-4", "0.2 -1 1e-4", "nan 1 1e-4", "0.2 1 inf"])
+def test_an_odometry_that_cannot_be_is_refused(tmp_path: Path, text: str) -> None:
+    (calibrated(tmp_path) / "smr1_demo_odo_calib.dat").write_text(text)
+    with pytest.raises(BadConfiguration, match=r"above 0|not finite"):
+        read_robot_conf(tmp_path, calibration="smr1")
