@@ -20,6 +20,9 @@ Two kinds of mistake, two kinds of error::
 
 from __future__ import annotations
 
+import copy
+from typing import TypeVar
+
 __all__ = [
     "BadAddress",
     "BadRecording",
@@ -35,7 +38,10 @@ __all__ = [
     "PacketError",
     "RemoteError",
     "WrongPeer",
+    "unraised",
 ]
+
+E = TypeVar("E", bound=Exception)
 
 
 class LinkError(Exception):
@@ -130,3 +136,23 @@ def _packet_error(
     reason: str, packet: str, version: str | None, expected: int | None, actual: int | None, offset: int
 ) -> PacketError:
     return PacketError(reason, packet=packet, version=version, expected=expected, actual=actual, offset=offset)
+
+
+def unraised(error: E) -> E:
+    """A copy of an error that can be kept: neither it nor what caused it has a traceback.
+
+    A traceback refers to the frames through which an error was raised, and their variables may refer to what keeps the
+    error: a reference cycle, which only the garbage collector would find.
+    """
+    kind = type(error)
+    if issubclass(kind, LinkError):
+        copied = kind.__new__(kind, *error.args)  # without its `__init__`, which may take other arguments
+        copied.__dict__.update(error.__dict__)
+    else:
+        copied = copy.copy(error)
+    copied.__cause__, copied.__suppress_context__ = error.__cause__, error.__suppress_context__
+    cause = error.__cause__ or error.__context__
+    while cause is not None and cause.__traceback__ is not None:
+        cause.__traceback__ = None
+        cause = cause.__cause__ or cause.__context__
+    return copied

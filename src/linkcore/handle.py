@@ -13,6 +13,10 @@ A dash is no transition: there is no way back, and what ends it first is what it
 
 `Lifecycle` is the library's side of it, `Handle` what users hold. Both work without a lock: what has ended a life is
 put into a dictionary with `setdefault`, which is one step for threads and for signal handlers alike.
+
+A life that has ended is in no reference cycle, since a program may have switched the garbage collector off. So it lets
+go of its handle and of its brake then. Its error is kept, and handed out, as copies that have never been raised: an
+exception that is raised refers to the frames that it passes, and these to the handle in their variables.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 
 from .arguments import check_callable, check_seconds
 from .callbacks import CallbackThread
-from .errors import Cancelled, LinkError, LinkTimeout
+from .errors import Cancelled, LinkError, LinkTimeout, unraised
 from .pending_call import current_call, regardless
 
 if TYPE_CHECKING:
@@ -89,8 +93,8 @@ class Lifecycle:
 
     Attributes:
         brake: tells the robot to stop it; may raise `LinkError`. Called where it ends before its time and the robot has
-            to be stopped.
-        handle: what users hold of it; None where they hold nothing.
+            to be stopped; let go of at the end.
+        handle: what users hold of it; None where they hold nothing, and after the end.
     """
 
     def __init__(
@@ -100,7 +104,7 @@ class Lifecycle:
         waiting: Callable[[], contextlib.AbstractContextManager[object]] = contextlib.nullcontext,
     ) -> None:
         self.name = name
-        self.brake: Callable[[], object] = lambda: None
+        self.brake: Callable[[], object] = _nothing
         self.handle: Handle | None = None
         self._callbacks = callbacks
         self._waiting = waiting
@@ -135,9 +139,9 @@ class Lifecycle:
 
     @property
     def error(self) -> Exception | None:
-        """What ended it before its time."""
+        """What ended it before its time: a copy, which may be raised."""
         end = self._end.get(_END)
-        return None if end is None else end[1]
+        return None if end is None or end[1] is None else unraised(end[1])
 
     # -- what happens --------------------------------------------------------------------------------
 
@@ -168,6 +172,7 @@ class Lifecycle:
         if after is Phase.RUNNING:
             self._is_running = True
             return True
+        error = None if error is None else unraised(error)
         mine = (after, error)
         try:
             if self._end.setdefault(_END, mine) is not mine:
@@ -196,6 +201,7 @@ class Lifecycle:
         else:
             self._future.set_exception(error)
         _drain(self._done_callbacks, self._callbacks.call)
+        self.brake, self.handle = _nothing, None
 
     # -- who wants to know ---------------------------------------------------------------------------
 
@@ -229,6 +235,10 @@ class Lifecycle:
     def future(self) -> Future[None]:
         """Settled when it has ended; not to be cancelled."""
         return self._future
+
+
+def _nothing() -> None:
+    pass
 
 
 def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], object]], object]) -> None:
@@ -298,9 +308,8 @@ class Handle:
             if cancel:
                 self._give_up(error)
             raise
-        failure = self._life.error
-        if failure is not None:
-            raise failure
+        if self._life.error is not None:
+            raise self._life.error
 
     def _give_up(self, interruption: BaseException) -> None:
         """Cancel where waiting was interrupted, by Ctrl-C for one, and not ended by an error of the library."""
@@ -335,8 +344,12 @@ class Handle:
         try:
             yield from asyncio.wrap_future(self._life.future, loop=loop).__await__()
         except BaseException as error:
-            self._give_up(error)
-            raise
+            if not self.done or error is not self._life.future.exception():
+                self._give_up(error)
+                raise
+            error.__traceback__ = None  # that of the life itself was raised; a copy is raised instead
+        if self._life.error is not None:
+            raise self._life.error
 
     def __enter__(self) -> Self:
         return self
@@ -373,7 +386,10 @@ class Motion(Handle):
     @property
     def progress(self) -> float:
         """How much of it is behind the robot, from 0 to 1; 1 only once it has come to its own end."""
-        return 1.0 if self.phase is Phase.DONE else min(max(self._measure(), 0.0), 1.0)
+        return 1.0 if self.phase is Phase.DONE else min(max(self._measured(), 0.0), 1.0)
+
+    def _measured(self) -> float:
+        return self._measure()
 
     def _shown(self) -> list[tuple[str, str]]:
         return [*super()._shown(), ("progress", f"{self.progress:.0%}")]

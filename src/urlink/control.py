@@ -77,7 +77,6 @@ class Control:
     ) -> None:
         self._host = host
         self._ports = ports
-        self._who = who
         self._timeout = timeout
         self._is_closed = False
         #: under the one key "one", since `setdefault` is one step for signal handlers too
@@ -101,11 +100,26 @@ class Control:
             start_place=options.start_place,
             who=who,
         )
+
+        def dashboard(timeout: float) -> Dashboard:
+            known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
+            return Dashboard(host, ports.get("dashboard"), known, api_port=api_port, timeout=timeout, recall=recall)
+
+        def is_remote() -> bool | None:
+            """Whether the robot is in remote control, asked on a connection of its own; None if that is not known."""
+            firmware = who.identity.firmware
+            port = "robot_api" if firmware.is_polyscope_x else "dashboard"
+            if port not in ports or firmware not in _TELLS_CONTROL:
+                return None
+            with dashboard(_ASK_TIMEOUT) as asked:
+                return asked.is_in_remote_control()
+
+        self._dashboard = dashboard
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
         setting_channel = SettingChannel(channel, slow, section, inputs)
-        self.settings = Settings(setting_channel, slow, fast, who, section, self._is_remote, options.start_place)
+        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, options.start_place)
         self.interpreters = Interpreters(
             host,
             ports.get("interpreter"),
@@ -138,16 +152,6 @@ class Control:
             raise Closed("the robot was closed")
         return self._dashboards.setdefault("one", self._dashboard(self._timeout))
 
-    def _dashboard(self, timeout: float) -> Dashboard:
-        return Dashboard(
-            self._host,
-            self._ports.get("dashboard"),
-            lambda: self._who.identity.firmware,
-            api_port=self._ports.get("robot_api"),
-            timeout=timeout,
-            recall=self._recall,
-        )
-
     @property
     def gripper(self) -> Gripper:
         """The gripper on the flange.
@@ -171,15 +175,6 @@ class Control:
             recall=self._recall,
         )
         return self._grippers.setdefault("one", made)
-
-    def _is_remote(self) -> bool | None:
-        """Whether the robot is in remote control, asked on a connection of its own; None if that is not known."""
-        firmware = self._who.identity.firmware
-        port = "robot_api" if firmware.is_polyscope_x else "dashboard"
-        if port not in self._ports or firmware not in _TELLS_CONTROL:
-            return None
-        with self._dashboard(_ASK_TIMEOUT) as dashboard:
-            return dashboard.is_in_remote_control()
 
     def close(self, timeout: float) -> None:
         """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""

@@ -335,7 +335,8 @@ class Robot(AnswersForeignNames):
         if rtde is None:
             from .rtde import Rtde
 
-            made = Rtde(self.address, self._source, lambda: self.firmware, refusal=self._refusal)
+            who = self._who  # and not this object, which holds the made one
+            made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
             rtde = self._rtdes.setdefault("one", made)
         return rtde
 

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError
+from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
 from ..net.awaited import AwaitedTransport, watch
 from ..realtime import urgent
@@ -115,7 +115,7 @@ class LoopConnection(Connection):
         if not attempt.is_settled and not await within(self._timeout + 1.0, settled):
             raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
-            raise attempt.failure
+            raise unraised(attempt.failure)
 
     async def disconnected(self) -> None:
         """Disconnect and end every queue, as `close`, for tasks of the loop. Idempotent."""
@@ -216,12 +216,12 @@ class LoopConnection(Connection):
     async def _connect_until_closed(self) -> None:
         try:
             while True:
-                error: Exception | None = None
                 try:
                     await self._connect_and_await()
-                except Exception as raised:
-                    error = raised
-                wait = self._next_try(error)
+                except Exception as error:
+                    wait = self._next_try(error)
+                else:
+                    wait = self._next_try(None)
                 if wait is None:
                     return
                 await within(wait, self._closing)
@@ -262,7 +262,10 @@ class LoopConnection(Connection):
             self._watch_no_more()
             self._over = self._receiver = None
         if error is not None:
-            raise error
+            try:
+                raise error
+            finally:
+                del error  # it refers to this frame
         await self._awaited.disconnect()
 
     def _watch(self) -> None:

@@ -127,7 +127,10 @@ async def _connected(host: str, port: int, timeout: float) -> socket.socket:
             raise
         else:
             return connection
-    raise failure or OSError(f"{host} has no address")
+    try:
+        raise failure or OSError(f"{host} has no address")
+    finally:
+        failure = None  # the error refers to this frame
 
 
 async def _connect(connection: socket.socket, address: Any, seconds: float) -> None:

@@ -354,7 +354,10 @@ def _connected(host: str, port: int, timeout: float) -> socket.socket:
             raise
         else:
             return connection
-    raise failure or OSError(f"{host} has no address")
+    try:
+        raise failure or OSError(f"{host} has no address")
+    finally:
+        failure = None  # the error refers to this frame
 
 
 #: struct linger: is it on, seconds. Two ints, but two shorts on Windows (winsock2.h).

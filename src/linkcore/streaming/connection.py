@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer
+from ..errors import Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError, RemoteError, WrongPeer, unraised
 from ..net.transport import Finished, Transport
 from ..realtime import urgent
 from ..stamp import Stamp
@@ -65,8 +65,6 @@ class Connection:
 
     Attributes:
         state: what the connection is doing.
-        failure: what ended it, where it was not closed on purpose.
-        error: what ended the last connection, or kept the next one from being made.
         silence: tells how long the peer has been silent.
     """
 
@@ -85,8 +83,8 @@ class Connection:
         self.fan_out = fan_out
         self.counters = StreamCounters()
         self.state = ConnectionState.IDLE
-        self.failure: Exception | None = None
-        self.error: Exception | None = None
+        self._failure: Exception | None = None
+        self._error: Exception | None = None
         self._transport = transport
         self._protocol = protocol
         self._backoff = backoff or Backoff()
@@ -105,6 +103,16 @@ class Connection:
         self._is_closing = False
         self._is_finishing = False  # the reader is about to end
         self._is_over = False
+
+    @property
+    def failure(self) -> Exception | None:
+        """What ended it, where it was not closed on purpose: a copy, which may be raised."""
+        return None if self._failure is None else unraised(self._failure)
+
+    @property
+    def error(self) -> Exception | None:
+        """What ended the last connection, or kept the next one from being made: a copy, which may be raised."""
+        return None if self._error is None else unraised(self._error)
 
     # -- beginning and ending --------------------------------------------------------------------
 
@@ -160,7 +168,7 @@ class Connection:
             if not self._changed.wait_for(lambda: attempt.is_settled, self._timeout + 1.0):
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
-            raise attempt.failure
+            raise unraised(attempt.failure)
 
     def start_quietly(self) -> None:
         """Begin to connect, if nothing has yet, without waiting; failures are retried by the back-off."""
@@ -171,7 +179,7 @@ class Connection:
     def _begin(self, is_patient: bool) -> None:
         if self._is_launched or self._is_closing:
             return
-        self.failure = self.error = None
+        self._failure = self._error = None
         self._is_patient = is_patient
         self._attempt = _Attempt()
         self._retry = self._backoff.waits()
@@ -221,6 +229,8 @@ class Connection:
         has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
             delivery.join(max(until - time.monotonic(), 0.0))
+            if isinstance(delivery, InlineDelivery):  # which holds this connection
+                self.fan_out.remove_delivery(delivery)
         if not has_ended:
             self.fan_out.close(all=True)
         self.state = ConnectionState.CLOSED
@@ -390,12 +400,12 @@ class Connection:
     @urgent()
     def _read(self) -> None:
         while True:
-            error: Exception | None = None
             try:
                 self._connect_and_receive()
-            except Exception as raised:
-                error = raised
-            wait = self._next_try(error)
+            except Exception as error:
+                wait = self._next_try(error)
+            else:
+                wait = self._next_try(None)
             if wait is None:
                 return
             with self._changed:
@@ -440,9 +450,10 @@ class Connection:
         is_hopeless = isinstance(error, WrongPeer) and not self.counters.received
         if error is not None and not isinstance(error, RemoteError):
             _log.error("%s: the reader failed", self.name, exc_info=error)
-            self._finish(error)
+            self._finish(unraised(error))
             return None
-        self.error = error  # before `LOST` is told: whoever hears of it may ask why
+        error = None if error is None else unraised(error)
+        self._error = error  # before `LOST` is told: whoever hears of it may ask why
         self._disconnected(error)
         if is_hopeless:
             self._finish(error)
@@ -503,7 +514,7 @@ class Connection:
     def _finish(self, failure: Exception | None) -> None:
         with self._changed:
             self._is_finishing = True
-            self.failure = failure
+            self._failure = failure
             if not self._attempt.has_opened:
                 self._attempt.failure = failure
             self._is_over = failure is None

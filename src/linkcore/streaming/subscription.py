@@ -119,8 +119,11 @@ def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterabl
                 callback(part)
             except BaseException as error:
                 failure = error
-        if failure is not None:
-            raise failure
+        try:
+            if failure is not None:
+                raise failure
+        finally:
+            failure = None  # it refers to this frame
 
     return call
 

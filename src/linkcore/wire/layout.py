@@ -14,6 +14,7 @@ Where the fields are known only at run time, a layout can be made of them alone:
 from __future__ import annotations
 
 import struct
+import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import groupby
@@ -195,12 +196,13 @@ class Layout:
         start = self.header.width
         count = (self.size - start) // 8
         frombuffer = np.frombuffer
+        layout = weakref.proxy(self)  # which holds the function
 
         def unpack(data: bytes) -> Any:
             try:
                 cells = frombuffer(data, WIRE_DOUBLE, count, start).astype(NATIVE_DOUBLE)
             except ValueError:
-                raise self.too_short(data) from None
+                raise layout.too_short(data) from None
             cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
             return cells
 
@@ -210,20 +212,22 @@ class Layout:
         """Mixed widths: one precompiled struct for the whole packet."""
         assert self.struct is not None
         unpack_from = self.struct.unpack_from
+        layout = weakref.proxy(self)
 
         def unpack(data: bytes) -> Any:
             try:
                 return unpack_from(data)
             except struct.error:
-                raise self.too_short(data) from None
+                raise layout.too_short(data) from None
 
         return unpack
 
     def _text_unpacker(self) -> Callable[[bytes], Any]:
         """Text in it: go from field to field."""
+        layout = weakref.proxy(self)
 
         def unpack(data: bytes) -> Any:
-            return tuple(value for _, _, _, values in self.stretches(data) for value in values)
+            return tuple(value for _, _, _, values in layout.stretches(data) for value in values)
 
         return unpack
 

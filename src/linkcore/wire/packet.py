@@ -353,7 +353,10 @@ class StateLayouts(Layouts[StateLayout]):
             if all(bool(getattr(state, block)) == layout.has_block for block in self.blocks):
                 return state
         if failure is not None:
-            raise failure
+            try:
+                raise failure
+            finally:
+                del failure  # it refers to this frame
         return fits[0].decode(data, stamp)
 
     def decoder(self, size: int, version: Version | None = None) -> Callable[..., Any] | None:

@@ -248,7 +248,10 @@ class Interlock:
         """
         blocked = self.blocked(now)
         if blocked is not None:
-            raise blocked
+            try:
+                raise blocked
+            finally:
+                del blocked  # it refers to this frame
         self._was_enabled = self._is_enabled = True
 
     @property

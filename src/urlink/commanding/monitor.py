@@ -110,7 +110,10 @@ class SafetyMonitor:
         """Raise what `refusal` says."""
         refusal = self.refusal(is_stop)
         if refusal is not None:
-            raise refusal
+            try:
+                raise refusal
+            finally:
+                del refusal  # it refers to this frame
 
     def require_running(self) -> None:
         """As `require`, for what moves nothing: a stop does not matter as long as the robot runs.
@@ -121,7 +124,10 @@ class SafetyMonitor:
         with self._section:
             absence = self._interlock.absence(self.clock())
         if absence is not None:
-            raise absence
+            try:
+                raise absence
+            finally:
+                del absence  # it refers to this frame
 
     # -- waiting for news ----------------------------------------------------------------------------
 
@@ -307,4 +313,6 @@ class SafetyMonitor:
         for name, listening in tuple(self._listening.items()):
             listening.end()
             self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]
+        self._hooks.clear()  # of parts that hold this one
+        self._silence_hooks.clear()
         self._wake()

@@ -482,6 +482,6 @@ class Programs:
         return f"if it begins later, {run.left_alone}" if run.moves_late else "it moves nothing if it begins later"
 
 
-def _close(subscriptions: Sequence[Subscription]) -> None:
-    for subscription in subscriptions:
-        subscription.close(0)
+def _close(subscriptions: list[Subscription]) -> None:
+    while subscriptions:  # emptied, since their callbacks hold the list
+        subscriptions.pop().close(0)

@@ -32,6 +32,10 @@ _GRACE = 1.0
 _END_TIMEOUT = 1.0
 
 
+def _nothing() -> None:
+    pass
+
+
 class Dialogue(Protocol):
     """Decides the words for a program, from the bytes that it sends and from the states of the robot."""
 
@@ -103,7 +107,7 @@ class LinkedProgram:
         dialogue: Dialogue,
         open_link: Callable[[], Link],
         *,
-        on_linked: Callable[[], object] = lambda: None,
+        on_linked: Callable[[], object] = _nothing,
     ) -> None:
         self._life = life
         self._context = context
@@ -268,8 +272,10 @@ class LinkedProgram:
 
     def _release(self) -> None:
         self._on_linked()
-        if self._subscription is not None:
+        self._on_linked = _nothing  # which refers to the handle, and this to the program
+        subscription, self._subscription = self._subscription, None
+        if subscription is not None:
             # Without waiting: this may be the thread of its callback.
-            self._subscription.close(0)
+            subscription.close(0)
         if self._link is not None:
             self._link.close(farewell=self._has_said_farewell)

@@ -184,7 +184,7 @@ class PathMotion(Motion):
     def __init__(
         self, life: Lifecycle, sections: Sequence[Section], newest: Callable[[], RealtimeState | None]
     ) -> None:
-        super().__init__(life, self._part)
+        super().__init__(life)
         self._sections = sections
         self._newest = newest
         self._segment = 0
@@ -205,7 +205,7 @@ class PathMotion(Motion):
         if segment is not None and segment < self.segments:
             self._segment = segment
 
-    def _part(self) -> float:
+    def _measured(self) -> float:
         segment, state = self._segment, self._newest()
         seconds = [section.seconds for section in self._sections]
         now = 0.0 if state is None else seconds[segment] * min(max(self._sections[segment].part(state), 0.0), 1.0)

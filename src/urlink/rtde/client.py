@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
@@ -74,7 +75,8 @@ class Rtde:
         self._lock = threading.RLock()  # re-entrant, since a signal handler may close the robot
         self._open: list[OutputStream[Any] | Inputs | Claims] = []
         self._claims: Claims | None = None
-        self._brief = BriefClaims(self._connect_briefly)
+        rtde = weakref.proxy(self)  # which holds the claims
+        self._brief = BriefClaims(lambda plan: rtde._connect_briefly(plan))
         self._is_closed = False
 
     @property

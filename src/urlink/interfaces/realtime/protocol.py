@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import struct
+import weakref
 from collections.abc import Callable
 
 from linkcore.stamp import Stamp
@@ -29,7 +30,8 @@ class RealtimeProtocol:
     decode: Callable[..., RealtimeState]
 
     def __init__(self) -> None:
-        self.framer = Framer(RealtimeBoundary(self._learn))
+        protocol = weakref.proxy(self)  # which holds the boundary
+        self.framer = Framer(RealtimeBoundary(lambda size: protocol._learn(size)))
         self.cycles: MissedCycles | None = None  # known with the size
         self.unknown = 0
         self.tails = 0

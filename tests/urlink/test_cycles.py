@@ -1,0 +1,371 @@
+"""What is called leaves no reference cycle, so that a program may switch the garbage collector off (docs/real-time.md).
+
+Each public method that sends something is called several times with the collector off, on a controller in a process of
+its own; then nothing may be left that only the collector finds. `nox -s fuzz -- -m matrix` calls each far more often.
+"""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import gc
+import itertools
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import LinkError
+from linkcore.handle import Handle
+from tests.spawning import spawning
+from tests.waiting import until
+from urlink.commanding.interpreter import Interpreter
+from urlink.commanding.io import IO
+from urlink.commanding.safety import Safety
+from urlink.commanding.scripts import Scripts
+from urlink.interfaces.dashboard.client import Dashboard
+from urlink.interfaces.gripper.client import Gripper
+from urlink.motion.force_mode import ForceMode
+from urlink.motion.jog import Jog
+from urlink.motion.motions import Motions
+from urlink.motion.servo import Servo
+from urlink.motion.teaching import Teaching
+from urlink.motion.torque import Torque
+from urlink.robot import Robot
+from urlink.rtde import Inputs, Registers, Rtde
+
+HOME = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
+NEAR = HOME + 0.01
+#: How often each is called: the cycles of one call in ten would show, and one in 10,000 with `URLINK_CYCLES`.
+COUNT = int(os.environ.get("URLINK_CYCLES", "3"))
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    for start in spawning("urlink.cli"):
+        process = start("sim", "--model", "UR5e", "--firmware", "5.25", stderr=None)
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()
+
+
+@pytest.fixture(scope="module")
+def robot(address: str) -> Iterator[Robot]:
+    with urlink.connect(address, stale_after=60.0, silence=60.0) as robot:
+        until(lambda: _has_moved(robot), 60.0)
+        robot.gripper.activate()
+        yield robot
+
+
+@pytest.fixture(scope="module")
+def closed(address: str) -> Robot:
+    """A robot that was used, and closed."""
+    with urlink.connect(address, stale_after=60.0, silence=60.0) as robot:
+        until(lambda: _has_moved(robot), 60.0)
+    return robot
+
+
+def _has_moved(robot: Robot) -> bool:
+    with contextlib.suppress(LinkError):
+        robot.motion.move_joints(HOME, wait=30)
+        return True
+    return False
+
+
+def _trajectory() -> urlink.Trajectory:
+    return urlink.Trajectory([urlink.TrajectoryPoint(HOME, 0.0), urlink.TrajectoryPoint(HOME, 0.3)])
+
+
+def servo(robot: Robot, use: Callable[[Servo], object], **options: Any) -> None:
+    robot.motion.move_joints(HOME, wait=True)
+    with robot.motion.servo(watchdog=2.0, **options) as block:
+        use(block)
+
+
+def interpreted(robot: Robot, use: Callable[[Interpreter], object]) -> None:
+    with robot.interpreter() as interpreter:
+        use(interpreter)
+
+
+def measured(block: Servo) -> None:
+    with contextlib.suppress(LinkError):  # the arm does not follow in time where the computer is busy
+        block.measure_delay()
+
+
+def pose(robot: Robot) -> Any:
+    return robot.realtime.wait().tool_vector_actual
+
+
+def block(opened: Any, use: Callable[[Any], object] = lambda opened: None) -> None:
+    with opened:
+        use(opened)
+
+
+def moved_to(robot: Robot, offset: tuple[float, float, float] = (0.0, 0.0, 0.002)) -> Any:
+    there = np.array(pose(robot))
+    there[:3] += offset
+    return there
+
+
+def recorded(robot: Robot, folder: Path) -> None:
+    path = folder / "run.urlog"
+    path.unlink(missing_ok=True)
+    with robot.record(path):
+        robot.realtime.wait()
+
+
+def cancelled(robot: Robot) -> None:
+    motion = robot.motion.move_joints(HOME + 0.2)
+    motion.cancel()
+    with contextlib.suppress(LinkError):
+        motion.wait(10)
+
+
+def untouched(robot: Robot) -> None:
+    with contextlib.suppress(urlink.NoContact):
+        robot.motion.until_contact([0, 0, 1], speed=0.05, distance=0.001, wait=True)
+
+
+def connected(address: str) -> None:
+    with urlink.connect(address) as robot:
+        robot.realtime.wait()
+
+
+_dials = itertools.cycle([True, False])
+
+#: Each method that sends, with how it is called.
+CALLS: dict[str, Callable[[Robot], object]] = {
+    "Robot.freedrive": lambda robot: block(robot.freedrive()),
+    "Robot.interpreter": lambda robot: interpreted(robot, lambda interpreter: None),
+    "Robot.popup": lambda robot: robot.popup("x"),
+    "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01)),
+    "Robot.set_speed_slider": lambda robot: robot.set_speed_slider(1.0),
+    "Robot.set_tcp": lambda robot: robot.set_tcp((0, 0, 0.1, 0, 0, 0)),
+    "Robot.teach": lambda robot: block(robot.teach(), lambda teaching: teaching.record()),
+    "Robot.zero_force_sensor": lambda robot: robot.zero_force_sensor(),
+    "Motions.follow": lambda robot: robot.motion.follow(_trajectory(), start_tolerance=1.0, wait=True),
+    "Motions.force_mode": lambda robot: block(
+        robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
+    ),
+    "Motions.jog": lambda robot: block(robot.motion.jog(), lambda jog: jog.move([0.0] * 6)),
+    "Motions.move_circular": lambda robot: robot.motion.move_circular(
+        moved_to(robot, (0.002, 0, 0.002)), moved_to(robot, (0.004, 0, 0)), wait=True
+    ),
+    "Motions.move_joints": lambda robot: robot.motion.move_joints(NEAR, wait=True),
+    "Motions.move_linear": lambda robot: robot.motion.move_linear(moved_to(robot), wait=True),
+    "Motions.path": lambda robot: robot.motion.path([urlink.Joint(NEAR)], wait=True),
+    "Motions.servo": lambda robot: servo(robot, lambda block: block.send(HOME)),
+    "Motions.speed_joints": lambda robot: robot.motion.speed_joints([0.0] * 6, duration=0.02).wait(),
+    "Motions.speed_linear": lambda robot: robot.motion.speed_linear([0.0] * 6, duration=0.02).wait(),
+    "Motions.stop": lambda robot: robot.motion.stop(wait=True),
+    "Motions.torque": lambda robot: block(robot.motion.torque(), lambda torque: torque.send([0.0] * 6)),
+    "Motions.until_contact": untouched,
+    "Scripts.run": lambda robot: robot.script.run("sync()", wait=True, on_text=lambda text: None),
+    "Scripts.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
+    "IO.set_analog_out": lambda robot: robot.io.set_analog_out(0, 0.5),
+    "IO.set_configurable_digital_out": lambda robot: robot.io.set_configurable_digital_out(0, next(_dials)),
+    "IO.set_digital_out": lambda robot: robot.io.set_digital_out(0, next(_dials)),
+    "IO.set_flag": lambda robot: robot.io.set_flag(1, True),
+    "IO.set_tool_digital_out": lambda robot: robot.io.set_tool_digital_out(0, next(_dials)),
+    "IO.set_tool_voltage": lambda robot: robot.io.set_tool_voltage(12),
+    "Interpreter.abort": lambda robot: interpreted(robot, lambda interpreter: interpreter.abort()),
+    "Interpreter.clear": lambda robot: interpreted(robot, lambda interpreter: interpreter.clear()),
+    "Interpreter.end": lambda robot: interpreted(robot, lambda interpreter: interpreter.end()),
+    "Interpreter.execute": lambda robot: interpreted(robot, lambda interpreter: interpreter.execute("a = 1")),
+    "Interpreter.skip": lambda robot: interpreted(robot, lambda interpreter: interpreter.skip()),
+    "Servo.send": lambda robot: servo(robot, lambda block: block.send(HOME), target_filter="jerk_limited"),
+    "Servo.schedule": lambda robot: servo(robot, lambda block: block.schedule(HOME, robot.realtime.wait().time + 0.1)),
+    "Servo.measure_delay": lambda robot: servo(robot, measured),
+    "Jog.move": lambda robot: block(robot.motion.jog(), lambda jog: jog.move([0.01] * 6)),
+    "Jog.stop": lambda robot: block(robot.motion.jog(), lambda jog: jog.stop()),
+    "Torque.send": lambda robot: block(robot.motion.torque(), lambda torque: torque.send([0.01] * 6)),
+    "Handle.cancel": cancelled,
+    "Registers.write_bit": lambda robot: robot.registers.write_bit(64, True),
+    "Registers.write_float": lambda robot: robot.registers.write_float(24, 1.0),
+    "Registers.write_integer": lambda robot: robot.registers.write_integer(24, 1),
+    "Registers.read_integer": lambda robot: robot.registers.read_integer(24),
+    "Registers.read_bit": lambda robot: robot.registers.read_bit(64),
+    "Registers.read_float": lambda robot: robot.registers.read_float(24),
+    "Rtde.inputs": lambda robot: block(robot.rtde.inputs("input_int_register_30")),
+    "Rtde.outputs": lambda robot: block(robot.rtde.outputs("timestamp"), lambda outputs: outputs.wait()),
+    "Rtde.missing": lambda robot: robot.rtde.missing(),
+    "Rtde.who_holds": lambda robot: robot.rtde.who_holds(),
+    "Inputs.send": lambda robot: block(
+        robot.rtde.inputs("input_int_register_30"), lambda inputs: inputs.send(input_int_register_30=1)
+    ),
+    "Gripper.activate": lambda robot: robot.gripper.activate(),
+    "Gripper.open": lambda robot: robot.gripper.open(wait=False),
+    "Gripper.close": lambda robot: robot.gripper.close(wait=False),
+    "Gripper.move": lambda robot: robot.gripper.move(10, wait=False),
+    "Gripper.stop": lambda robot: robot.gripper.stop(),
+    "Gripper.get": lambda robot: robot.gripper.get("POS"),
+    "Gripper.status": lambda robot: robot.gripper.status(),
+    "Gripper.set": lambda robot: robot.gripper.set(POS=10),
+    "ForceMode.set_wrench": lambda robot: block(
+        robot.motion.force_mode("base", (0, 0, 1, 0, 0, 0), [0] * 6, [0.1] * 6), lambda mode: mode.set_wrench([0] * 6)
+    ),
+}
+
+
+#: What else these have in public: it sends nothing, or belongs to what is tried beside `CALLS`.
+SENDS_NOTHING = """
+    Robot.close Robot.record
+    IO.analog_in IO.analog_out IO.configurable_digital_in IO.configurable_digital_out IO.digital_in IO.digital_out IO.tool_analog_in
+    IO.tool_digital_in IO.tool_digital_out IO.wait_configurable_digital_in IO.wait_digital_in IO.wait_tool_digital_in
+    Safety.enable Safety.on_stop Safety.wait_enabled Safety.wait_for_stop Safety.wait_until_clear
+    Gripper.deactivate Gripper.object_detected Gripper.position Gripper.position_of Gripper.wait
+    Rtde.close Rtde.registers
+    Interpreter.wait_executed
+    Handle.add_done_callback Handle.wait
+    Inputs.close
+    Teaching.record
+"""
+SURFACE = (
+    Robot,
+    Motions,
+    Scripts,
+    IO,
+    Safety,
+    Interpreter,
+    Gripper,
+    Rtde,
+    Inputs,
+    Registers,
+    Servo,
+    Jog,
+    ForceMode,
+    Torque,
+    Teaching,
+    Handle,
+)
+#: Dashboard commands that take something.
+ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "add_to_log": ("x",),
+    "download_program": ("x.urp",),
+    "generate_support_file": ("/tmp",),
+    "load": ("x.urp",),
+    "load_installation": ("x.installation",),
+    "popup": ("x",),
+    "send": ("robotmode",),
+    "set_operational_mode": ("automatic",),
+    "set_user_role": ("programmer",),
+    "upload_program": (__file__,),
+}
+#: They end the controller, the client or the simulated power, or wait for it.
+LAST = {"shutdown", "quit", "close", "start"}
+
+
+@contextlib.contextmanager
+def collector_off() -> Iterator[None]:
+    """Nothing is collected in the block; what only the collector finds after it is an error that names its types."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        found = gc.collect()
+        kinds = collections.Counter(type(each).__qualname__ for each in gc.garbage)
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
+    assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_call_leaves_no_cycle(robot: Robot, name: str) -> None:
+    call = CALLS[name]
+    call(robot)  # what is made once, such as a connection
+    with collector_off():
+        for _ in range(COUNT):
+            call(robot)
+
+
+DASHBOARD = [name for name in vars(Dashboard) if not name.startswith("_") and name not in LAST]
+
+
+@pytest.mark.parametrize("name", DASHBOARD)
+def test_a_dashboard_command_leaves_no_cycle(robot: Robot, name: str) -> None:
+    """Refused or not: most of what is here is refused by some controller."""
+    method = getattr(robot.dashboard, name)
+    if name in ("power_off", "restart_safety"):
+        pytest.skip("the others need an arm that is on")
+    for _ in range(2):
+        with contextlib.suppress(LinkError):
+            method(*ARGUMENTS.get(name, ()))
+    with collector_off():
+        for _ in range(COUNT):
+            with contextlib.suppress(LinkError):
+                method(*ARGUMENTS.get(name, ()))
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_refused_call_leaves_no_cycle(closed: Robot, name: str) -> None:
+    call = CALLS[name]
+    with contextlib.suppress(LinkError):
+        call(closed)
+    with collector_off():
+        for _ in range(COUNT):
+            with contextlib.suppress(LinkError):
+                call(closed)
+
+
+def refused() -> None:
+    with contextlib.suppress(LinkError):
+        urlink.connect("ur://127.0.0.1?primary=1", timeout=0.5)
+
+
+def test_a_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
+    def connect() -> None:
+        with urlink.connect(address) as robot:
+            robot.realtime.wait()
+            robot.primary.wait()
+            with robot.rtde.outputs("timestamp") as outputs:
+                outputs.wait()
+
+    def record() -> None:
+        path = tmp_path / "run.urlog"
+        path.unlink(missing_ok=True)
+        with urlink.connect(address) as robot, robot.record(path):
+            robot.realtime.wait()
+
+    def command() -> None:
+        with urlink.connect(address) as robot:
+            robot.realtime.wait()
+            _has_moved(robot)
+
+    def load() -> None:
+        urlink.load(tmp_path / "run.urlog")
+
+    for call in (connect, refused, record, load, command):
+        call()
+        with collector_off():
+            for _ in range(COUNT):
+                call()
+
+
+def test_every_method_is_tried_or_known_to_send_nothing() -> None:
+    own = {
+        f"{held.__name__}.{name}"
+        for held in SURFACE
+        for name, member in vars(held).items()
+        if not name.startswith("_") and (callable(member) or isinstance(member, staticmethod))
+    }
+    assert own == {*CALLS, *SENDS_NOTHING.split()}
+
+
+def test_an_error_that_is_kept_was_never_raised(robot: Robot) -> None:
+    motion = robot.motion.move_joints(HOME + 0.2)
+    motion.cancel()
+    errors = []
+    for _ in range(2):
+        with pytest.raises(urlink.Cancelled) as caught:
+            motion.wait(10)
+        errors.append(caught.value)
+    assert errors[0] is not errors[1]
+    assert str(errors[0]) == str(errors[1]) == str(motion.error)
+    assert motion.error is not None
+    assert motion.error.__traceback__ is None
