@@ -145,6 +145,7 @@ def unraised(error: E) -> E:
     error: a reference cycle, which only the garbage collector would find.
     """
     kind = type(error)
+    copied: E
     if issubclass(kind, LinkError):
         copied = kind.__new__(kind, *error.args)  # without its `__init__`, which may take other arguments
         copied.__dict__.update(error.__dict__)

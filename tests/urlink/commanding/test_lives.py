@@ -532,5 +532,5 @@ def test_closing_stops_the_motion_that_runs_and_no_program_of_the_users_own(desk
         desk.programs.start(desk.programs.own(["movej(q)"]), life)
     except Closed as error:
         errors.append(error)
-    assert errors == [life.error]
+    assert [repr(error) for error in errors] == [repr(life.error)]
     desk.programs.close()

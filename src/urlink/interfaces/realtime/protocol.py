@@ -30,8 +30,14 @@ class RealtimeProtocol:
     decode: Callable[..., RealtimeState]
 
     def __init__(self) -> None:
-        protocol = weakref.proxy(self)  # which holds the boundary
-        self.framer = Framer(RealtimeBoundary(lambda size: protocol._learn(size)))
+        this = weakref.ref(self)  # which holds the boundary
+
+        def learn(size: int) -> None:
+            protocol = this()
+            if protocol is not None:
+                protocol._learn(size)
+
+        self.framer = Framer(RealtimeBoundary(learn))
         self.cycles: MissedCycles | None = None  # known with the size
         self.unknown = 0
         self.tails = 0
