@@ -17,6 +17,7 @@ from linkcore.errors import (
     LocalError,
     PacketError,
     WrongPeer,
+    unraised,
 )
 from linkcore.net.transport import TcpTransport
 
@@ -224,7 +225,7 @@ class Introduction:
 
     def lose(self, error: ConnectionLost) -> None:
         """The connection was lost: nothing more will come."""
-        self._lost = error
+        self._lost = unraised(error)
 
     @property
     def identity(self) -> Identity:
@@ -249,7 +250,7 @@ class Introduction:
                 f"sends such states: {dict(state.sizes)}"
             )
         if self._lost is not None:
-            raise self._lost
+            raise unraised(self._lost)
         if not self._received:
             raise LinkTimeout(f"{self._name} took the connection but sent nothing within {self._timeout:g} s")
         raise LinkTimeout(f"{self._name} did not say who it is within {self._timeout:g} s; {began}")

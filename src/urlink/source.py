@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from linkcore.errors import BadValue, ConnectFailed
+from linkcore.errors import BadValue, ConnectFailed, unraised
 from linkcore.net.transport import TcpTransport, Transport
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.connection import Connection
@@ -125,7 +125,7 @@ def networked(
         try:
             last[:] = [identify(place.host, place.ports["primary" + suffix], timeout)]
         except ConnectFailed as error:
-            first = error
+            first = unraised(error)
         else:
             return last[0]
         try:
@@ -133,6 +133,8 @@ def networked(
             last[:] = [identify(place.host, place.ports["secondary" + suffix], timeout)]
         except ConnectFailed:
             raise first from None
+        finally:
+            del first  # it refers to this frame
         return last[0]
 
     def transport(interface: str) -> Transport:

@@ -66,7 +66,7 @@ def closed(address: str) -> Robot:
     with urlink.connect(address, stale_after=60.0, silence=60.0) as robot:
         until(lambda: _has_moved(robot), 60.0)
         robot.registers.read_bit(64)
-        robot.registers.write_bit(64, True)
+        robot.registers.write_bit(70, True)
     return robot
 
 
@@ -216,7 +216,8 @@ CALLS: dict[str, Callable[[Robot], object]] = {
 SENDS_NOTHING = """
     Robot.close Robot.record
     IO.analog_in IO.analog_out IO.configurable_digital_in IO.configurable_digital_out IO.digital_in IO.digital_out
-    IO.tool_analog_in IO.tool_digital_in IO.tool_digital_out IO.wait_configurable_digital_in IO.wait_digital_in IO.wait_tool_digital_in
+    IO.tool_analog_in IO.tool_digital_in IO.tool_digital_out
+    IO.wait_configurable_digital_in IO.wait_digital_in IO.wait_tool_digital_in
     Safety.enable Safety.on_stop Safety.wait_enabled Safety.wait_for_stop Safety.wait_until_clear
     Gripper.deactivate Gripper.object_detected Gripper.position Gripper.position_of Gripper.wait
     Rtde.close Rtde.registers
