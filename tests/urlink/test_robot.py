@@ -246,6 +246,16 @@ def watch(robot: urlink.Robot) -> Watch:
     return Watch(robot)
 
 
+@pytest.mark.parametrize(("address", "is_moving"), [("sim://", False), ("sim://ur10?firmware=3.4&motion=demo", True)])
+def test_a_simulated_arm_stands_still_unless_it_is_asked_to_move(address: str, is_moving: bool) -> None:
+    with urlink.connect(address) as robot:
+        first = robot.realtime.wait()
+        until(lambda: robot.realtime.wait().time > first.time + 0.5)
+        state = robot.realtime.wait()
+        assert (state.q_target != first.q_target).any() == is_moving
+        assert robot.primary.of(urlink.RobotModeData).wait().is_program_running is is_moving
+
+
 def test_fault_protective_stop(controller: Controller, watch: Watch) -> None:
     controller.faults.protective_stop()
     watch.goes_on(lambda state: state.safety_mode is SafetyMode.PROTECTIVE_STOP)
