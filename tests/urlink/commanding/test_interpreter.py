@@ -156,6 +156,24 @@ def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot)
         robot.interpreter()
 
 
+def test_a_statement_that_was_given_up_is_taken_back(
+    controller: Controller, robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("urlink.commanding.interpreter._REPLY", 0.5)
+    with robot.interpreter() as interpreter:
+        interpreter.execute(movej(HOME), wait=True)
+        controller.faults.stall(1.0, "interpreter")
+        with pytest.raises(LinkTimeout, match="it may still be carried out"):
+            interpreter.execute(movej(AWAY, 0.2))
+        assert robot._commanded()._recall.settle(TIMEOUT)
+        until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)
+        assert turned(robot) < 1.0
+        # What is handed over after that is carried out.
+        interpreter.execute("a = 42")
+        interpreter.execute('textmsg("a is ", a)', wait=True)
+        until(lambda: interpreter.texts == ("a is 42",))
+
+
 def test_many_statements_are_cleared_before_there_are_too_many(controller: Controller, robot: urlink.Robot) -> None:
     with robot.interpreter() as interpreter:
         interpreter.execute("n = 0")

@@ -475,6 +475,41 @@ def test_lost_in_the_middle_of_a_command_which_is_not_sent_again(last_words: byt
     assert desk.connections == 2
 
 
+@pytest.mark.parametrize("name", ["play", " PLAY "])
+def test_a_play_that_was_given_up_is_taken_back_before_anything_else_is_sent(name: str, opened: Opened) -> None:
+    def answer(line: str) -> bytes | None:
+        if line.strip().casefold() == "play":
+            return None
+        return {"robotmode": b"Robotmode: RUNNING\n", "stop": b"Stopped\n"}.get(line, b"Powering on\n")
+
+    desk, dashboard = opened(answer)
+    with pytest.raises(ConnectionLost, match="it may still be carried out"):
+        dashboard.send(name)
+    dashboard.power_on()
+    assert [line.strip().casefold() for line in desk.lines] == ["play", "robotmode", "stop", "power on"]
+
+
+def test_what_is_answered_or_only_asks_is_not_taken_back(opened: Opened) -> None:
+    desk, dashboard = opened(lambda line: b"Starting program\n" if line == "play" else None)
+    dashboard.play()
+    with pytest.raises(ConnectionLost) as lost:
+        dashboard.running()
+    assert "carried out" not in str(lost.value)
+    with pytest.raises(ConnectionLost, match="it may still be carried out"):
+        dashboard.brake_release()
+    assert dashboard._recall.pending == ()
+    assert desk.lines == ["play", "running", "brake release"]
+
+
+def test_a_command_is_not_sent_before_a_play_could_be_taken_back(opened: Opened) -> None:
+    desk, dashboard = opened(saying(b""), timeout=SHORT)
+    with pytest.raises(LinkTimeout, match="no reply to 'play'"):
+        dashboard.send("play")
+    with pytest.raises(LinkTimeout, match="'power on' was not sent: 'play' was given up before"):
+        dashboard.power_on()
+    assert set(desk.lines) == {"play", "robotmode"}
+
+
 def test_a_late_reply_is_not_that_of_the_next_command(opened: Opened) -> None:
     may_answer = threading.Event()
 

@@ -267,6 +267,20 @@ def answering() -> Iterator[Callable[[dict[str, bytes]], Gripper]]:
         close()
 
 
+def test_fingers_of_a_command_that_was_given_up_are_stopped(
+    answering: Callable[[dict[str, bytes]], Gripper],
+) -> None:
+    replies = {"GET STA": b"STA 3\n"}
+    gripper = answering(replies)
+    with pytest.raises(LinkTimeout, match="it may still be carried out"):
+        gripper.set(POS=255, GTO=1)
+    with pytest.raises(LinkTimeout, match="'gripper' was given up before"):
+        gripper.set(SPE=9)
+    replies.update({"SET GTO 0": b"ack\n", "SET SPE 9": b"ack\n"})
+    assert gripper._recall.settle(10.0)
+    gripper.set(SPE=9)
+
+
 def test_replies_without_an_end_and_replies_that_are_wrong(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
     gripper = answering({"GET POS": b"POS 12", "GET STA": b"OBJ 3\n", "SET ACT 1": b"no\n", "GET COU": b"COU 5\nmore"})
     assert gripper.position() == 12
