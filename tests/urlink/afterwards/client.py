@@ -1,0 +1,229 @@
+"""A program that moves an arm, or makes a call, in a process of its own: `python -m ... ROW ADDRESS`.
+
+It prints "ready", makes the call when a line comes in, and prints what became of the call; then it waits to be ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import urlink
+from tests.urlink.afterwards import controller
+from urlink import Linear
+from urlink.compat import rtde_control, urx
+from urlink.motion import Taught, TaughtPoint
+from urlink.motion.trajectory import Trajectory
+from urlink.robot import Robot
+
+#: rad; where the arm stands at first, and where a motion goes from there; it takes some 8 s.
+READY = np.array(controller.READY)
+GOAL = READY + np.array([0.8, 0, 0, 0, 0, 0])
+SLOW = 0.1
+#: of the tool, along y of the base
+ASIDE = np.array([0, 1, 0, 0, 0, 0])
+TEXT = f"movej({GOAL.tolist()}, a=4, v={SLOW})"
+#: s for which a speed is held, and of a trajectory.
+LONG = 8.0
+#: s in which an answer has to come, and s that a motion may take to begin.
+ANSWER = 1.0
+_EXIT = threading.Event()
+
+#: What makes the call; what is to be open around it goes onto the stack, and what has to be done before is done.
+Begin = Callable[[Robot, contextlib.ExitStack], Callable[[], object]]
+
+
+def pose(robot: Robot) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return robot.realtime.wait(5).tool_vector_actual.copy()
+
+
+def moved(name: str, *arguments: Any, **options: Any) -> Begin:
+    """A method of `robot.motion`."""
+    return lambda robot, block: lambda: getattr(robot.motion, name)(*arguments, **options)
+
+
+def entered(make: Callable[[Robot], Any], use: Callable[[Robot, Any], object]) -> Begin:
+    """A block, and what is done in it."""
+
+    def begin(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+        return lambda: use(robot, block.enter_context(make(robot)))
+
+    return begin
+
+
+def move_linear(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    return lambda: robot.motion.move_linear(pose(robot) + ASIDE * 0.25, speed=0.03)
+
+
+def move_circular(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    here = pose(robot)
+    aside = np.array([0.05, 0.05, 0, 0, 0, 0])
+    return lambda: robot.motion.move_circular(here + aside, here + aside * (0, 2, 0, 0, 0, 0), speed=0.02)
+
+
+def path(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    way = [Linear(pose(robot) + ASIDE * each, blend=0.02) for each in (0.1, 0.2)]
+    way[-1].blend = 0.0
+    return lambda: robot.motion.path(way, speed=0.025)
+
+
+def play(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    taught = Taught([TaughtPoint(q, np.zeros(6)) for q in (READY + 0.3 * (GOAL - READY), GOAL)], robot.model)
+    return lambda: taught.play(robot, speed=SLOW, blend=0.01)
+
+
+def follow(robot: Robot, block: contextlib.ExitStack, **how: Any) -> Callable[[], object]:
+    trajectory = Trajectory.from_arrays([0, LONG / 2, LONG], [READY, (READY + GOAL) / 2, GOAL])
+    return lambda: robot.motion.follow(trajectory, **how)
+
+
+def lead(robot: Robot, servo: Any) -> None:
+    """Answers each state by a set-point a little further on."""
+    begun = robot.realtime.wait(5).time
+
+    def send(state: Any) -> None:
+        with contextlib.suppress(urlink.LinkError):
+            servo.send(READY + min(SLOW * (state.time - begun), 0.8) * np.array([1, 0, 0, 0, 0, 0]))
+
+    robot.realtime.subscribe(send)
+
+
+def twist(robot: Robot, torque: Any) -> None:
+    """A small torque on the last joint."""
+
+    def send(state: Any) -> None:
+        with contextlib.suppress(urlink.LinkError):
+            torque.send([0, 0, 0, 0, 0, 0.15 - 0.5 * float(state.qd_actual[5])])
+
+    robot.realtime.subscribe(send)
+
+
+def speed_short(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    """Called again and again, as a loop does, until one fails."""
+
+    def call() -> urlink.Motion:
+        return robot.motion.speed_joints(TURN, duration=0.5)
+
+    def go_on(motion: urlink.Motion) -> None:
+        with contextlib.suppress(urlink.LinkError):
+            while not _EXIT.wait(0.1) and not isinstance(motion.error, urlink.RemoteError):
+                motion = call()
+
+    def begin() -> urlink.Motion:
+        motion = call()
+        threading.Thread(target=go_on, args=(motion,), daemon=True).start()
+        return motion
+
+    return begin
+
+
+def interpreter(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    mode = robot.interpreter()
+    return lambda: mode.execute(TEXT)
+
+
+def dashboard_play(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    robot.dashboard.load("/p.urp")
+    return robot.dashboard.play
+
+
+def gripper(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    robot.gripper.activate()
+    return lambda: robot.gripper.set(POS=255, SPE=0, GTO=1)  # what `move` sends, after a question
+
+
+def off(robot: Robot) -> None:
+    """Switch the arm off, and wait until it is."""
+    robot.dashboard.power_off()
+    until = time.monotonic() + 10.0
+    while robot.realtime.wait(5).robot_mode != urlink.RobotMode.POWER_OFF and time.monotonic() < until:
+        time.sleep(0.02)
+
+
+def power_on(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    off(robot)
+    return robot.dashboard.power_on
+
+
+def brake_release(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    off(robot)
+    return robot.dashboard.brake_release
+
+
+def by_urx(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
+    other = block.enter_context(urx.Robot(robot.address))
+    return lambda: other.movej(GOAL.tolist(), acc=4.0, vel=SLOW, wait=False)
+
+
+def by_ur_rtde(robot: Robot, block: contextlib.ExitStack, *, is_speed: bool) -> Callable[[], object]:
+    other = rtde_control.RTDEControlInterface(robot.address)
+    if is_speed:
+        return lambda: other.speedJ([SLOW, 0, 0, 0, 0, 0], 1.0)
+    return lambda: other.moveJ(GOAL.tolist(), SLOW, 4.0, True)
+
+
+DOWN = [0, 0, 1, 0, 0, 0], [0, 0, -20, 0, 0, 0], [0.02] * 6
+ALONG = [0.03, 0, 0, 0, 0, 0]
+TURN = [SLOW, 0, 0, 0, 0, 0]
+ROWS: dict[str, Begin] = {
+    "move_joints": moved("move_joints", GOAL, SLOW, 4.0),
+    "move_linear": move_linear,
+    "move_circular": move_circular,
+    "path": path,
+    "play": play,
+    "until_contact": moved("until_contact", [0, 1, 0], 0.025, distance=0.2, retract=False),
+    "speed_short": speed_short,
+    "speed_joints": moved("speed_joints", TURN, duration=LONG),
+    "speed_linear": moved("speed_linear", ALONG, duration=LONG),
+    "speed_rtde": moved("speed_joints", TURN, duration=LONG, link="rtde"),
+    "follow": follow,
+    "follow_rtde": partial(follow, link="rtde"),
+    "follow_low_bandwidth": partial(follow, low_bandwidth=True),
+    "servo": entered(lambda robot: robot.motion.servo(), lead),
+    "jog": entered(lambda robot: robot.motion.jog("base", timeout=60.0), lambda robot, jog: jog.move(ALONG)),
+    "force_mode": entered(lambda robot: robot.motion.force_mode("base", *DOWN), lambda robot, mode: mode),
+    "freedrive": entered(lambda robot: robot.freedrive(), lambda robot, mode: mode),
+    "teach": entered(lambda robot: robot.teach(), lambda robot, mode: mode),
+    "torque": entered(lambda robot: robot.motion.torque(), twist),
+    "script": lambda robot, block: lambda: robot.script.run(TEXT),
+    "interpreter": interpreter,
+    "dashboard_play": dashboard_play,
+    "gripper": gripper,
+    "urx": by_urx,
+    "ur_rtde": partial(by_ur_rtde, is_speed=False),
+    "ur_rtde_speed": partial(by_ur_rtde, is_speed=True),
+    "send_line": lambda robot, block: lambda: robot.script.send_line(TEXT),
+    "secondary": lambda robot, block: lambda: robot.script.run("sec on():\n  set_digital_out(1, True)\nend", wait=True),
+    "power_on": power_on,
+    "brake_release": brake_release,
+}
+
+
+def main(name: str, address: str) -> None:
+    with contextlib.ExitStack() as block:
+        robot = block.enter_context(urlink.connect(address, timeout=ANSWER))
+        robot.motion.stop(wait=10)
+        call = ROWS[name](robot, block)
+        robot.realtime.wait(5)
+        print("ready", flush=True)
+        sys.stdin.readline()
+        try:
+            result = call()
+            if sys.stdin.readline().strip() == "wait" and isinstance(result, urlink.Handle):
+                result.wait(10)
+            print("made", flush=True)
+        except urlink.LinkError as error:
+            print(f"{type(error).__name__}: {' '.join(str(error).split())}", flush=True)
+        sys.stdin.read()
+        _EXIT.set()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
