@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import statistics
+import sys
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -24,6 +25,9 @@ class Sample(NamedTuple):
     threads: int
     #: containers that the garbage collector knows
     objects: int
+    #: blocks of memory that Python's allocator has handed out: what is alive, where resident memory also counts what is
+    #: free and has not been given back to the system
+    blocks: int
 
 
 def sample(at: float) -> Sample:
@@ -37,13 +41,14 @@ def sample(at: float) -> Sample:
         len(os.listdir(process / "fd")),
         len(os.listdir(process / "task")),
         len(gc.get_objects()),
+        sys.getallocatedblocks(),
     )
 
 
 #: How much a gauge may grow after the warm-up: of its median, and in any case. Memory is given back in pieces, and a
 #: connection that is just being made counts, so a growth below these is noise.
-SHARE = {"memory": 0.03, "descriptors": 0.02, "threads": 0.02, "objects": 0.01}
-LEAST = {"memory": 2.0, "descriptors": 1.0, "threads": 1.0, "objects": 500.0}
+SHARE = {"memory": 0.03, "descriptors": 0.02, "threads": 0.02, "objects": 0.01, "blocks": 0.01}
+LEAST = {"memory": 2.0, "descriptors": 1.0, "threads": 1.0, "objects": 500.0, "blocks": 2000.0}
 
 
 class Trend(NamedTuple):
@@ -73,7 +78,7 @@ def trends(samples: Sequence[Sample], warm_up: float = 0.25) -> list[Trend]:
     kept = [each for each in samples if each.at >= samples[-1].at * warm_up]
     duration = kept[-1].at - kept[0].at
     found = []
-    for gauge in ("memory", "descriptors", "threads", "objects"):
+    for gauge in SHARE:
         values = [(each.at, float(getattr(each, gauge))) for each in kept]
         median = statistics.median(value for _, value in values)
         growth = slope(values) * duration

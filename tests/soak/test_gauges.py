@@ -18,7 +18,7 @@ def run(leak: float, noise: float = 1.0) -> list[Sample]:
     for at in range(0, 1200, 5):
         grown = min(at, 200) / 4 + leak * at / 3600
         level = 100 + grown + chance.uniform(-noise, noise) + (40 if at % 300 == 0 else 0)
-        samples.append(Sample(float(at), level, round(level), round(level), round(1000 * level)))
+        samples.append(Sample(float(at), level, round(level), round(level), round(1000 * level), round(1000 * level)))
     return samples
 
 

@@ -275,11 +275,11 @@ def test_one_that_goes_on_after_its_program(robot: Rehearsal) -> None:
 def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
     talk.begin()
     talk.failure = failure
+    subscription = talk.program._subscription
+    assert subscription is not None
     talk.look()
     talk.fails(type(failure), "off")
     assert talk.said[-1] == b"bye"
-    subscription = talk.program._subscription
-    assert subscription is not None
     # A mistake of ours is one that the subscription tells of.
     until(lambda: subscription.stats.raised == isinstance(failure, ZeroDivisionError))
 
