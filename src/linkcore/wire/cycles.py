@@ -11,7 +11,7 @@ The same rule holds while packets are received (`MissedCycles`) and for columns 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,14 +87,16 @@ class MissedCycles:
         self._moment = moment
         self._period, *self._shorter = sorted(periods, reverse=True)
         self._is_uniform = is_uniform
+        self._set_at_most()
         self._last = float("nan")  # no comparison with it holds
 
     def take(self, frames: Sequence[bytes]) -> None:
         """Packets have come, at least one, in order."""
-        if (self._is_uniform or len(frames) == 1) and not self._shorter:
+        if self._at_most:
             # All of them at once: none is missing if the clock went on by no more than so many periods.
-            moment = self._moment(frames[-1])
-            if moment is not None and moment - self._last <= (len(frames) + _SLACK) * self._period:
+            moment: Any = self._moment(frames[-1])
+            step = moment - self._last
+            if step <= self._at_most or step <= self._at_most + (len(frames) - 1) * self._period:
                 self._last = moment
                 return
         for frame in frames:
@@ -103,9 +105,14 @@ class MissedCycles:
                 self._step(moment - self._last)
                 self._last = moment
 
+    def _set_at_most(self) -> None:
+        """The longest step between two packets with none missing, where each has a time and the period is known."""
+        self._at_most = (1.0 + _SLACK) * self._period if self._is_uniform and not self._shorter else 0.0
+
     def _step(self, step: float) -> None:
         while self._shorter and 0.0 < step < (1.0 - _SLACK / 2) * self._period:
             self._period = self._shorter.pop(0)
+            self._set_at_most()
         if (1.0 + _SLACK) * self._period < step <= ANOTHER_CLOCK:
             self.missing = self.missing.plus(Missing(max(round(step / self._period) - 1, 1), 1, step))
 
