@@ -37,6 +37,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 
+from ..clock import monotonic
 from ..errors import BadAddress, LinkTimeout
 from .listener import bound_socket, numeric_host
 
@@ -431,7 +432,7 @@ class SelectorLoop:
         failures: exceptions that handlers raised.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         #: now, on the loop's clock
         self.time = clock
         self.ports: list[ListeningPort] = []

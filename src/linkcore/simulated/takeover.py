@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import thread as _pool
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
 from ..errors import BadValue, LocalError
@@ -202,11 +202,14 @@ def simulated_time(
 def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     """What of the standard library is replaced, by what."""
     scheduler = sockets.scheduler
+    # Its own, so that who asks for more of it does not change the order of the threads.
+    chance = random.Random(scheduler.random.random())
     sleep, select_, ioctl, getaddrinfo, urandom = time.sleep, select.select, fcntl.ioctl, socket.getaddrinfo, os.urandom
 
     def clock(real: Callable[[], Any], epoch: float, scale: int) -> Callable[[], Any]:
         def read() -> Any:
-            if current() is None:
+            scheduler = current()
+            if scheduler is None:
                 return real()
             scheduler.now += STEP
             process = scheduler.running.process  # type: ignore[union-attr]
@@ -216,7 +219,8 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         return read
 
     def sleep_(seconds: float) -> None:
-        if current() is None:
+        scheduler = current()
+        if scheduler is None:
             sleep(seconds)
         elif seconds < 0:
             raise ValueError("sleep length must be non-negative")
@@ -257,8 +261,16 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (select.poll, choose(lambda: Poll(sockets), select.poll)),
         (selectors.DefaultSelector, choose(lambda: Selector(sockets), selectors.DefaultSelector)),
         (ioctl, choose(ioctl_, ioctl)),
-        (urandom, choose(lambda size: scheduler.random.randbytes(size), urandom)),
+        (urandom, choose(lambda size: urandom(size) if _is_importing() else chance.randbytes(size), urandom)),
     ]
+
+
+def _is_importing() -> bool:
+    """Whether a module is being imported: what it draws must not depend on whether it was there before."""
+    frame: FrameType | None = sys._getframe()
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:

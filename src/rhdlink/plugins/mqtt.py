@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.arguments import check_seconds, check_whole
+from linkcore.clock import monotonic
 from linkcore.errors import BadValue, ConnectFailed, LocalError
 
 from ..host.config import Element
@@ -284,7 +285,7 @@ class MqttRobot(VelocityBridge):
         *,
         topics: Topics = ROBOBOT,
         timeout: float = 1.0,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         super().__init__(self._command, own_thread=False)
         check_whole(port, "port", 1, 65535)
@@ -390,7 +391,7 @@ class MqttTurtle(Plugin):
         *,
         world: World | None = None,
         topics: Topics = ROBOBOT,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         check_whole(port, "port", 1, 65535)
         self.world = World() if world is None else world

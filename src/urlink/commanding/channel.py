@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from linkcore.clock import monotonic
 from linkcore.errors import ConnectionLost, LinkTimeout
 from linkcore.net.recall import Recall
 from linkcore.streaming.connection import Connection
@@ -47,7 +48,7 @@ class CommandChannel:
         connection: Connection,
         monitor: SafetyMonitor,
         section: Section,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
         recall: Recall | None = None,
     ) -> None:
         self._recall = Recall(connection.name) if recall is None else recall

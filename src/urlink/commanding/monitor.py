@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from linkcore.callbacks import CallbackThread
+from linkcore.clock import monotonic
 from linkcore.errors import LinkError
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
@@ -76,7 +77,7 @@ class SafetyMonitor:
         interlock: Interlock,
         section: Section,
         callbacks: CallbackThread,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         self._connections = {"primary": primary, "realtime": realtime}
         self._interlock = interlock

@@ -15,13 +15,13 @@ import itertools
 import logging
 import math
 import os
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from linkcore.callbacks import CallbackThread
+from linkcore.clock import monotonic
 from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout
 from linkcore.handle import Lifecycle
 from linkcore.streaming.connection import Connection
@@ -126,7 +126,7 @@ class Programs:
         start_timeout: float,
         start_place: StartPlace,
         who: KnownIdentity,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         self._primary = primary
         self._channel = channel

@@ -11,11 +11,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Protocol
 
+from linkcore.clock import monotonic
 from linkcore.errors import Closed, ConnectionLost, LinkError
 from linkcore.streaming.connection import Connection
 from linkcore.text import printable
@@ -64,7 +64,7 @@ class SettingChannel:
         connection: Connection,
         section: Section,
         inputs: Callable[[], BriefInputs] | None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         self._channel = channel
         self._connection = connection

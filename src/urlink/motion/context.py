@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from linkcore.clock import monotonic
 from linkcore.streaming.stream import Stream
 
 from ..commanding.channel import CommandChannel
@@ -40,7 +40,7 @@ class MotionContext:
     reverse: ReversePort
     registers: RegisterPort
     section: Section
-    clock: Callable[[], float] = time.monotonic
+    clock: Callable[[], float] = monotonic
 
     def state(self) -> RealtimeState:
         """The newest state; if there is none, the next one.

@@ -7,10 +7,10 @@ than a burst of settings: whoever asks later gets it.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from linkcore.clock import monotonic
 from linkcore.errors import Closed
 from linkcore.streaming.connection import Connection
 
@@ -37,7 +37,7 @@ class BriefClaims:
     """
 
     def __init__(
-        self, connect: Callable[[Plan], tuple[Connection, Claims]], clock: Callable[[], float] = time.monotonic
+        self, connect: Callable[[Plan], tuple[Connection, Claims]], clock: Callable[[], float] = monotonic
     ) -> None:
         self._connect = connect
         self._clock = clock

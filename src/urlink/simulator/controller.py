@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
+from linkcore.clock import monotonic
 from linkcore.errors import BadValue, LocalError
 from urlink import models
 from urlink.address import RobotAddress
@@ -140,7 +140,7 @@ class Controller:
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
-        self._clock: Callable[[], float] = self._stepped or time.monotonic
+        self._clock: Callable[[], float] = self._stepped or monotonic
         # Of the cycles that were stepped, until they are taken.
         self._messages: deque[bytes] = deque()
 

@@ -9,9 +9,9 @@ slow simulator see late and missing packets, but only one clock.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 
+from linkcore.clock import monotonic
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.ports import interface
 
@@ -110,7 +110,7 @@ class Server:
         host: str,
         numbers: Mapping[str, int],
         output_limit: int,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         # The clients of each port, and the names of the interfaces that have any.
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
