@@ -325,3 +325,27 @@ def test_what_is_declared_is_there() -> None:
     for package, parts in BELOW.items():
         assert parts.keys() <= {part(module) for module in MODULES if within(module, package)}
     assert {module for module in MODULES if "socket" in imports(module)} == SOCKETS
+
+
+def clocks_as_values(tree: ast.Module) -> list[int]:
+    """Lines that take `time.monotonic` and the like as a value rather than call it, or import them by name."""
+    names = {"monotonic", "time", "sleep", "perf_counter", "time_ns", "monotonic_ns"}
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if (
+            isinstance(node, ast.Attribute)
+            and node.attr in names
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "time"
+            and id(node) not in called
+        )
+    ]
+
+
+def test_clocks_are_called_and_not_kept() -> None:
+    """What keeps the function of a clock keeps the real one while time is simulated; `linkcore.clock` has one to keep."""
+    assert clocks_as_values(ast.parse("def f(clock=time.monotonic):\n    time.sleep(1)")) == [1]
+    kept = {module: lines for module in MODULES if (lines := clocks_as_values(statements(module)))}
+    assert kept.keys() <= {"linkcore.simulated.takeover", "linkcore.simulated.primitives"}, kept

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import gc
+import importlib
 import os
 import queue
 import random
@@ -31,17 +32,22 @@ __all__ = ["Simulation", "simulated_time"]
 #: Seconds since 1970 at which a simulation begins: 2026-01-01.
 _EPOCH = 1767225600.0
 
-#: Modules that keep what they have: those that this is made of, and the interpreter's own.
+#: Modules that keep what they have: those that this is made of, the interpreter's own, and those that never wait.
 _KEPT = (
     "_thread",
     "importlib",
     "_frozen_importlib",
     "linkcore.simulated",
+    "numpy",
     "_pytest.timing",
     "pytest_timeout",
     "xdist",
     "execnet",
 )
+
+#: Modules of C or with locks of their own, imported before the first simulation rather than in it: they keep what they
+#: find as they are imported, so that the first run in a process would differ from the next.
+_BEFORE = ("asyncio", "concurrent.futures.thread", "multiprocessing.process", "numpy.random")
 
 #: What can happen to a computer, and how it is written.
 _OF_COMPUTERS = ("suspend", "resume", "kill", "power_off", "power_on")
@@ -177,6 +183,8 @@ def simulated_time(
     """
     if current() is not None:
         raise LocalError("time is simulated already: one block cannot be inside another")
+    for name in _BEFORE:
+        importlib.import_module(name)
     scheduler = Scheduler(seed, limit)
     network = Network(scheduler, Route(latency, jitter))
     here = network.add("here", "192.168.0.1")
@@ -232,6 +240,10 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     def choose(simulated: Callable[..., Any], real: Callable[..., Any]) -> Callable[..., Any]:
         return lambda *args, **named: (real if current() is None else simulated)(*args, **named)
 
+    def lock(simulated: Callable[[], Any], real: Callable[[], Any]) -> Callable[[], Any]:
+        # That of a module or class is a real one, whether the module was there before or not.
+        return lambda: (real if current() is None or _is_importing() else simulated)()
+
     def new_socket(family: int = -1, type: int = -1, proto: int = -1, fileno: int | None = None) -> Any:
         return Socket(sockets, family, type, proto)
 
@@ -249,9 +261,9 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (time.perf_counter_ns, clock(time.perf_counter_ns, 0.0, 10**9)),
         (time.time_ns, clock(time.time_ns, _EPOCH, 10**9)),
         (sleep, sleep_),
-        (threading.Lock, choose(primitives.Lock, threading.Lock)),
-        (threading._allocate_lock, choose(primitives.Lock, threading._allocate_lock)),  # type: ignore[attr-defined]
-        (threading.RLock, choose(primitives.RLock, threading.RLock)),
+        (threading.Lock, lock(primitives.Lock, threading.Lock)),
+        (threading._allocate_lock, lock(primitives.Lock, threading._allocate_lock)),  # type: ignore[attr-defined]
+        (threading.RLock, lock(primitives.RLock, threading.RLock)),
         (queue.SimpleQueue, primitives.SimpleQueue),
         (_pool._global_shutdown_lock, primitives.Lock()),
         (socket.socket, choose(new_socket, socket.socket)),
@@ -266,7 +278,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
 
 
 def _is_importing() -> bool:
-    """Whether a module is being imported: what it draws must not depend on whether it was there before."""
+    """Whether a module is being imported: a run must not depend on whether it was there before."""
     frame: FrameType | None = sys._getframe()
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
