@@ -345,7 +345,7 @@ def clocks_as_values(tree: ast.Module) -> list[int]:
 
 
 def test_clocks_are_called_and_not_kept() -> None:
-    """What keeps the function of a clock keeps the real one while time is simulated; `linkcore.clock` has one to keep."""
+    """A clock that is kept stays the real one while time is simulated; `linkcore.clock` has one that may be."""
     assert clocks_as_values(ast.parse("def f(clock=time.monotonic):\n    time.sleep(1)")) == [1]
     kept = {module: lines for module in MODULES if (lines := clocks_as_values(statements(module)))}
     assert kept.keys() <= {"linkcore.simulated.takeover", "linkcore.simulated.primitives"}, kept

@@ -57,6 +57,7 @@ def test_move_joints() -> None:
         "urlink.commanding.monitor",
         "urlink.commanding.interlock",  # may it leave?
         "linkcore.streaming.connection",
+        "linkcore.clock",  # how old is the news?
     }
 
 
