@@ -197,6 +197,13 @@ def soak(session: nox.Session) -> None:
 
 
 @nox.session
+def simulate(session: nox.Session) -> None:
+    """Run worlds in simulated time, each by its seed: ``-- --seeds 10000 --jobs 2``."""
+    session.install("-e", f".{EXTRAS}", *group("tests"))
+    session.run("python", "-m", "tests.worlds", *(session.posargs or ["--seeds", "300", "--jobs", "2"]))
+
+
+@nox.session
 def mutants(session: nox.Session) -> None:
     """Change the program in small ways, one at a time, and count the changes that no test notices."""
     session.install("-e", f".{EXTRAS}", *group("tests"))

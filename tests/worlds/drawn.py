@@ -137,13 +137,13 @@ def draw(seed: int) -> World:
         )
 
     clients = tuple(
-        Client(tuple(ask() for _ in range(chance.randint(1, 4))), chance.uniform(-1e-4, 1e-4))
+        Client(tuple(ask() for _ in range(chance.randint(1, 5))), chance.uniform(-1e-4, 1e-4))
         for _ in range(chance.choice((1, 1, 2, 3)))
     )
     events = tuple(
         Event(
             chance.choice(HAPPENS),
-            2.0 * chance.random(),
+            chance.choice((0.2, 0.5, 2.0)) * chance.random(),
             chance.choice((0.02, 0.3, 1.5, 6.0)) * chance.random(),
             chance.randrange(len(clients)),
             chance.random(),

@@ -1,0 +1,66 @@
+"""Worlds in simulated time: a few of them here, as many as wanted by `nox -s simulate`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from linkcore.errors import Cancelled
+from linkcore.handle import Lifecycle
+from tests.worlds.__main__ import shrunk
+from tests.worlds.drawn import Ask, Client, Event, World, draw
+from tests.worlds.running import run
+from urlink.commanding.programs import Programs
+
+# A client that is killed closes nothing.
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(first, first + 5) for first in range(0, 30, 5)], ids=str)
+def test_nothing_moves_unasked(seeds: range) -> None:
+    for seed in seeds:
+        outcome = run(draw(seed))
+        assert outcome.faults == [], "\n".join([f"python -m tests.worlds --seed {seed}", *outcome.log])
+
+
+@pytest.mark.slow
+def test_the_same_seed_is_the_same_world_in_every_process() -> None:
+    """With other hashes and addresses; here these worlds come after others, there they are the first."""
+    program = (
+        "from tests.worlds.drawn import Ask, Client, Event, World, draw\nfrom tests.worlds.running import run\n"
+        "print([run(draw(seed)).trace for seed in (3, 17)])"
+    )
+    env = {**os.environ, "PYTHONHASHSEED": "7"}
+    there = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, check=True, timeout=55
+    )
+    assert there.stdout == f"{[run(draw(seed)).trace for seed in (3, 17)]}\n"
+
+
+@pytest.fixture
+def forgets_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A registry of programs that reports a cancelled motion as over, and stops nothing."""
+
+    def stop(programs: Programs, life: Lifecycle) -> None:
+        life.fail(Cancelled("planted"))
+
+    monkeypatch.setattr(Programs, "stop", stop)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("forgets_to_stop")
+def test_a_motion_that_goes_on_after_its_end_is_found_and_made_smaller() -> None:
+    cancelled = Ask("move_joints", "cancel", after=0.0, size=1.0, patience=0.1)
+    harmless = Ask("output", "wait", after=0.0, size=1.0, patience=0.0)
+    clients = (Client((harmless, cancelled), 0.0), Client((harmless,), 0.0))
+    events = (Event("slider", at=0.01, lasts=0.0, client=1, size=0.9),)
+    world = World(1, "5.11", 1e-4, 0.0, clients, events)
+    assert "nobody wants it to" in run(world).faults[0]
+    assert shrunk(world) == World(1, "5.11", 1e-4, 0.0, (Client((cancelled,), 0.0),), ())
