@@ -1,7 +1,9 @@
 """A node of ROS 2 in a process of its own, as a user's program is one: it tells on stdout what it hears.
 
 python driver.py listen SECONDS [NAMESPACE/ | joints]   what comes, and how late; or of the joint states only
-python driver.py follow NAME ...     sends goals and prints feedback and result as JSON lines
+python driver.py follow GOAL ...     sends a goal, or several, and prints feedback and result as JSON lines
+python driver.py give_up GOAL S      sends a goal, and waits S seconds for its acceptance
+python driver.py watch SECONDS       is a client of the action that sends nothing
 python driver.py call SERVICE [on]   calls a service
 """
 
@@ -17,6 +19,7 @@ from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.action import ActionClient
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String
@@ -28,7 +31,11 @@ def say(**what: Any) -> None:
     print(json.dumps(what), flush=True)
 
 
-def listen(node: Any, seconds: str, namespace: str = "") -> None:
+def seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def listen(node: Any, duration: str, namespace: str = "") -> None:
     """What comes on each topic, and of the joint states how late it is, by the clock that both processes have."""
     late: list[float] = []
     stamps: list[float] = []
@@ -38,7 +45,7 @@ def listen(node: Any, seconds: str, namespace: str = "") -> None:
     namespace = "" if only_joints else namespace
 
     def joints(message: Any) -> None:
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        stamp = seconds(message.header.stamp)
         late.append(time.time() - stamp)
         stamps.append(stamp)
         last["joints"] = [list(message.name), list(message.position), list(message.effort)]
@@ -67,7 +74,7 @@ def listen(node: Any, seconds: str, namespace: str = "") -> None:
     found = time.monotonic() + 20.0  # that discovery may take
     while not stamps and not last and time.monotonic() < found:
         rclpy.spin_once(node, timeout_sec=0.1)
-    end = time.monotonic() + float(seconds)
+    end = time.monotonic() + float(duration)
     while time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.1)
     late.sort()
@@ -84,14 +91,8 @@ def listen(node: Any, seconds: str, namespace: str = "") -> None:
     )
 
 
-def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
-    """Follow a goal in JSON; `when` is "cancel", "die" or "stay" after its first feedback."""
-    told: list[Any] = []
-    client = ActionClient(
-        node, FollowJointTrajectory, f"{namespace}scaled_joint_trajectory_controller/follow_joint_trajectory"
-    )
-    assert client.wait_for_server(10.0)
-    wanted = json.loads(goal)
+def goal_of(node: Any, wanted: dict[str, Any]) -> Any:
+    """A goal in JSON as a message; `stamp` is its header's, in seconds from now."""
     message = FollowJointTrajectory.Goal()
     message.trajectory.joint_names = wanted["joints"]
     for at, q in wanted["points"]:
@@ -102,6 +103,64 @@ def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
         message.path_tolerance = [
             JointTolerance(name=name, position=wanted["path_tolerance"]) for name in wanted["joints"]
         ]
+    if "stamp" in wanted:
+        message.trajectory.header.stamp = (node.get_clock().now() + Duration(seconds=wanted["stamp"])).to_msg()
+    return message
+
+
+def several(node: Any, client: Any, wanted: dict[str, Any]) -> None:
+    """Send goals in a row, without waiting for any, and tell how each ended."""
+    sent = [client.send_goal_async(goal_of(node, each)) for each in wanted["goals"]]
+    results = []
+    for future in sent:
+        rclpy.spin_until_future_complete(node, future, timeout_sec=20.0)
+        results.append(future.result().get_result_async())
+    for future in results:
+        rclpy.spin_until_future_complete(node, future, timeout_sec=60.0)
+    say(results=[[each.result().status, each.result().result.error_code] for each in results])
+
+
+def give_up(node: Any, goal: str, patience: str) -> None:
+    """Send a goal when a line comes on stdin, wait so long for its acceptance, and then stay there without it."""
+    name = "scaled_joint_trajectory_controller/follow_joint_trajectory"
+    client = ActionClient(node, FollowJointTrajectory, name)
+    assert client.wait_for_server(30.0)
+    power = node.create_client(Trigger, "dashboard_client/brake_release")
+    assert power.wait_for_service(30.0)
+    say(ready=True)
+    sys.stdin.readline()
+    sent = client.send_goal_async(goal_of(node, json.loads(goal)))
+    called = power.call_async(Trigger.Request())
+    rclpy.spin_until_future_complete(node, sent, timeout_sec=float(patience))
+    say(answered=sent.done())
+    sys.stdin.readline()
+    rclpy.spin_until_future_complete(node, sent, timeout_sec=30.0)
+    rclpy.spin_until_future_complete(node, called, timeout_sec=30.0)
+    say(accepted=sent.result().accepted, called=called.result().success, text=called.result().message)
+
+
+def watch(node: Any, duration: str) -> None:
+    """Be a client of the action that sends nothing, as MoveIt is."""
+    client = ActionClient(node, FollowJointTrajectory, "scaled_joint_trajectory_controller/follow_joint_trajectory")
+    assert client.wait_for_server(30.0)
+    say(ready=True)
+    end = time.monotonic() + float(duration)
+    while time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
+    """Follow a goal in JSON; `when` is "cancel", "die" or "stay" after its first feedback."""
+    told: list[Any] = []
+    client = ActionClient(
+        node, FollowJointTrajectory, f"{namespace}scaled_joint_trajectory_controller/follow_joint_trajectory"
+    )
+    assert client.wait_for_server(10.0)
+    wanted = json.loads(goal)
+    if "goals" in wanted:
+        several(node, client, wanted)
+        return
+    message = goal_of(node, wanted)
     sent = client.send_goal_async(message, feedback_callback=lambda f: told.append(f.feedback))
     rclpy.spin_until_future_complete(node, sent, timeout_sec=10.0)
     handle = sent.result()
@@ -125,6 +184,7 @@ def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
         code=found.result.error_code,
         text=found.result.error_string,
         feedback=len(told),
+        stamp=seconds(message.trajectory.header.stamp),
         names=list(told[-1].joint_names) if told else None,
         actual=list(told[-1].actual.positions) if told else None,
     )
@@ -144,7 +204,13 @@ def call(node: Any, service: str, on: str = "") -> None:
 if __name__ == "__main__":
     rclpy.init()
     try:
-        task: Any = {"listen": listen, "follow": follow, "call": call}[sys.argv[1]]
+        task: Any = {
+            "listen": listen,
+            "follow": follow,
+            "call": call,
+            "give_up": give_up,
+            "watch": watch,
+        }[sys.argv[1]]
         task(rclpy.create_node("driver"), *sys.argv[2:])
     finally:
         rclpy.shutdown()

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -18,8 +19,10 @@ import pytest
 import urlink
 from tests.waiting import until
 from urlink.simulator import Controller
-from urlink_ros2 import JOINT_NAMES, serve
-from urlink_ros2.goals import read_goal
+from urlink_ros2 import JOINT_NAMES
+from urlink_ros2 import serve as serve_nodes
+from urlink_ros2.expiry import Expiry
+from urlink_ros2.goals import Late, has_passed, outcome, read_goal, start_of
 
 #: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
 pytestmark = [
@@ -34,15 +37,15 @@ DRIVER = Path(__file__).parent / "driver.py"
 START = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 FAR = [0.5, *START[1:]]
 
+#: Nor does a trajectory end because set-points stay away; that is tested where they are made.
+serve = partial(serve_nodes, watchdog=5.0)
+
 Drive = Callable[..., Any]
 
 
 @pytest.fixture
 def robot(urlink_robot: urlink.Robot) -> urlink.Robot:
     urlink_robot.motion.move_joints(START, wait=True)
-    # Nor does a trajectory end because set-points stay away; that is tested where they are made.
-    motion = urlink_robot.motion
-    motion.follow = partial(motion.follow, watchdog=5.0)  # type: ignore[method-assign]
     return urlink_robot
 
 
@@ -52,7 +55,9 @@ def drive() -> Iterator[Drive]:
     started: list[subprocess.Popen[str]] = []
 
     def run(*argv: str, wait: bool = True) -> Any:
-        process = subprocess.Popen([sys.executable, str(DRIVER), *argv], stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, str(DRIVER), *argv], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         started.append(process)
         if not wait:
             return process
@@ -116,6 +121,116 @@ def test_a_trajectory_is_cancelled_by_its_client_and_by_its_death(robot: urlink.
         assert isinstance(motion.error, urlink.Cancelled)
 
 
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_client_that_is_lost_is_noticed_beside_another_that_is_there(
+    robot: urlink.Robot, drive: Drive, end: signal.Signals
+) -> None:
+    with serve({"arm": robot}):
+        watching = drive("watch", "120", wait=False)
+        assert json.loads(watching.stdout.readline()) == {"ready": True}
+        process = drive("follow", goal((0.0, START), (60.0, FAR)), "die", wait=False)
+        assert json.loads(process.stdout.readline()) == {"moving": True}
+        motion = robot.motion.current
+        assert motion is not None
+        until(lambda: motion.progress > 0.03, 30.0)  # longer than a client may be silent
+        process.send_signal(end)
+        until(lambda: motion.done, 10.0)  # DDS's lease is 20 s
+        assert isinstance(motion.error, urlink.Cancelled)
+        # Of one that is dead already, nothing is concluded about the next goal.
+        here = robot.realtime.wait().q_target.tolist()
+        assert drive("follow", goal((0.0, here), (3.0, here)))["code"] == 0
+
+
+def test_the_newest_of_several_goals_wins(robot: urlink.Robot, drive: Drive) -> None:
+    targets = [[0.02 * number, *START[1:]] for number in range(1, 8)]
+    with serve({"arm": robot}):
+        goals = [json.loads(goal((1.0, target))) for target in targets]
+        results = drive("follow", json.dumps({"goals": goals}))["results"]
+    assert results == [[6, -103]] * 6 + [[4, 0]]
+    assert robot.realtime.wait().q_actual == pytest.approx(targets[-1], abs=0.01)
+
+
+def test_a_goal_begins_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
+    moved: list[float] = []
+
+    def note(state: urlink.RealtimeState) -> None:
+        if np.abs(state.qd_actual).max() > 1e-3 and state.received is not None:
+            moved.append(state.received.wall)
+
+    with serve({"arm": robot}), robot.realtime.subscribe(note):
+        done = drive("follow", goal((0.0, START), (1.0, FAR), stamp=2.0))
+        assert (done["status"], done["code"]) == (4, 0)
+        # In the simulator the arm needs a while for its first thousandth of a rad/s, so this is no luck.
+        assert done["stamp"] < min(moved) < done["stamp"] + 20.0
+        assert done["feedback"] > 20 + 20  # also before
+        moved.clear()
+        # Over before now: rejected. In the midst of it, and the arm is elsewhere: refused. And where it is: followed.
+        assert drive("follow", goal((0.0, FAR), (1.0, START), stamp=-2.0)) == {"accepted": False}
+        late = drive("follow", goal((0.0, FAR), (30.0, START), stamp=-15.0))
+        assert (late["status"], late["code"]) == (6, -3)
+        assert late["text"].startswith("OLD_HEADER_TIMESTAMP: ")
+        wrong = drive("follow", goal((0.0, FAR), (1.0, START), stamp=4000.0))
+        assert (wrong["status"], wrong["code"]) == (6, -1)
+        assert not moved
+        rest = drive("follow", goal((0.0, FAR), (30.0, FAR), (31.0, START), stamp=-29.0))
+        assert (rest["status"], rest["code"]) == (4, 0)
+
+
+def test_a_goal_waits_for_its_stamp_without_moving_and_is_cancelled(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        process = drive("follow", goal((0.0, START), (40.0, FAR)), "stay", wait=False)
+        assert json.loads(process.stdout.readline()) == {"moving": True}
+        motion = robot.motion.current
+        assert motion is not None
+        # A newer one takes its place at once, though its time has not come.
+        done = drive("follow", goal((0.0, START), (1.0, FAR), stamp=600.0), "cancel")
+        assert motion.done
+        assert done["status"] == 5
+        assert done["text"].startswith("CANCELLED: ")
+        out, _ = process.communicate(timeout=20)
+        told = json.loads(out.splitlines()[-1])
+        assert (told["status"], told["code"], told["text"].partition(":")[0]) == (6, -103, "PREEMPTED")
+        assert robot.motion.current is None
+
+
+def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
+    robot: urlink.Robot, urlink_controller: Controller, drive: Drive
+) -> None:
+    """A goal, and a call of a service."""
+    command = "import sys, urlink.cli; sys.exit(urlink.cli.main())"
+    server = subprocess.Popen(
+        [sys.executable, "-c", command, "serve", "ros2", f"arm={urlink_controller.address}", "--watchdog", "5"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert server.stdout is not None
+        assert server.stdout.readline() == "serving arm over ros2; Ctrl-C ends it\n"
+        client = drive("give_up", goal((0.0, START), (1.0, FAR)), "3.0", wait=False)
+        assert json.loads(client.stdout.readline()) == {"ready": True}
+        server.send_signal(signal.SIGSTOP)
+        client.stdin.write("send\n")
+        client.stdin.flush()
+        assert json.loads(client.stdout.readline()) == {"answered": False}
+        server.send_signal(signal.SIGCONT)
+        client.stdin.write("look\n")
+        client.stdin.flush()
+        late = json.loads(client.stdout.readline())
+        assert (late["accepted"], late["called"]) == (False, False)
+        assert "held up for" in late["text"]
+        begun = time.monotonic()
+        while time.monotonic() < begun + 6.0:
+            assert np.abs(robot.realtime.wait().qd_actual).max() < 1e-3
+        assert robot.realtime.wait().q_actual == pytest.approx(START, abs=1e-2)
+        # And not for ever.
+        done = drive("follow", goal((0.0, START), (1.0, FAR)))
+        assert (done["status"], done["code"]) == (4, 0)
+    finally:
+        server.send_signal(signal.SIGCONT)
+        server.kill()
+        server.communicate()
+
+
 def test_what_moves_ends_with_the_serving_and_its_client_is_told(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         process = drive("follow", goal((0.0, START), (40.0, FAR)), "stay", wait=False)
@@ -126,8 +241,8 @@ def test_what_moves_ends_with_the_serving_and_its_client_is_told(robot: urlink.R
     assert isinstance(motion.error, urlink.Cancelled)
     out, _ = process.communicate(timeout=20)
     told = json.loads(out.splitlines()[-1])
-    assert (told["status"], told["code"]) == (6, -1)
-    assert "Cancelled" in told["text"]
+    assert (told["status"], told["code"]) == (6, -104)
+    assert told["text"].startswith("CANCELLED: Cancelled: ")
 
 
 def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
@@ -138,8 +253,13 @@ def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, urlin
         strict = drive("follow", goal((0.0, START), (0.5, [0.2, *START[1:]]), (1.0, FAR), path_tolerance=1e-5))
         assert (strict["status"], strict["code"]) == (6, -4)
         assert "ToleranceExceeded" in strict["text"]
+        here = robot.realtime.wait().q_target.tolist()
+        process = drive("follow", goal((0.0, here), (40.0, FAR)), "stay", wait=False)
+        assert json.loads(process.stdout.readline()) == {"moving": True}
         urlink_controller.faults.protective_stop()
-        until(lambda: robot.safety.refusal is not None)
+        told = json.loads(process.communicate(timeout=60)[0].splitlines()[-1])
+        assert (told["status"], told["code"]) == (6, -101)
+        assert told["text"].startswith("STOPPED: SafetyStop: ")
         assert drive("follow", goal((0.0, START), (1.0, FAR))) == {"accepted": False}
 
 
@@ -201,10 +321,13 @@ def duration(seconds: float) -> SimpleNamespace:
     return SimpleNamespace(sec=int(seconds), nanosec=int(seconds % 1.0 * 1e9))
 
 
-def message(points: list[tuple[float, dict[str, Any]]], tolerances: tuple[float, ...] = ()) -> SimpleNamespace:
+def message(
+    points: list[tuple[float, dict[str, Any]]], tolerances: tuple[float, ...] = (), stamp: float = 0.0
+) -> SimpleNamespace:
     empty: dict[str, Any] = {"positions": [], "velocities": [], "accelerations": []}
     return SimpleNamespace(
         trajectory=SimpleNamespace(
+            header=SimpleNamespace(stamp=duration(stamp)),
             joint_names=list(JOINT_NAMES),
             points=[SimpleNamespace(**empty | parts, time_from_start=duration(at)) for at, parts in points],
         ),
@@ -235,3 +358,72 @@ def test_a_goal_is_read() -> None:
     for bad in refused:
         with pytest.raises(urlink.BadValue):
             read_goal(message(bad), JOINT_NAMES, here)
+
+
+def test_a_goal_that_should_have_begun_goes_on_from_where_it_is_by_now() -> None:
+    q, far = {"positions": START}, {"positions": FAR}
+    here = np.array(START)
+    stamped = message([(0.0, q), (2.0, q), (3.0, far)], stamp=100.0)
+    assert start_of(stamped) == 100.0
+    assert start_of(message([(1.0, q)])) is None
+    assert [has_passed(stamped, now) for now in (99.0, 102.9, 103.1)] == [False, False, True]
+    assert not has_passed(message([(1.0, q)]), 1e9)
+    rest = read_goal(stamped, JOINT_NAMES, here, 1.5).trajectory
+    assert rest.time.tolist() == [0.0, 0.5, 1.5]
+    assert rest.q[:, 0].tolist() == [0.0, 0.0, 0.5]
+    with pytest.raises(Late, match=r"2\.50 s ago, and the arm is 0\.25\d? rad from"):
+        read_goal(stamped, JOINT_NAMES, here, 2.5)
+    # It has not passed its first point: to that it goes from where the arm is.
+    ahead = read_goal(message([(2.0, far)], stamp=100.0), JOINT_NAMES, here, 1.0).trajectory
+    assert ahead.time.tolist() == [0.0, 1.0]
+
+
+class _Codes:
+    INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = range(
+        -1, -6, -1
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "prefix"),
+    [
+        (urlink.SafetyStop("protective stop", "protective stop"), -101, "STOPPED"),
+        (urlink.NotRunning("off"), -101, "STOPPED"),
+        (urlink.ProgramStopped("by the pendant"), -101, "STOPPED"),
+        (urlink.ConnectionLost("gone"), -102, "LINK_LOST"),
+        (urlink.LinkTimeout("silent"), -102, "LINK_LOST"),
+        (urlink.Cancelled("by its client"), -104, "CANCELLED"),
+        (urlink.ToleranceExceeded("far"), -4, "PATH_TOLERANCE_VIOLATED"),
+        (urlink.BadValue("joint_names=[]"), -2, "INVALID_JOINTS"),
+        (urlink.BadValue("too fast"), -1, "INVALID_GOAL"),
+        (urlink.ScriptFailed(0, 0, "no memory"), -105, "FAILED"),
+        (Late("ago"), -3, "OLD_HEADER_TIMESTAMP"),
+    ],
+)
+def test_codes_of_results(error: Exception, code: int, prefix: str) -> None:
+    assert outcome(error, _Codes, False, False) == (code, prefix)
+    assert outcome(urlink.Cancelled("newer"), _Codes, False, True) == (-103, "PREEMPTED")
+    assert outcome(urlink.ToleranceExceeded("far"), _Codes, True, False) == (-5, "GOAL_TOLERANCE_VIOLATED")
+
+
+def test_what_may_be_older_than_its_client_waits_is_refused() -> None:
+    now = 100.0
+    expiry = Expiry(lambda: now)
+    now = 200.0  # it has not begun to tick
+    expiry.check()
+    assert not expiry.tick()
+    now += 2.0
+    expiry.check()
+    now += 2.1
+    for _ in range(2):
+        with pytest.raises(urlink.LinkTimeout, match=r"held up for 2\.1 s.* nothing was done"):
+            expiry.check()
+    for _ in range(39):
+        now += 0.1
+        assert not expiry.tick()
+    with pytest.raises(urlink.LinkTimeout):
+        expiry.check()
+    now += 0.2
+    expiry.check()
+    now += 30.0
+    assert expiry.tick()

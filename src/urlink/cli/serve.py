@@ -133,6 +133,13 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         default="never",
         help="when motions have to be enabled: on_startup, or always: also after each stop (never)",
     )
+    parser.add_argument(
+        "--watchdog",
+        type=seconds,
+        default=0.1,
+        metavar="S",
+        help="a trajectory: the arm brakes after S seconds without a set-point, 0.01 to 10 (0.1)",
+    )
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
 
 

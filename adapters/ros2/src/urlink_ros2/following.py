@@ -10,10 +10,13 @@ from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 
-from urlink import LinkError, Motion, Robot, TrajectoryFeedback
+from urlink import BadValue, Cancelled, LinkError, LinkTimeout, Motion, RealtimeState, Robot, TrajectoryFeedback
 
-from .goals import error_code, read_goal
+from .expiry import Expiry
+from .goals import has_passed, outcome, read_goal, start_of
 
 __all__ = ["TrajectoryAction"]
 
@@ -25,36 +28,80 @@ _FEEDBACK = 0.05
 #: Seconds in which the executor sends the result of a goal, once there is one; rclpy does not tell when it has left.
 _SENDING = 0.5
 
+#: Feedback messages that are kept until they are acknowledged. Fast DDS asks for an acknowledgement when so many wait.
+_DEPTH = 2
+#: Seconds without an acknowledgement after which a client is lost; those that are there took 0.1 s at most.
+_SILENT = 1.5
+#: Seconds from the beginning of a goal in which its client's subscription to the feedback is discovered.
+_DISCOVERY = 1.0
+
+#: Seconds by which a goal may be ahead of its time.
+_LONGEST_WAIT = 3600.0
+
+
+class _NumberedServer(ActionServer):  # type: ignore[misc]
+    """Numbers goals as they come: the callbacks of several may run side by side, and in another order."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._count = 0
+        self._numbers: dict[bytes, int] = {}
+        super().__init__(*arguments, **options)
+
+    def take_data(self) -> Any:
+        data = super().take_data()
+        if "goal" in data:
+            self._count += 1
+            self._numbers[bytes(data["goal"][1].goal_id.uuid)] = self._count
+            for old in list(self._numbers)[:-1000]:  # of goals that were rejected
+                self._numbers.pop(old, None)
+        return data
+
+    def number_of(self, handle: Any) -> int:
+        """The number of a goal that was accepted."""
+        return self._numbers.pop(bytes(handle.goal_id.uuid), 0)
+
 
 class TrajectoryAction:
     """Serves the action for one robot.
 
-    A goal passes the interlock, preempts the one before, and is cancelled where no client of the action is left.
+    A goal passes the interlock, preempts the ones that came before it, begins at its `header.stamp`, and is cancelled
+    where a client of the action is lost: ROS 2 does not tell whose a goal is.
 
     Args:
         node: that serves it.
         name: of the action.
         robot: what is moved.
         joints: their names, base to wrist 3.
+        watchdog: seconds without a set-point after which the arm brakes by itself.
+        expiry: whether a goal may have been given up.
 
     Raises:
         ImportError: `control_msgs` is not installed.
     """
 
-    def __init__(self, node: Any, name: str, robot: Robot, joints: list[str]) -> None:
+    def __init__(self, node: Any, name: str, robot: Robot, joints: list[str], watchdog: float, expiry: Expiry) -> None:
         from control_msgs.action import FollowJointTrajectory
 
         self._type = FollowJointTrajectory
         self._node = node
         self._robot = robot
         self._joints = joints
-        self._client_service = f"{node.resolve_service_name(name)}/_action/send_goal"
+        self._watchdog = watchdog
+        self._expiry = expiry
+        topic = f"{name}/_action/feedback"
+        self._feedback_topic = node.resolve_topic_name(topic)
+        # In place of the action's own, of which rclpy does not tell what was acknowledged.
+        self._publisher = node.create_publisher(
+            FollowJointTrajectory.Impl.FeedbackMessage, topic, QoSProfile(depth=_DEPTH)
+        )
         self._motion: Motion | None = None
+        self._turn = threading.Lock()
+        self._newest = 0
         self._ending = threading.Event()
         self._idle = threading.Condition()
         self._running = 0
         self._last_end = -math.inf
-        self._server = ActionServer(
+        self._server = _NumberedServer(
             node,
             FollowJointTrajectory,
             name,
@@ -88,13 +135,24 @@ class TrajectoryAction:
 
     def _accepted(self, request: Any) -> GoalResponse:
         """Refuse at once what cannot be followed, or must not be now."""
+        refusal: object = self._robot.safety.refusal
         if self._ending.is_set():
-            return GoalResponse.REJECT
-        refusal = self._robot.safety.refusal
-        if refusal is not None:
-            _log.warning("%s: goal rejected: %s", self._robot.address, refusal)
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
+            refusal = "the serving ends"
+        elif has_passed(request, self._now()):
+            refusal = "by its header.stamp it would have ended before now"
+        else:
+            try:
+                self._expiry.check()
+            except LinkTimeout as error:
+                refusal = error
+        if refusal is None:
+            return GoalResponse.ACCEPT
+        _log.warning("%s: goal rejected: %s", self._robot.address, refusal)
+        return GoalResponse.REJECT
+
+    def _now(self) -> float:
+        """Seconds of the clock of ROS."""
+        return float(self._node.get_clock().now().nanoseconds * 1e-9)
 
     def _execute(self, handle: Any) -> Any:
         with self._idle:
@@ -108,7 +166,8 @@ class TrajectoryAction:
                 self._idle.notify_all()
 
     def _follow(self, handle: Any) -> Any:
-        result = self._type.Result()
+        number = self._server.number_of(handle)
+        watch = _Watch(self._node, self._publisher, self._feedback_topic)
         newest: list[TrajectoryFeedback] = []
         told = threading.Event()
 
@@ -118,49 +177,102 @@ class TrajectoryAction:
 
         duration = 0.0
         try:
-            goal = read_goal(handle.request, self._joints, self._robot.realtime.wait().q_target)
-            duration = goal.trajectory.duration
-            motion = self._robot.motion.follow(
-                goal.trajectory,
-                path_tolerance=goal.path_tolerance,
-                goal_tolerance=goal.goal_tolerance,
-                goal_time=goal.goal_time,
-                feedback=note,
-            )
+            begins = self._take_turn(handle, number)
+            while (early := begins - self._now()) > 0.0:
+                self._publish(handle, _standing(self._robot.realtime.wait()), watch)
+                self._check(handle, watch, number)
+                time.sleep(min(early, _FEEDBACK))
+            with self._turn:
+                self._check(handle, watch, number)
+                self._expiry.check()
+                here = self._robot.realtime.wait().q_target
+                goal = read_goal(handle.request, self._joints, here, -early if start_of(handle.request) else 0.0)
+                duration = goal.trajectory.duration
+                motion = self._motion = self._robot.motion.follow(
+                    goal.trajectory,
+                    path_tolerance=goal.path_tolerance,
+                    goal_tolerance=goal.goal_tolerance,
+                    goal_time=goal.goal_time,
+                    feedback=note,
+                    watchdog=self._watchdog,
+                )
         except LinkError as error:
-            return self._failed(handle, result, error, False)
-        self._motion = motion
-        if self._ending.is_set():
-            motion.cancel()
-        is_asked = False
+            return self._ended(handle, error, False, number)
+        reason: Cancelled | None = None
         while not motion.done:
             time.sleep(_FEEDBACK)
             if told.is_set():
                 told.clear()
-                handle.publish_feedback(self._feedback(newest[0]))
-            if not is_asked and handle.is_cancel_requested:
-                is_asked = True
+                self._publish(handle, newest[0], watch)
+            if reason is not None:
+                continue
+            try:
+                self._check(handle, watch)
+            except Cancelled as error:
+                _log.warning("%s: the trajectory is cancelled: %s", self._robot.address, error)
+                reason = error
                 motion.cancel()
-            elif not is_asked and self._node.count_clients(self._client_service) == 0:
-                is_asked = True
-                _log.warning("%s: no client is left; the trajectory is cancelled", self._robot.address)
-                motion.cancel()
-        if motion.error is None:
+        is_at_the_end = bool(newest) and newest[0].time >= duration - _FEEDBACK
+        error = motion.error
+        return self._ended(
+            handle, reason if reason is not None and isinstance(error, Cancelled) else error, is_at_the_end, number
+        )
+
+    def _take_turn(self, handle: Any, number: int) -> float:
+        """Preempt what came before. When the goal is to begin, in seconds of the clock of ROS.
+
+        Raises:
+            BadValue: the goal cannot be followed, and preempts nothing.
+            Cancelled: a newer one has come.
+        """
+        now = self._now()
+        begins = start_of(handle.request) or now
+        if begins > now + _LONGEST_WAIT:
+            raise BadValue(
+                f"header.stamp is {begins - now:.0f} s ahead; expected at most {_LONGEST_WAIT:.0f} s: is a clock wrong?"
+            )
+        read_goal(handle.request, self._joints, self._robot.realtime.wait().q_target)
+        with self._turn:
+            if number < self._newest:
+                raise Cancelled("a newer goal has come")
+            self._newest = number
+            if begins > now and self._motion is not None:
+                self._motion.cancel()
+        return begins
+
+    def _check(self, handle: Any, watch: _Watch, number: int | None = None) -> None:
+        """Raise `Cancelled` where the goal must not go on; with its number, also where a newer one has come."""
+        if self._ending.is_set():
+            raise Cancelled("the serving ends")
+        if handle.is_cancel_requested:
+            raise Cancelled("its client cancels it")
+        if number is not None and number < self._newest:
+            raise Cancelled("a newer goal has come")
+        lost = watch.lost
+        if lost is not None:
+            raise Cancelled(lost)
+
+    def _ended(self, handle: Any, error: Exception | None, is_at_the_end: bool, number: int) -> Any:
+        result = self._type.Result()
+        if error is None:
             result.error_code = self._type.Result.SUCCESSFUL
             handle.succeed()
             return result
+        is_preempted = number < self._newest or "preempted" in str(error)
+        result.error_code, prefix = outcome(error, self._type.Result, is_at_the_end, is_preempted)
+        result.error_string = f"{prefix}: {type(error).__name__}: {error}"
         if handle.is_cancel_requested:
-            result.error_string = str(motion.error)
             handle.canceled()
-            return result
-        is_at_the_end = bool(newest) and newest[0].time >= duration - _FEEDBACK
-        return self._failed(handle, result, motion.error, is_at_the_end)
-
-    def _failed(self, handle: Any, result: Any, error: Exception, is_at_the_end: bool) -> Any:
-        result.error_code = error_code(error, self._type.Result, is_at_the_end)
-        result.error_string = f"{type(error).__name__}: {error}"
-        handle.abort()
+        else:
+            handle.abort()
         return result
+
+    def _publish(self, handle: Any, told: TrajectoryFeedback, watch: _Watch) -> None:
+        watch.look()
+        message = self._type.Impl.FeedbackMessage()
+        message.goal_id = handle.goal_id
+        message.feedback = self._feedback(told)
+        self._publisher.publish(message)
 
     def _feedback(self, told: TrajectoryFeedback) -> Any:
         message = self._type.Feedback()
@@ -175,3 +287,54 @@ class TrajectoryAction:
             point.time_from_start.sec = int(told.time)
             point.time_from_start.nanosec = int((told.time % 1.0) * 1e9)
         return message
+
+
+class _Watch:
+    """Whether the clients of the action are still there, as far as DDS tells.
+
+    Each subscribes to the feedback. The subscription of one that ends in order is gone at once; that of one that was
+    killed stays for DDS's lease, 20 s in Fast DDS, but acknowledges nothing any more.
+
+    Args:
+        node: that serves the action.
+        publisher: of the feedback.
+        topic: of the feedback.
+    """
+
+    def __init__(self, node: Any, publisher: Any, topic: str) -> None:
+        self._node = node
+        self._publisher = publisher
+        self._topic = topic
+        self._began = time.monotonic()
+        self._clients: set[bytes] = set()
+        self._published = 0
+        # None until something of this goal was acknowledged: one that was killed before must not end it.
+        self._acknowledged: float | None = None
+
+    def look(self) -> None:
+        """Before feedback is published: note whether all that was published is acknowledged."""
+        # Without waiting: rclpy keeps the interpreter's lock meanwhile.
+        if self._published >= _DEPTH and self._publisher.wait_for_all_acked(Duration(seconds=0)):
+            self._acknowledged = time.monotonic()
+        self._published += 1
+
+    @property
+    def lost(self) -> str | None:
+        """Which one is lost, in words; None while all are there."""
+        now = time.monotonic()
+        here = {bytes(each.endpoint_gid) for each in self._node.get_subscriptions_info_by_topic(self._topic)}
+        if now < self._began + _DISCOVERY:
+            self._clients |= here
+        elif not here:
+            return "no client is left"
+        if self._clients - here:
+            return "a client of the action has gone"
+        if self._acknowledged is not None and now - self._acknowledged > _SILENT:
+            return f"a client of the action has acknowledged nothing for {now - self._acknowledged:.1f} s"
+        return None
+
+
+def _standing(state: RealtimeState) -> TrajectoryFeedback:
+    """The feedback of a goal whose time has not come."""
+    off = state.q_target - state.q_actual
+    return TrajectoryFeedback(0.0, state.q_target, state.qd_target, state.q_actual, state.qd_actual, off)

@@ -17,6 +17,7 @@ from std_msgs.msg import Float64
 from urlink import BadValue, LinkError, LocalError, RealtimeState, Robot, drop_oldest
 from urlink.urdf import JOINTS as JOINT_NAMES
 
+from .expiry import Expiry
 from .services import create_services
 from .states import STREAMED, StatePublishers
 
@@ -42,6 +43,7 @@ class RobotNode:
         prefix: of the names of joints and frames, such as ``left_``.
         rate: states a second that are published, at most; None for all.
         controller: what the action's name begins with.
+        watchdog: seconds without a set-point after which an arm that follows a trajectory brakes by itself.
 
     Attributes:
         node: of rclpy; add it to an executor.
@@ -60,6 +62,7 @@ class RobotNode:
         prefix: str = "",
         rate: float | None = None,
         controller: str = "scaled_joint_trajectory_controller",
+        watchdog: float = 0.1,
     ) -> None:
         if rate is not None and not 0.0 < rate <= 1000.0:
             raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states a second")
@@ -71,13 +74,15 @@ class RobotNode:
         self._publishers = StatePublishers(self.node, joints, f"{prefix}base", f"{prefix}tool0")
         self._is_commanded = _takes_commands(robot)
         self._action: Any = None
+        self._expiry = Expiry()
         if self._is_commanded:
-            create_services(self.node, robot, self._halt)
+            create_services(self.node, robot, self._halt, self._expiry)
             self.node.create_subscription(Float64, "set_speed_slider", self._set_speed, STREAMED)
             try:
                 from .following import TrajectoryAction
 
-                self._action = TrajectoryAction(self.node, f"{controller}/follow_joint_trajectory", robot, joints)
+                name = f"{controller}/follow_joint_trajectory"
+                self._action = TrajectoryAction(self.node, name, robot, joints, watchdog, self._expiry)
             except ImportError as error:
                 _log.warning("FollowJointTrajectory is not served: %s", error)
         self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
@@ -107,6 +112,7 @@ class RobotNode:
             self._publishers.publish(state)
 
     def _look(self) -> None:
+        self._expiry.tick()
         state = self._robot.realtime.latest
         if state is not None and state.received is not None and state.received.age > _SILENT:
             state = None
@@ -120,6 +126,7 @@ class RobotNode:
 
     def _set_speed(self, message: Any) -> None:
         try:
+            self._expiry.check()
             self._robot.set_speed_slider(message.data)
         except LinkError as error:
             _log.warning("the speed slider is not set: %s", error)
@@ -133,6 +140,7 @@ def serve(
     prefixed: bool = False,
     rate: float | None = None,
     controller: str = "scaled_joint_trajectory_controller",
+    watchdog: float = 0.1,
 ) -> Iterator[None]:
     """Serve robots, by name, as long as the context lasts, with an executor of its own.
 
@@ -140,7 +148,7 @@ def serve(
         robots: name -> robot.
         namespaced: each in a namespace of its name; None where there are several.
         prefixed: names of joints and frames begin with the name of the robot.
-        rate, controller: see `RobotNode`.
+        rate, controller, watchdog: see `RobotNode`.
     """
     if namespaced is None:
         namespaced = len(robots) > 1
@@ -160,6 +168,7 @@ def serve(
                 prefix=f"{name}_" if prefixed else "",
                 rate=rate,
                 controller=controller,
+                watchdog=watchdog,
             )
             nodes.append(served)
             executor.add_node(served.node)

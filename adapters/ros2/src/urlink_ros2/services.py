@@ -10,6 +10,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from urlink import LinkError, Robot
 
+from .expiry import Expiry
+
 __all__ = ["create_services"]
 
 #: Services of the dashboard that the ROS 2 driver of the vendor has too, but for those that start and stop an
@@ -25,35 +27,36 @@ _DASHBOARD = (
 )
 
 
-def create_services(node: Any, robot: Robot, halt: Callable[[], object]) -> None:
+def create_services(node: Any, robot: Robot, halt: Callable[[], object], expiry: Expiry) -> None:
     """Create the services of one robot: each answers when the robot has, and says why it has not.
 
     Args:
         node: that serves them.
         robot: what is told.
         halt: brakes, and ends what moves the arm.
+        expiry: whether a call may have been given up; `halt` and `power_off` come late rather than not at all.
     """
     # One that waits for the dashboard does not keep `halt` waiting.
     slow, quick = MutuallyExclusiveCallbackGroup(), ReentrantCallbackGroup()
 
-    def triggered(name: str, call: Callable[[], object], group: Any) -> None:
+    def triggered(name: str, call: Callable[[], object], group: Any, *, expires: bool = True) -> None:
         def answer(request: Any, response: Any) -> Any:
-            response.success, response.message = _outcome(call)
+            response.success, response.message = _outcome(call, expiry if expires else None)
             return response
 
         node.create_service(Trigger, name, answer, callback_group=group)
 
     def switched(name: str, call: Callable[[bool], object]) -> None:
         def answer(request: Any, response: Any) -> Any:
-            response.success, response.message = _outcome(lambda: call(request.data))
+            response.success, response.message = _outcome(lambda: call(request.data), expiry)
             return response
 
         node.create_service(SetBool, name, answer, callback_group=slow)
 
     for name in _DASHBOARD:
-        triggered(f"dashboard_client/{name}", getattr(robot.dashboard, name), slow)
+        triggered(f"dashboard_client/{name}", getattr(robot.dashboard, name), slow, expires=name != "power_off")
     triggered("enable", robot.safety.enable, quick)
-    triggered("halt", halt, quick)
+    triggered("halt", halt, quick, expires=False)
     banks = (("digital_out", 8), ("configurable_digital_out", 8), ("tool_digital_out", 2))
     for bank, count in banks:
         setter = getattr(robot.io, f"set_{bank}")
@@ -65,8 +68,10 @@ def _setting(setter: Callable[[int, bool], object], number: int) -> Callable[[bo
     return lambda on: setter(number, on)
 
 
-def _outcome(call: Callable[[], object]) -> tuple[bool, str]:
+def _outcome(call: Callable[[], object], expiry: Expiry | None) -> tuple[bool, str]:
     try:
+        if expiry is not None:
+            expiry.check()
         call()
     except LinkError as error:
         return False, f"{type(error).__name__}: {error}"
