@@ -6,6 +6,10 @@
     curl localhost:8000/move_joints --json '{"q": [0, -1.5, 1.5, -1.5, -1.5, 0]}'
 
 A motion is answered when it is over. Whoever closes the connection before stops the arm.
+
+A browser sends requests for every page that is open in it, also to a robot in its network, and names the page's origin
+in them. Origins that are not allowed are refused, over HTTP and WebSocket; ORIGINS="http://cell.local:8000 https://lab"
+replaces those that are (port 8000 of this computer). Programs that are no browser name no origin: this is no login.
 """
 
 import asyncio
@@ -15,12 +19,34 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, WebSocket, WebSocketDisconnect
+from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
+from starlette.websockets import WebSocketClose
 
 import urlink
 
 #: Seconds between two looks whether a client is still there, and between two states of a WebSocket.
 LOOK, PERIOD = 0.05, 0.1
+
+#: Origins of the pages whose requests are taken.
+ORIGINS = frozenset(("http://localhost:8000", "http://127.0.0.1:8000"))
+
+
+class OriginCheck:
+    """Refuses what a browser sends for a page of another origin, before the application gets it."""
+
+    def __init__(self, app: Any, origins: frozenset[str]) -> None:
+        self.app = app
+        self.origins = origins
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        named = [value.decode("latin-1") for name, value in scope.get("headers", ()) if name == b"origin"]
+        if all(origin in self.origins for origin in named):
+            await self.app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await WebSocketClose(1008)(scope, receive, send)
+        else:
+            await PlainTextResponse(f"the origin {named[0]} is not allowed", 403)(scope, receive, send)
 
 
 class Move(BaseModel):
@@ -28,8 +54,8 @@ class Move(BaseModel):
     speed: float = Field(1.05, description="rad/s of the joint that is furthest")
 
 
-def create_app(address: str) -> FastAPI:
-    """The application of one robot."""
+def create_app(address: str, origins: frozenset[str] = ORIGINS) -> FastAPI:
+    """The application of one robot, for pages of these origins."""
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -39,6 +65,7 @@ def create_app(address: str) -> FastAPI:
             yield
 
     app = FastAPI(title="A robot", lifespan=lifespan)
+    app.add_middleware(OriginCheck, origins=origins)
 
     @app.get("/state")
     def state() -> dict[str, Any]:
@@ -91,4 +118,4 @@ def create_app(address: str) -> FastAPI:
 
 
 if "ROBOT" in os.environ:
-    app = create_app(os.environ["ROBOT"])
+    app = create_app(os.environ["ROBOT"], frozenset(os.environ.get("ORIGINS", "").split()) or ORIGINS)

@@ -64,3 +64,30 @@ def test_motions_pass_the_interlock_and_are_stopped(client: Any, controller: Con
     refused = client.post("/move_joints", json={"q": HOME})
     assert refused.status_code == 409
     assert "protective stop" in refused.text
+
+
+@pytest.mark.parametrize("origin", ["http://elsewhere.example", "null", "http://localhost:8000.elsewhere.example", ""])
+def test_what_a_browser_sends_for_a_page_of_another_origin_is_refused(
+    client: Any, controller: Controller, origin: str
+) -> None:
+    from starlette.websockets import WebSocketDisconnect  # type: ignore[import-not-found,unused-ignore]
+
+    before = client.get("/state").json()["q"]
+    for path, body in (("/move_joints", {"q": HOME}), ("/stop", None)):
+        refused = client.post(path, json=body, headers={"Origin": origin})
+        assert (refused.status_code, "is not allowed" in refused.text) == (403, True)
+    assert client.get("/state", headers={"Origin": origin}).status_code == 403
+    with (
+        pytest.raises(WebSocketDisconnect) as closed,
+        client.websocket_connect("/states", headers={"Origin": origin}) as socket,
+    ):
+        socket.receive_json()
+    assert closed.value.code == 1008
+    assert client.get("/state").json()["q"] == pytest.approx(before, abs=1e-2)
+
+
+def test_pages_of_this_server_are_served(client: Any) -> None:
+    own = {"Origin": "http://localhost:8000"}
+    assert client.post("/stop", headers=own).json() == {"phase": "done"}
+    with client.websocket_connect("/states", headers=own) as socket:
+        assert len(socket.receive_json()["q"]) == 6

@@ -418,6 +418,7 @@ def test_what_may_be_older_than_its_client_waits_is_refused() -> None:
     for _ in range(2):
         with pytest.raises(urlink.LinkTimeout, match=r"held up for 2\.1 s.* nothing was done"):
             expiry.check()
+    assert [expiry.tick(), expiry.tick()] == [True, False]
     for _ in range(39):
         now += 0.1
         assert not expiry.tick()

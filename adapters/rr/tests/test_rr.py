@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,15 +47,13 @@ def client_node() -> Iterator[Any]:
 @pytest.fixture
 def robot(urlink_robot: urlink.Robot) -> urlink.Robot:
     urlink_robot.motion.move_joints(START, wait=True)
-    # Nor does a trajectory end because set-points stay away; that is tested where they are made.
-    motion = urlink_robot.motion
-    motion.follow = partial(motion.follow, watchdog=5.0)  # type: ignore[method-assign]
     return urlink_robot
 
 
 @pytest.fixture
 def port(robot: urlink.Robot) -> Iterator[int]:
-    with serve({"arm": robot}, port=0, announce=False) as port:
+    # Nor does a trajectory end because set-points stay away; that is tested where they are made.
+    with serve({"arm": robot}, port=0, announce=False, watchdog=5.0) as port:
         yield port
 
 
@@ -342,6 +339,111 @@ def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_
             until(lambda: wire.TryGetInValue()[0])
             service.close()
         subscription.Close()
+
+
+@contextlib.contextmanager
+def running(address: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server in a process of its own, and where it serves."""
+    options = (f"arm={address}", "--port", "0", "--no-announce")
+    process = subprocess.Popen(
+        [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", "serve", "rr", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "serving arm over rr; Ctrl-C ends it\n"
+        yield process, process.stderr.readline().split()[-1]
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("what", ["jog", "mode and jog", "trajectory", "velocity_command", "position_command"])
+def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
+    robot: urlink.Robot, urlink_controller: Controller, node: Any, what: str
+) -> None:
+    far = np.array([0.5, *START[1:]])
+    with running(urlink_controller.address) as (server, url):
+        arm = node.ConnectService(url)
+        known = modes(node, arm)
+        if what != "mode and jog":
+            arm.command_mode = known[what]
+        wire = getattr(arm, what).Connect() if what.endswith("_command") else None
+        goal = None if what != "trajectory" else trajectory(node, arm, [(0.0, START), (1.0, far.tolist())])
+        generator = None if goal is None else arm.execute_trajectory(goal)
+        node.RequestTimeout = 1
+        server.send_signal(signal.SIGSTOP)
+        suspended = time.monotonic()
+        try:
+            if wire is not None:
+                for number in range(20):
+                    command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
+                    command.seqno = number + 1
+                    command.command = far if what == "position_command" else np.array([0.2, 0, 0, 0, 0, 0])
+                    wire.OutValue = command
+            else:
+                if what == "mode and jog":
+                    with pytest.raises(RR.RequestTimeoutException):
+                        arm.command_mode = known["jog"]
+                with pytest.raises(RR.RequestTimeoutException):
+                    arm.jog_freespace(far, np.full(6, 0.5), False) if generator is None else generator.Next()
+            until(lambda: time.monotonic() > suspended + 3.0)
+        finally:
+            server.send_signal(signal.SIGCONT)
+            node.RequestTimeout = 15
+        begun = time.monotonic()
+        while time.monotonic() < begun + 3.0:
+            assert np.abs(robot.realtime.wait().qd_actual).max() < 1e-3
+        assert robot.realtime.wait().q_actual == pytest.approx(START, abs=1e-2)
+        assert arm.command_mode == known["halt"]
+        # And not for ever.
+        arm.command_mode = known["jog"]
+        arm.jog_freespace(far, np.full(6, 0.5), True)
+        assert robot.realtime.wait().q_actual == pytest.approx(far, abs=1e-2)
+
+
+def test_a_command_by_wire_that_belongs_to_an_old_state_moves_nothing(arm: Any, node: Any, robot: urlink.Robot) -> None:
+    arm.command_mode = modes(node, arm)["velocity_command"]
+    wire = arm.velocity_command.Connect()
+    until(lambda: newest(arm).seqno > 200)
+    for number in range(40):
+        command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
+        command.seqno = number + 1
+        command.state_seqno = newest(arm).seqno - 180
+        command.command = np.array([0.2, 0, 0, 0, 0, 0])
+        wire.OutValue = command
+        assert np.abs(robot.realtime.wait().qd_actual).max() < 1e-3
+        time.sleep(0.01)
+    until(lambda: _moves(arm, node, robot, wire))
+
+
+def _moves(arm: Any, node: Any, robot: urlink.Robot, wire: Any) -> bool:
+    command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
+    state = newest(arm)
+    command.seqno = state.seqno
+    command.state_seqno = state.seqno
+    command.command = np.array([0.2, 0, 0, 0, 0, 0])
+    wire.OutValue = command
+    return bool(robot.realtime.wait().qd_actual[0] > 0.05)
+
+
+def test_a_client_that_makes_no_sense_does_not_end_the_commands_by_wire(
+    arm: Any, node: Any, robot: urlink.Robot
+) -> None:
+    arm.command_mode = modes(node, arm)["velocity_command"]
+    wire = arm.velocity_command.Connect()
+    command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
+    command.seqno = 1
+    command.command = np.zeros(5)
+    wire.OutValue = command
+    until(lambda: arm.velocity_command is not None and robot.motion.current is None)
+    began = newest(arm).seqno
+    until(lambda: newest(arm).seqno > began + 60)
+    until(lambda: _moves(arm, node, robot, wire))
 
 
 def test_a_robot_that_is_only_read(urlink_controller: Controller, node: Any) -> None:

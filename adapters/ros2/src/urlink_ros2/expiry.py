@@ -17,7 +17,7 @@ from urlink import LinkTimeout
 
 __all__ = ["Expiry"]
 
-#: Seconds between two ticks after which what comes may be too old; a busy machine may take 1.5 s for a tick.
+#: Seconds between two ticks after which what comes may be too old.
 _HELD_UP = 2.0
 #: Seconds for which commands are refused then: Fast DDS sends again what was lost with its heartbeats, every 3 s.
 _SETTLING = 4.0
@@ -42,11 +42,14 @@ class Expiry:
         self._ticked: float | None = None
         self._held_up = 0.0  # seconds, the last time
         self._until = -math.inf  # commands are refused
+        self._is_new = False  # that it was held up, since the last tick
 
     def tick(self) -> bool:
         """Note that this process runs, ten times a second; whether it was held up since the last tick."""
         with self._lock:
-            return self._measure()
+            self._measure()
+            was_held_up, self._is_new = self._is_new, False
+            return was_held_up
 
     def check(self) -> None:
         """Refuse a command that may have been sent before this process went on.
@@ -64,11 +67,9 @@ class Expiry:
                 f"have given it up: nothing was done. Commands are taken again in {left:.1f} s"
             )
 
-    def _measure(self) -> bool:
+    def _measure(self) -> None:
         now = self._now()
         gap = 0.0 if self._ticked is None else now - self._ticked
         self._ticked = now
-        if gap <= _HELD_UP:
-            return False
-        self._held_up, self._until = gap, now + _SETTLING
-        return True
+        if gap > _HELD_UP:
+            self._held_up, self._until, self._is_new = gap, now + _SETTLING, True

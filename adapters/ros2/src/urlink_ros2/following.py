@@ -39,7 +39,7 @@ _DISCOVERY = 1.0
 _LONGEST_WAIT = 3600.0
 
 
-class _NumberedServer(ActionServer):  # type: ignore[misc]
+class _NumberedServer(ActionServer):  # type: ignore[misc,type-arg,unused-ignore]
     """Numbers goals as they come: the callbacks of several may run side by side, and in another order."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -213,10 +213,10 @@ class TrajectoryAction:
                 reason = error
                 motion.cancel()
         is_at_the_end = bool(newest) and newest[0].time >= duration - _FEEDBACK
-        error = motion.error
-        return self._ended(
-            handle, reason if reason is not None and isinstance(error, Cancelled) else error, is_at_the_end, number
-        )
+        ended = motion.error
+        if isinstance(ended, Cancelled) and reason is not None:
+            ended = reason
+        return self._ended(handle, ended, is_at_the_end, number)
 
     def _take_turn(self, handle: Any, number: int) -> float:
         """Preempt what came before. When the goal is to begin, in seconds of the clock of ROS.

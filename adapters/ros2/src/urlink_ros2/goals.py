@@ -121,12 +121,12 @@ def read_goal(message: Any, joints: Sequence[str], here: Any, passed: float = 0.
                     f"now; the tolerance is {_START_TOLERANCE:g} rad"
                 )
         left = [number for number, at in enumerate(times) if at > passed]
-        rest = [0.0] * len(order)
+        start, rest = [[float(value) for value in here]], [[0.0] * len(order)]
         trajectory = Trajectory.from_arrays(
             [0.0, *(times[number] - passed for number in left)],
-            [[float(value) for value in here], *(q[number] for number in left)],
-            None if qd is None else [rest, *(qd[number] for number in left)],
-            None if qd is None or qdd is None else [rest, *(qdd[number] for number in left)],
+            start + [q[number] for number in left],
+            None if qd is None else rest + [qd[number] for number in left],
+            None if qd is None or qdd is None else rest + [qdd[number] for number in left],
         )
     goal_time = seconds(message.goal_time_tolerance)
     return Goal(

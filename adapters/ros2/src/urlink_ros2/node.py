@@ -75,6 +75,7 @@ class RobotNode:
         self._is_commanded = _takes_commands(robot)
         self._action: Any = None
         self._expiry = Expiry()
+        self._is_closed = threading.Event()
         if self._is_commanded:
             create_services(self.node, robot, self._halt, self._expiry)
             self.node.create_subscription(Float64, "set_speed_slider", self._set_speed, STREAMED)
@@ -87,6 +88,8 @@ class RobotNode:
                 _log.warning("FollowJointTrajectory is not served: %s", error)
         self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
         self.node.create_timer(_LOOK, self._look)
+        # Not by the timer: a busy executor is late by seconds, while the process runs.
+        threading.Thread(target=self._tick, name="urlink-ros2 tick", daemon=True).start()
 
     def end_motion(self) -> None:
         """Take no more goals, and cancel what a client moves; returns before it has ended."""
@@ -100,6 +103,7 @@ class RobotNode:
 
     def close(self) -> None:
         """Cancel what a client moves, wait until it has ended, and end the node."""
+        self._is_closed.set()
         self._subscription.close()
         self.end_motion()
         self.wait_motion_ended()
@@ -111,8 +115,11 @@ class RobotNode:
         if next(self._came) % self._every == 0:
             self._publishers.publish(state)
 
+    def _tick(self) -> None:
+        while not self._is_closed.wait(_LOOK):
+            self._expiry.tick()
+
     def _look(self) -> None:
-        self._expiry.tick()
         state = self._robot.realtime.latest
         if state is not None and state.received is not None and state.received.age > _SILENT:
             state = None

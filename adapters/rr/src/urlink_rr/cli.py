@@ -28,8 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 @contextlib.contextmanager
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
     """Serve them as long as the context lasts."""
-    options = {"name": args.node_name, "port": args.port, "announce": not args.no_announce, "rate": args.rate}
-    with serve_robots(robots, **options) as port:
+    with serve_robots(
+        robots,
+        name=args.node_name,
+        port=args.port,
+        announce=not args.no_announce,
+        rate=args.rate,
+        watchdog=args.watchdog,
+    ) as port:
         for name in robots:
             print(f"urlink: rr+tcp://localhost:{port}?service={name}", file=sys.stderr)
         yield

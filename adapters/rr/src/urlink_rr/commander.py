@@ -13,6 +13,8 @@ import numpy as np
 
 from urlink import BadValue, LinkError, LocalError, Motion, Robot, Servo
 
+from .expiry import Expiry
+
 __all__ = ["Commander"]
 
 _log = logging.getLogger("urlink.rr")
@@ -37,12 +39,14 @@ class Commander:
     Args:
         robot: what is moved.
         read: of "position_command" or "velocity_command", gives the newest value of that wire: number, command, codes
-            of its units, endpoint of its client; None where there is none.
+            of its units, endpoint of its client; None where there is none, or where it is too old.
+        expiry: whether a command may have been given up.
     """
 
-    def __init__(self, robot: Robot, read: Callable[[str], tuple[int, Any, Any, int] | None]) -> None:
+    def __init__(self, robot: Robot, read: Callable[[str], tuple[int, Any, Any, int] | None], expiry: Expiry) -> None:
         self._robot = robot
         self._read = read
+        self._expiry = expiry
         self._changed = threading.Condition()
         self._mode = "halt"
         self._owner: int | None = None
@@ -75,11 +79,12 @@ class Commander:
         """Go over to another mode; what moves is cancelled.
 
         Raises:
-            LinkError: the arm may not be moved now; the mode is "halt" then.
+            LinkError: the arm may not be moved now, or the command may have been given up; the mode is "halt" then.
         """
         self.halt()
         if mode == "halt":
             return
+        self._expiry.check()
         refusal = self._robot.safety.refusal
         if refusal is not None:
             raise refusal
@@ -116,6 +121,7 @@ class Commander:
                 raise LocalError(f"the command mode is {self._mode}; {mode} has to be chosen first")
             if self._owner != endpoint:
                 raise LocalError("another client is in command; choose the command mode anew to take over")
+        self._expiry.check()
         motion = move()
         with self._changed:
             if self._mode == mode and self._owner == endpoint:
@@ -143,9 +149,9 @@ class Commander:
                 elif mode == "velocity_command":
                     self._follow_velocities()
             except LinkError as error:
-                # A stop, a command that makes no sense: the next command tries again.
+                # A stop, a command that makes no sense or is too old: the next command tries again.
                 _log.warning("%s: %s", self._robot.address, error)
-                self._next(mode, None, 0.1)
+                time.sleep(0.1)
 
     def _next(self, mode: str, seen: int | None, seconds: float) -> tuple[int, Any] | None:
         """The next command that comes by the wire of a mode; None when time is up, or the mode is another."""
@@ -155,6 +161,7 @@ class Commander:
             found = self._read(mode)
             # Only of the client that chose the mode.
             if found is not None and found[3] == self._owner and found[0] != seen:
+                self._expiry.check()
                 self._heard = time.monotonic()
                 return found[0], _in_radians(found[1], found[2], units)
             if time.monotonic() > until:

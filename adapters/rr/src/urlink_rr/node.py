@@ -52,12 +52,12 @@ def open_node(name: str = "urlink.robots", port: int = PORT, *, announce: bool =
         node.Shutdown()
 
 
-def register(node: Any, name: str, robot: Robot, rate: float = RATE) -> RobotService:
+def register(node: Any, name: str, robot: Robot, rate: float = RATE, watchdog: float = 0.1) -> RobotService:
     """Serve a robot in a node, under its name, until the service is closed and the node closes it.
 
     Args and errors: see `RobotService`.
     """
-    service = RobotService(node, name, robot, rate)
+    service = RobotService(node, name, robot, rate, watchdog)
     context = node.RegisterService(name, "com.robotraconteur.robotics.robot.Robot", service)
     context.SetServiceAttributes({"urlink.address": RR.VarValue(robot.address, "string")})
     return service
@@ -71,8 +71,14 @@ def serve(
     port: int = PORT,
     announce: bool = True,
     rate: float = RATE,
+    watchdog: float = 0.1,
 ) -> Iterator[int]:
     """Serve robots, by name, as long as the context lasts: ``rr+tcp://HOST:PORT?service=NAME``.
+
+    Args:
+        robots: name -> robot.
+        name, port, announce: see `open_node`.
+        rate, watchdog: see `RobotService`.
 
     Yields:
         the TCP port.
@@ -83,7 +89,7 @@ def serve(
     """
     with open_node(name, port, announce=announce) as (node, listening), contextlib.ExitStack() as stack:
         for each, robot in robots.items():
-            service = register(node, each, robot, rate)
+            service = register(node, each, robot, rate, watchdog)
             stack.callback(node.CloseService, each)
             stack.callback(service.close)
         yield listening

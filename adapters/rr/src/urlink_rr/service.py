@@ -28,6 +28,7 @@ from urlink import (
 from .commander import Commander
 from .description import HOME, robot_info
 from .errors import translated
+from .expiry import Expiry
 from .signals import read_signal, write_signal
 from .states import Commanded, States, controller_state_of
 from .trajectories import MotionGenerator, read_trajectory
@@ -40,6 +41,8 @@ _log = logging.getLogger("urlink.rr")
 RATE = 125.0
 #: Seconds in which a robot that says nothing is shown as lost.
 _RETOLD = 0.1
+#: Seconds that the state may be old to which a command by wire belongs.
+_LARGEST_AGE = 1.0
 #: Seconds that the arm has to brake, after a jog whose end is waited for.
 _BRAKE = 2.0
 
@@ -56,13 +59,14 @@ class RobotService:
         robot: what is served; it is not closed with the service.
         rate: states a second that are sent, at most. One costs Robot Raconteur's Python about a millisecond, in which
             no other thread of this process runs, so all 500 of an e-Series get in the way of trajectories.
+        watchdog: seconds without a set-point after which an arm that follows a trajectory brakes by itself.
 
     Raises:
         BadValue: a rate that is not positive.
         LinkError: the robot cannot be reached, or nobody knows its arm.
     """
 
-    def __init__(self, node: Any, name: str, robot: Robot, rate: float = RATE) -> None:
+    def __init__(self, node: Any, name: str, robot: Robot, rate: float = RATE, watchdog: float = 0.1) -> None:
         if not 0.0 < rate <= 1000.0:
             raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states a second")
         self._node = node
@@ -80,7 +84,9 @@ class RobotService:
         self._trajectory: tuple[Any, Motion] | None = None
         self._tools: dict[int, str] = {}
         self._downsampler: Any = None
-        self._commander = Commander(robot, self._wire_value) if self._is_commanded else None
+        self._watchdog = watchdog
+        self._expiry = Expiry()
+        self._commander = Commander(robot, self._wire_value, self._expiry) if self._is_commanded else None
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._subscription: Any = None
@@ -139,8 +145,16 @@ class RobotService:
                     raise
 
     def _retell(self) -> None:
-        """While nothing comes of the robot, tell the last state again, with the flag that says so."""
+        """While nothing comes of the robot, tell the last state again, with the flag that says so.
+
+        Also ticks: where this process was held up, clients have to take command anew.
+        """
         while not self._ended.wait(_RETOLD):
+            if self._expiry.tick() and self._commander is not None:
+                _log.warning(
+                    "%s: this process was held up; the command mode has to be chosen anew", self._robot.address
+                )
+                self._commander.halt()
             state = self._robot.realtime.latest
             if state is not None and state.received is not None and state.received.age > 5 * _RETOLD:
                 with contextlib.suppress(RR.RobotRaconteurException):
@@ -231,12 +245,12 @@ class RobotService:
         names = {code: name for name, code in self._states.modes.items() if code >= 0}
         if value not in names:
             raise BadValue(f"command_mode={value}; expected one of {names}")
-        self._commands.choose(names[value], _endpoint())
+        self._commander_of().choose(names[value], _endpoint())
 
     @translated
     def halt(self) -> None:
         """Brake; takes no commands until another mode is chosen."""
-        self._commands.halt()
+        self._commander_of().halt()
 
     @translated
     def enable(self) -> None:
@@ -251,7 +265,7 @@ class RobotService:
     @translated
     def disable(self) -> None:
         """Switch the power of the arm off."""
-        self._commands.halt()
+        self._commander_of().halt()
         self._robot.dashboard.power_off()
 
     @translated
@@ -329,7 +343,9 @@ class RobotService:
         followed, on_the_way, at_the_end = read_trajectory(self._node, trajectory, here)
 
         def follow() -> Motion:
-            return self._robot.motion.follow(followed, path_tolerance=on_the_way, goal_tolerance=at_the_end)
+            return self._robot.motion.follow(
+                followed, path_tolerance=on_the_way, goal_tolerance=at_the_end, watchdog=self._watchdog
+            )
 
         def begin() -> Motion:
             motion = commands.begin("trajectory", endpoint, follow)
@@ -424,13 +440,19 @@ class RobotService:
 
     @property
     def _commands(self) -> Commander:
-        self._check_commanded()
-        assert self._commander is not None
+        """What takes a command that is not too old; stopping is never too old."""
+        commander = self._commander_of()
+        self._expiry.check()
+        return commander
+
+    def _commander_of(self) -> Commander:
+        if self._commander is None:
+            raise LocalError(f"{self._robot.address} is served to be read, so it cannot be commanded")
         return self._commander
 
     def _check_commanded(self) -> None:
-        if self._commander is None:
-            raise LocalError(f"{self._robot.address} is served to be read, so it cannot be commanded")
+        self._commander_of()
+        self._expiry.check()
 
     def _wire_value(self, name: str) -> tuple[int, Any, Any, int] | None:
         """The newest value of a wire by which commands come."""
@@ -438,7 +460,14 @@ class RobotService:
         if wire is None:
             return None
         there, value, _, endpoint = wire.TryGetInValue()
-        return (int(value.seqno), value.command, value.units, int(endpoint)) if there else None
+        if not there:
+            return None
+        # A client that repeats the number of the state that it has seen lets its age be known by this side alone.
+        seen = int(value.state_seqno)
+        newest, sent = self._states.number, self._robot.firmware.rate / self._every
+        if seen and not newest - _LARGEST_AGE * sent <= seen <= newest:
+            return None
+        return int(value.seqno), value.command, value.units, int(endpoint)
 
 
 def _waypoint(trajectory: Any, seconds: float) -> int:

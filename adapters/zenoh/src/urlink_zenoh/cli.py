@@ -37,5 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
     """Serve them as long as the context lasts."""
     session = open_session(args.connect, args.listen, mode=args.mode, config=args.config)
-    with session, Server(session, robots, prefix=args.prefix, rate=args.rate, status_rate=args.status_rate):
+    options = {"prefix": args.prefix, "rate": args.rate, "status_rate": args.status_rate, "watchdog": args.watchdog}
+    with session, Server(session, robots, **options):
         yield

@@ -51,6 +51,8 @@ class Server:
         rate: packets a second of the real-time interface that are published, at most; None for all of them.
         status_rate: status messages a second.
         interfaces: whose packets are published, of "realtime" and "primary".
+        watchdog: seconds without a set-point after which an arm that follows a trajectory brakes by itself, where the
+            client does not give them.
 
     Raises:
         BadValue: a name that cannot be part of a key, or a rate that is not positive.
@@ -67,6 +69,7 @@ class Server:
         rate: float | None = None,
         status_rate: float = 10.0,
         interfaces: tuple[str, ...] = ("realtime", "primary"),
+        watchdog: float = 0.1,
     ) -> None:
         for value, name in ((rate, "rate"), (status_rate, "status_rate")):
             if value is not None and not 0 < value <= 1000:
@@ -77,7 +80,7 @@ class Server:
         self._stack = contextlib.ExitStack()
         try:
             for name, robot in robots.items():
-                served = _Served(session, f"{prefix}/{check_name(name)}", robot, rate, interfaces)
+                served = _Served(session, f"{prefix}/{check_name(name)}", robot, rate, interfaces, watchdog)
                 self._served.append(served)
                 self._stack.callback(served.close)
         except BaseException:
@@ -120,8 +123,10 @@ class _Served:
         robot: Robot,
         rate: float | None,
         interfaces: tuple[str, ...],
+        watchdog: float,
     ) -> None:
         self.key = key
+        self._watchdog = watchdog
         self._robot = robot
         self._numbers = itertools.count(1)
         self._rate: float | None = None  # of the real-time packets that are published
@@ -259,6 +264,8 @@ class _Served:
         command = COMMANDS.get(name)
         if command is None:
             raise BadValue(f"no command {name!r}; expected one of cancel, {', '.join(sorted(COMMANDS))}")
+        if name == "follow":
+            arguments.setdefault("watchdog", self._watchdog)
         parameters = {name: query.parameters.get(name) for name in ("server", "time", "age", "command")}
 
         def carry_out() -> Any:
