@@ -32,7 +32,7 @@ class Entry:
 
     @contextlib.contextmanager
     def serve(self, robots: Mapping[str, urlink.Robot], args: argparse.Namespace) -> Iterator[None]:
-        self.served.append((args.topic, {name: str(robot.firmware) for name, robot in robots.items()}))
+        self.served.append((args.topic, args.watchdog, {name: str(robot.firmware) for name, robot in robots.items()}))
         with pytest.raises(urlink.NotEnabled):
             robots["arm"].motion.move_joints([0.0] * 6)
         yield
@@ -60,11 +60,11 @@ def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.Mo
 
 def test_an_adapter_is_listed_and_serves_robots_by_name(run: Run, entry: Entry) -> None:
     assert "fake     (installed)" in run("serve")[1]
-    options = ("--duration", "0.1", "--topic", "hall", "--require-enable", "on_startup")
+    options = ("--duration", "0.1", "--topic", "hall", "--require-enable", "on_startup", "--watchdog", "2")
     status, out, err = run("serve", "fake", "arm=sim://ur5e?firmware=5.11", *options)
     assert (status, out) == (0, "serving arm over fake; Ctrl-C ends it\n")
     assert "arm: UR5e, firmware 5.11" in err
-    assert entry.served == [("hall", {"arm": "5.11"}), "over"]
+    assert entry.served == [("hall", 2.0, {"arm": "5.11"}), "over"]
 
 
 @pytest.mark.parametrize("argv", [("fake",), ("fake", "a=sim://", "a=sim://ur10"), ("fake", "sim://", "--no-such")])
