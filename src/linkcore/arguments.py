@@ -24,6 +24,8 @@ _WAIT = 60.0
 #: Beyond every quantity of a robot.
 _LARGEST = 1e9
 _DEGREES = 180.0 / math.pi
+#: A value out of range by less than this factor is not taken for one in another unit.
+_FAR = 1.25
 #: The unit that a value out of range was perhaps given in, and how many of it are one of the unit that was expected.
 _OTHER_UNITS = {
     "m": ("mm", 1e3),
@@ -112,7 +114,9 @@ def other_unit(value: float, unit: str, least: float, most: float) -> str:
     ''
     """
     name, factor = _OTHER_UNITS.get(unit, ("", 1.0))
-    return f" (in {name}?)" if name and least <= value / factor <= most else ""
+    # A value that is a little too large is in the right unit.
+    is_far = abs(value) >= _FAR * max(abs(least), abs(most))
+    return f" (in {name}?)" if name and is_far and least <= value / factor <= most else ""
 
 
 def check_whole(value: Any, name: str, least: int, most: int) -> None:

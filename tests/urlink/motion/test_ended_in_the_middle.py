@@ -307,7 +307,7 @@ def test_each_mode_is_ended_each_way(desks: Desks, firmware: str, name: str, end
     mode = MODES[name]
     with desks(firmware) as desk, contextlib.ExitStack() as block:
         robot, controller = desk.robot, desk.controller
-        robot.motion.move_joints(READY, speed=3.0, acceleration=30.0).wait(TIMEOUT)
+        robot.motion.move_joints(READY, speed=3.0, acceleration=25.0).wait(TIMEOUT)
         motion = mode.begin(robot, block)
         if mode.is_pushed:
             controller.push([0, 0, 20.0, 0, 0, 0])
@@ -348,7 +348,7 @@ def test_each_mode_is_ended_each_way(desks: Desks, firmware: str, name: str, end
         robot.safety.wait_enabled(TIMEOUT)
         assert desk.stands_still()
         # What a protective stop has paused is replaced by the next motion, which goes to its end.
-        robot.motion.move_joints(READY + 0.02, speed=3.0, acceleration=30.0).wait(TIMEOUT)
+        robot.motion.move_joints(READY + 0.02, speed=3.0, acceleration=25.0).wait(TIMEOUT)
         assert desk.q == pytest.approx(READY + 0.02)
         until(lambda: not controller.is_running_program, TIMEOUT)
         assert desk.is_rigid()

@@ -321,7 +321,7 @@ POINT = {"q": [0] * 6, "pose": [0] * 6}
         ({"waypoints": [POINT, [0] * 6]}, 'waypoint 1 has no "q" and "pose"'),
         ({"waypoints": [{"q": [0] * 6}]}, 'waypoint 0 has no "q" and "pose"'),
         ({"waypoints": [{**POINT, "q": [0] * 5}]}, "q of waypoint 0 has the shape"),
-        ({"waypoints": [{**POINT, "pose": "here"}]}, "its pose: expected numbers"),
+        ({"waypoints": [{**POINT, "pose": "here"}]}, "its pose is 'here'; expected numbers"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, held: object, message: str) -> None:
