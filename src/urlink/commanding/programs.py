@@ -30,7 +30,7 @@ from linkcore.streaming.subscription import Subscription
 from linkcore.text import printable
 from linkcore.wire.packet import State
 
-from ..errors import CompileError, NotRunning, ProgramStopped, ScriptError, ScriptFailed
+from ..errors import CompileError, NotRunning, ProgramStopped, SafetyStop, ScriptError, ScriptFailed
 from ..identity import KnownIdentity
 from ..interfaces.primary.robot_message import KeyMessage, RuntimeExceptionMessage, TextMessage
 from ..interfaces.primary.robot_state import RobotModeData, RobotState
@@ -67,8 +67,8 @@ class _Run:
     Attributes:
         wrapped: as it was sent.
         life: its life cycle, behind the handle.
-        is_motion: it ends as soon as the interlock closes. A program of the user's own ends when the controller says
-            so: it may only be paused.
+        is_motion: it ends as soon as the interlock closes. A program of the user's own that has begun ends when the
+            controller says so, since it may only be paused; one that still has to ask for permission ends by a stop.
         moves_late: it may move the arm also if it begins after its life is over: it neither asks for permission nor
             connects back to this computer.
         left_alone: what it does when the connection is lost, for messages.
@@ -470,7 +470,9 @@ class Programs:
 
     def _interlock_closed(self, error: LinkError) -> None:
         for run in self._pending():
-            if run.is_stopped:
+            # After a stop begins only what was asked for anew.
+            is_held = run.begun is None and run.wrapped.permission is not None and isinstance(error, SafetyStop)
+            if run.is_stopped or is_held:
                 run.life.fail(error)
             elif run.is_motion:
                 run.life.fail(NotRunning(f"{error}; {self._what_if(run)}") if isinstance(error, NotRunning) else error)

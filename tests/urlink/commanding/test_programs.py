@@ -332,6 +332,17 @@ def test_ended_by_a_stop(robot: StandIn, is_told_first: bool) -> None:
     program.cancel()
 
 
+def test_a_program_that_has_not_begun_when_a_stop_comes_does_not_begin_after_it(robot: StandIn) -> None:
+    program = run(robot)
+    robot.state(safety=SafetyMode.PROTECTIVE_STOP)
+    until(lambda: robot.safety.cause is not None)
+    robot.clear()
+    robot.begins(program)
+    with pytest.raises(SafetyStop, match="protective stop"):
+        program.wait(5)
+    assert len(robot.sent) == 1  # it asks, and is not let go on
+
+
 def test_cancelling_under_a_stop_sends_nothing(robot: StandIn) -> None:
     program = run(robot)
     robot.begins(program)
