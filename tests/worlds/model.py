@@ -1,0 +1,398 @@
+"""What may move the arm, as a state machine that is explored whole: two clients, one controller, and what goes wrong.
+
+    client       the phases of its handles (the table of `linkcore.handle`), and whether its interlock is closed
+    network      texts to the controller and reports to the client, in order within a connection
+    controller   the program that waits or moves, the token in the start place, the stop
+
+Each step of `State.steps` is one that the others cannot interrupt, and any of them may come next. So a message is under
+way for any time, and a time-out, a cancel or a fault comes at any moment. A stop comes once, a safety stop or the
+pendant's; a connection is cut once; and one text of that connection arrives late, after those of the next one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
+
+from linkcore.handle import TRANSITIONS, Event, Phase
+
+__all__ = ["DEFECTS", "ENDS", "INVARIANTS", "Explored", "State", "begin", "explore"]
+
+T = TypeVar("T")
+#: A text is "program", "grant" or "stop", and a report "asks", "finished", "ended", "expired", each with its handle; a
+#: report without a handle is "stop" or "clear".
+Message = tuple[str, int]
+
+# Phases by their values, since members of an enumeration are slow to hash. What has not been asked for has none.
+_LIVE = (Phase.SENT.value, Phase.RUNNING.value)
+_AFTER = {(before.value, event): after.value for (before, event), after in TRANSITIONS.items()}
+#: Instead of a handle that is over and whose program cannot come any more, or of none.
+_GONE = -1
+
+
+class State(NamedTuple):
+    """One state of everything. What is a tuple in the order of `owners` has one for each handle, else for each client.
+
+    Attributes:
+        owners: the client that asks for each handle; the last is a program of the user's own, the others are motions.
+        phases: None before it is asked for.
+        asked_anew: its client knew, when it asked, that the stop had come and was over.
+        granted: whether it was wanted when it was granted; None if it was not.
+        unstopped: handles that were cancelled just now, and whose stop has not been sent.
+        is_cut: the connection is cut, and the client has not noticed it.
+        is_closed: the interlock is, by a stop.
+        texts, reports: under way to the controller and from it.
+        late: what is left of a connection that was cut.
+        program: the handle whose program is on the controller, and the one whose grant let it go on; None if it waits.
+        token: the handle whose token stands in the start place, while a program waits for its own.
+        stop: "to come", "pendant", "holds" or "over"; the last two are a safety stop's.
+        cut: the client whose connection was.
+    """
+
+    owners: tuple[int, ...]
+    phases: tuple[str | None, ...]
+    asked_anew: tuple[bool, ...]
+    granted: tuple[bool | None, ...]
+    unstopped: tuple[int, ...] = ()
+    is_cut: tuple[bool, ...] = (False, False)
+    is_closed: tuple[bool, ...] = (False, False)
+    texts: tuple[tuple[Message, ...], ...] = ((), ())
+    reports: tuple[tuple[Message, ...], ...] = ((), ())
+    late: tuple[Message, ...] = ()
+    program: tuple[int, int | None] | None = None
+    token: int | None = None
+    stop: str = "to come"
+    cut: int | None = None
+
+    def steps(self, defect: str | None = None) -> Iterator[tuple[str, State]]:
+        """Each step that can come next, by who makes it, and the state after it."""
+        for client in sorted({*self.owners}):
+            yield from self._user(client)
+            yield from self._client(client, defect)
+            for kind, handle in self.texts[client][:1]:
+                rest = self._replace(texts=_with(self.texts, client, self.texts[client][1:]))
+                yield f"controller reads: {kind} {handle}", rest._received(kind, handle)
+            if self.cut is None:
+                yield f"fault: client {client} is cut off", self._cut(client, ())
+                for kind, handle in self.texts[client]:
+                    yield (
+                        f"fault: client {client} is cut off, {kind} {handle} is late",
+                        self._cut(client, ((kind, handle),)),
+                    )
+        for kind, handle in self.late:
+            yield f"fault: {kind} {handle} comes late", self._replace(late=())._received(kind, handle)
+        yield from self._controller(defect)
+
+    # -- users and their clients ---------------------------------------------------------------------
+
+    def _user(self, client: int) -> Iterator[tuple[str, State]]:
+        mine = self._handles(client)
+        for handle in mine:
+            if self.phases[handle] in _LIVE:
+                unstopped = (*self.unstopped, handle) if not self.is_cut[client] else self.unstopped
+                yield f"user cancels {handle}", self._fire(Event.CANCEL, handle)._replace(unstopped=unstopped)
+        new = next((handle for handle in mine if self.phases[handle] is None), None)
+        if new is not None and not self.is_closed[client]:
+            has_read = all(handle >= 0 for _, handle in self.reports[client])
+            asked = self._replace(
+                phases=_with(self.phases, new, Phase.SENT.value),
+                asked_anew=_with(self.asked_anew, new, self.stop == "over" and has_read),
+            )
+            yield f"user of client {client} asks for {new}", asked._send("program", new)
+
+    def _client(self, client: int, defect: str | None) -> Iterator[tuple[str, State]]:
+        mine = self._handles(client)
+        for handle in mine:
+            if self.phases[handle] == Phase.SENT.value:
+                yield f"client gives up {handle}, which has not begun in time", self._fire(Event.FAIL, handle)
+        for handle in self.unstopped:
+            if handle in mine:
+                done = self._replace(unstopped=tuple(each for each in self.unstopped if each != handle))
+                is_newest = not any(
+                    self.phases[each] in _LIVE or each in self.unstopped for each in mine if each > handle
+                )
+                if self.is_closed[client] or defect == "gives up without a stop":
+                    yield f"client sends no stop of {handle}", done
+                elif is_newest or defect == "stops what comes next":
+                    yield f"client sends the stop of {handle}", done._send("stop", handle)
+                else:
+                    yield f"client has sent what stops {handle} anyway", done
+        for kind, handle in self.reports[client][:1]:
+            rest = self._replace(reports=_with(self.reports, client, self.reports[client][1:]))
+            name = kind if handle == _GONE else f"{handle} {kind}"
+            yield f"client {client} reads: {name}", rest._read(client, kind, handle, defect)
+        if self.is_cut[client] and defect != "does not notice a lost connection":
+            lost = self._fire(Event.FAIL, *mine)
+            yield (
+                f"client {client} notices the loss, and connects again",
+                lost._replace(
+                    is_cut=_with(self.is_cut, client, False),
+                    is_closed=_with(self.is_closed, client, self.stop == "holds"),
+                ),
+            )
+
+    def _read(self, client: int, kind: str, handle: int, defect: str | None) -> State:
+        mine = self._handles(client)
+        if kind == "stop":
+            script, begun = len(self.owners) - 1, Phase.RUNNING.value
+            ends = [each for each in mine if self.phases[each] != begun or each != script]
+            if defect == "a stop leaves what has not begun":
+                ends = [each for each in ends if self.phases[each] == begun]
+            return self._fire(Event.FAIL, *ends)._replace(is_closed=_with(self.is_closed, client, True))
+        if kind == "clear":
+            return self._replace(is_closed=_with(self.is_closed, client, False))
+        if kind != "asks":
+            return self._fire(Event.FINISH if kind == "finished" else Event.FAIL, handle)
+        is_wanted = self.phases[handle] in _LIVE
+        if not is_wanted and defect != "grants what was given up":
+            return self
+        begun_now = self._fire(Event.BEGIN, handle)._fire(Event.CANCEL, *(each for each in mine if each < handle))
+        if self.is_closed[client]:
+            return begun_now._fire(Event.FAIL, handle)
+        if self.granted[handle] is None and not self.is_cut[client]:
+            begun_now = begun_now._replace(granted=_with(self.granted, handle, is_wanted))
+        return begun_now._send("grant", handle)
+
+    # -- the controller ------------------------------------------------------------------------------
+
+    def _received(self, kind: str, handle: int) -> State:
+        if kind == "grant":
+            waits = self.program is not None and self.program[1] is None
+            return self._replace(token=handle) if waits else self  # each program clears it first
+        if self.stop == "holds":
+            return self  # programs are refused
+        ended = self._without_program("ended")
+        return ended if kind == "stop" else ended._begun(handle)
+
+    def _controller(self, defect: str | None) -> Iterator[tuple[str, State]]:
+        if self.program is not None:
+            handle, granted_by = self.program
+            if granted_by is not None:
+                yield f"controller: {handle} comes to its end", self._without_program("finished")
+            else:
+                yield f"controller: {handle} was not granted in time", self._without_program("expired")
+                if self.token == handle or (self.token is not None and defect == "one flag for all programs"):
+                    yield f"controller: {handle} moves the arm", self._replace(program=(handle, self.token), token=None)
+                elif self.token is not None:
+                    yield f"controller: {handle} finds another token, and asks again", self._begun(handle)
+        if self.stop == "to come":
+            yield "person stops the program at the pendant", self._replace(stop="pendant")._without_program("ended")
+            stopped = self._replace(stop="holds")._report(0, "stop")._report(1, "stop")
+            yield "person makes a safety stop", stopped._without_program("ended")
+        elif self.stop == "holds":
+            yield "controller: the stop is over", self._replace(stop="over")._report(0, "clear")._report(1, "clear")
+
+    def _begun(self, handle: int) -> State:
+        """Its program clears the start place, and asks."""
+        return self._replace(program=(handle, None), token=None)._report(self.owners[handle], "asks", handle)
+
+    def _without_program(self, why: str) -> State:
+        if self.program is None:
+            return self
+        handle, _ = self.program
+        return self._replace(program=None, token=None)._report(self.owners[handle], why, handle)
+
+    # -- the network ---------------------------------------------------------------------------------
+
+    def _send(self, kind: str, handle: int) -> State:
+        client = self.owners[handle]
+        if self.is_cut[client]:
+            return self
+        return self._replace(texts=_with(self.texts, client, (*self.texts[client], (kind, handle))))
+
+    def _report(self, client: int, kind: str, handle: int = _GONE) -> State:
+        if self.is_cut[client]:
+            return self
+        return self._replace(reports=_with(self.reports, client, (*self.reports[client], (kind, handle))))
+
+    def _cut(self, client: int, late: tuple[Message, ...]) -> State:
+        return self._replace(
+            cut=client,
+            late=late,
+            is_cut=_with(self.is_cut, client, True),
+            texts=_with(self.texts, client, ()),
+            reports=_with(self.reports, client, ()),
+            unstopped=tuple(each for each in self.unstopped if self.owners[each] != client),  # it cannot be sent
+        )
+
+    # -- parts ---------------------------------------------------------------------------------------
+
+    def _handles(self, client: int) -> list[int]:
+        return [handle for handle, owner in enumerate(self.owners) if owner == client]
+
+    def _fire(self, event: Event, *handles: int) -> State:
+        """What the table of `linkcore.handle` has for it."""
+        phases = self.phases
+        for handle in handles:
+            after = _AFTER.get((phases[handle] or "", event))
+            phases = phases if after is None else _with(phases, handle, after)
+        return self._replace(phases=phases)
+
+    def essence(self, defect: str | None = None) -> State:
+        """The same without what makes no difference any more: how it ended, and what is left of what is gone."""
+        is_over = [phase is not None and phase not in _LIVE for phase in self.phases]
+        if True not in is_over:
+            return self
+        coming = {handle for texts in (*self.texts, self.late) for kind, handle in texts if kind == "program"}
+        if self.program is not None:
+            coming.add(self.program[0])
+        gone = {handle for handle, over in enumerate(is_over) if over and handle not in coming}
+
+        def without_gone(texts: tuple[Message, ...]) -> tuple[Message, ...]:
+            return tuple([(kind, _GONE if handle in gone else handle) for kind, handle in texts]) if gone else texts
+
+        reports = self.reports
+        if defect != "grants what was given up":  # then they are without effect
+            reports = tuple([tuple([m for m in some if m[1] == _GONE or not is_over[m[1]]]) for some in reports])
+        ended = Phase.FAILED.value
+        return self._replace(
+            phases=tuple([ended if over else phase for phase, over in zip(self.phases, is_over, strict=True)]),
+            asked_anew=tuple([anew and handle not in gone for handle, anew in enumerate(self.asked_anew)]),
+            granted=tuple([None if handle in gone else granted for handle, granted in enumerate(self.granted)]),
+            texts=tuple([without_gone(texts) for texts in self.texts]),
+            late=without_gone(self.late),
+            reports=reports,
+            token=_GONE if self.token in gone else self.token,
+        )
+
+
+def begin(*owners: int) -> State:
+    """Nothing has been asked for yet; these clients will, each in this order."""
+    return State(owners, (None,) * len(owners), (False,) * len(owners), (None,) * len(owners))
+
+
+def _with(values: tuple[T, ...], place: int, value: T) -> tuple[T, ...]:
+    return (*values[:place], value, *values[place + 1 :])
+
+
+# -- what must hold in each state --------------------------------------------------------------------
+
+
+def _moving(state: State) -> tuple[int, int] | None:
+    """The handle whose program moves the arm, and the one whose grant let it."""
+    if state.program is None or state.program[1] is None:
+        return None
+    return state.program[0], state.program[1]
+
+
+def _granted_by_its_own(state: State) -> bool:
+    moving = _moving(state)
+    return moving is None or moving[0] == moving[1]
+
+
+def _granted_while_wanted(state: State) -> bool:
+    moving = _moving(state)
+    return moving is None or bool(state.granted[moving[0]])
+
+
+def _ends_with_its_handle(state: State) -> bool:
+    """What moves is not over, or what ends it follows in the same connection; unless that was cut."""
+    moving = _moving(state)
+    if moving is None:
+        return True
+    handle, client = moving[0], state.owners[moving[0]]
+    if state.phases[handle] in _LIVE or state.cut == client or handle in state.unstopped:
+        return True
+    return any(kind in ("stop", "program") and other >= handle for kind, other in state.texts[client])
+
+
+def _stops_in_order(state: State) -> bool:
+    for texts in state.texts:
+        stopped = [(place, handle) for place, (kind, handle) in enumerate(texts) if kind == "stop"]
+        for place, handle in stopped:
+            before = [other for kind, other in texts[:place] if kind == "program"]
+            if any(other > handle and state.phases[other] in _LIVE for other in before):
+                return False
+    return True
+
+
+def _asked_anew(state: State) -> bool:
+    moving = _moving(state)
+    return moving is None or state.stop not in ("holds", "over") or state.asked_anew[moving[0]]
+
+
+INVARIANTS: Mapping[str, Callable[[State], bool]] = {
+    "no program is let go by the grant of another": _granted_by_its_own,
+    "what moves was wanted when it was granted": _granted_while_wanted,
+    "what was given up does not go on": _ends_with_its_handle,
+    "no stop is sent after the next motion": _stops_in_order,
+    "after a stop moves only what was asked for anew": _asked_anew,
+}
+#: Holds in a state from which clients and controller alone, without users and faults, come to the end of all handles.
+ENDS = "each handle can reach an end"
+
+#: What can be wrong -> who asks, and the invariant that does not hold then.
+DEFECTS: Mapping[str, tuple[tuple[int, ...], str]] = {
+    "one flag for all programs": ((0, 1), "no program is let go by the grant of another"),
+    "grants what was given up": ((0, 1), "what moves was wanted when it was granted"),
+    "gives up without a stop": ((0, 1), "what was given up does not go on"),
+    "stops what comes next": ((0, 0), "no stop is sent after the next motion"),
+    "a stop leaves what has not begun": ((0, 1), "after a stop moves only what was asked for anew"),
+    "does not notice a lost connection": ((0,), ENDS),
+}
+
+# -- all states --------------------------------------------------------------------------------------
+
+
+@dataclass
+class Explored:
+    """What the exploration has found.
+
+    Attributes:
+        states, steps: how many; states that differ only in what makes no difference count once.
+        transitions: of handles: the phases before and after.
+        violated: invariant -> the shortest way to a state in which it does not hold.
+    """
+
+    states: int = 0
+    steps: int = 0
+    transitions: set[tuple[str | None, str | None]] = field(default_factory=set)
+    violated: dict[str, list[str]] = field(default_factory=dict)
+
+
+def explore(start: State, defect: str | None = None, until: Collection[str] = ()) -> Explored:
+    """Go through all states breadth first, or until all of these invariants have been violated."""
+    found = Explored()
+    number = {start: 0}
+    states = [start]
+    came: list[tuple[int, str]] = [(0, "")]
+    before: list[list[int]] = [[]]  # those from which clients and controller alone come here
+
+    def way(to: int) -> list[str]:
+        steps = []
+        while to:
+            to, step = came[to]
+            steps.append(step)
+        return steps[::-1]
+
+    for here, state in enumerate(states):  # it grows meanwhile
+        for name, holds in INVARIANTS.items():
+            if name not in found.violated and not holds(state):
+                found.violated[name] = way(here)
+        if until and found.violated.keys() >= set(until):
+            break
+        for step, after in state.steps(defect):
+            found.steps += 1
+            if after.phases != state.phases:
+                found.transitions.update(zip(state.phases, after.phases, strict=True))
+            after = after.essence(defect)
+            there = number.setdefault(after, len(states))
+            if there == len(states):
+                states.append(after)
+                came.append((here, step))
+                before.append([])
+            if step.startswith(("client", "controller")):
+                before[there].append(here)
+    else:
+        can_end = [not any(phase in _LIVE for phase in state.phases) for state in states]
+        todo = [here for here, ends in enumerate(can_end) if ends]
+        for there in todo:
+            for here in before[there]:
+                if not can_end[here]:
+                    can_end[here] = True
+                    todo.append(here)
+        if not all(can_end):
+            found.violated[ENDS] = way(can_end.index(False))
+    found.states = len(states)
+    return found

@@ -1,0 +1,72 @@
+"""All states of the model, the defects that it finds, and the handles of simulated worlds beside it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cache
+
+import pytest
+
+from linkcore.handle import Event, Lifecycle, Phase
+from tests.worlds.drawn import draw
+from tests.worlds.model import DEFECTS, ENDS, Explored, begin, explore
+from tests.worlds.running import run
+
+# A client that is killed closes nothing.
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+
+@cache
+def whole(*owners: int) -> Explored:
+    return explore(begin(*owners))
+
+
+@pytest.mark.parametrize("owners", [(0, 1), (0, 0)], ids=["two clients", "one client asks twice"])
+def test_every_invariant_holds_in_every_state(
+    owners: tuple[int, ...], record_property: Callable[[str, object], None]
+) -> None:
+    begun = time.perf_counter()
+    found = whole(*owners)
+    record_property("states", found.states)
+    record_property("steps", found.steps)
+    record_property("seconds", round(time.perf_counter() - begun, 1))
+    print(f"{found.states} states, {found.steps} steps, {time.perf_counter() - begun:.1f} s")
+    assert not found.violated, "\n".join(f"{name}:\n  " + "\n  ".join(way) for name, way in found.violated.items())
+    assert found.states > 5000
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_a_defect_is_found(defect: str) -> None:
+    owners, invariant = DEFECTS[defect]
+    found = explore(begin(*owners), defect, until=() if invariant == ENDS else (invariant,))
+    way = found.violated[invariant]
+    print(f"{defect}: not so: {invariant}\n  " + "\n  ".join(way))
+    assert len(way) <= 10  # a person can read it
+
+
+def test_handles_of_worlds_do_what_those_of_the_model_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: set[tuple[str, str]] = set()
+    apply = Lifecycle._apply
+
+    def recorded(life: Lifecycle, event: Event, error: Exception | None = None, brake: bool = False) -> bool:
+        before: Phase = life.phase
+        has_changed = apply(life, event, error, brake)
+        if has_changed:
+            seen.add((before.value, life.phase.value))
+        return has_changed
+
+    monkeypatch.setattr(Lifecycle, "_apply", recorded)
+    for seed in range(10):
+        assert run(draw(seed)).faults == []
+    modelled = whole(0, 1).transitions | whole(0, 0).transitions
+    assert seen <= modelled
+    assert {after for _, after in seen} == {
+        Phase.RUNNING.value,
+        Phase.DONE.value,
+        Phase.CANCELLED.value,
+        Phase.FAILED.value,
+    }
