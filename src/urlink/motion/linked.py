@@ -1,7 +1,9 @@
 """A program on the robot that is linked to this computer, and the words that are sent to it.
 
 Each real-time state that arrives, one per cycle of the controller, is answered with a word, so the controller's clock
-sets the pace. A `Dialogue`, sans-IO, decides the words. If no state arrives, the interlock closes after a second, which
+sets the pace. A `Dialogue`, sans-IO, decides the words. Each word carries the cycle of the newest state, by which the
+program counts one as none that is too old (`urlink.urscript.links`): so words that waited in the socket of a controller
+that hung do not lead the arm. If no state arrives, the interlock closes after a second, which
 ends every motion; the program on the robot brakes sooner.
 """
 
@@ -21,6 +23,8 @@ from ..interfaces.realtime.packets import RealtimeState
 from ..urscript import links
 from ..urscript.links import InputRegisters, ReverseSocket
 from .context import MotionContext
+from .following import ControllerClock, stands
+from .setpoints import dated
 
 __all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
 
@@ -28,7 +32,8 @@ __all__ = ["CONNECT_TIMEOUT", "Dialogue", "Link", "LinkedProgram"]
 CONNECT_TIMEOUT = 5.0
 #: Seconds after a lost connection in which its reason may arrive over the other interfaces.
 _GRACE = 1.0
-#: Seconds within which the program must end after its last word.
+#: Seconds on the controller's clock after the last word, from which on an arm that stands still ends the motion though
+#: the end of the program was not reported.
 _END_TIMEOUT = 1.0
 
 
@@ -118,6 +123,12 @@ class LinkedProgram:
         self._link: Link | None = None
         self._subscription: Subscription | None = None
         self._lost: tuple[LinkError, float] | None = None
+        self._cycle = 1.0 / context.who.identity.firmware.rate
+        self._controller = ControllerClock(self._cycle)
+        #: s on the controller's clock from the first state to the newest one, and to the last word
+        self._passed = 0.0
+        #: when the newest state was looked at, monotonic s
+        self._seen = self._clock()
         self._concluded: float | None = None
         self._has_ended = False  # the program has ended by itself, the dialogue is not over
         self._has_said_farewell = False
@@ -162,13 +173,41 @@ class LinkedProgram:
         """
         self._context.channel.setpoint(lambda: self._transmit(data))
 
+    def feed(self, data: bytes, watchdog: float) -> None:
+        """Send a word that answers no state, but comes from a loop of the user, unless no state comes either.
+
+        Without a state for `watchdog` seconds it would be too old for the program, and is not sent: read at once, after
+        a controller has hung, it would be where the arm has to go with all its speed. After twice that time the program
+        has braked, or the controller hangs, and the motion is over.
+
+        Raises:
+            ConnectionLost: no state has come for twice the watchdog's time.
+            LinkError: as for `say`.
+        """
+        silence = self._clock() - self._seen
+        if silence > 2.0 * watchdog:
+            error = ConnectionLost(
+                f"the robot has sent no state for {silence:.2f} s, so its program takes no words; it brakes by itself"
+            )
+            self._life.fail(error, brake=True)
+            raise error
+        if silence <= watchdog:
+            self.say(data)
+
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
         if self._concluded is not None and data != self._dialogue.farewell:
             return  # composed before another thread ended the program: a register holds its newest word only
         assert self._link is not None
-        self._link.send(data)
+        self._link.send(self._dated(data))
+
+    def _dated(self, data: bytes) -> bytes:
+        """What the dialogue sends, with the date of the newest state.
+
+        A program that ends by itself asks for each of its points by number, so they need no date.
+        """
+        return dated(data, round(self._passed / self._cycle)) if self._dialogue.farewell else data
 
     def finish(self) -> None:
         """End the program; the motion is over once it has ended.
@@ -177,7 +216,7 @@ class LinkedProgram:
             LinkError: the word could not be sent.
         """
         if self._concluded is None:
-            self._concluded = self._clock()  # before sending: the program may end before this thread goes on
+            self._concluded = self._passed  # before sending: the program may end before this thread goes on
             if self._dialogue.farewell:
                 self._has_said_farewell = True
                 self.say(self._dialogue.farewell)
@@ -209,6 +248,8 @@ class LinkedProgram:
 
     def _look(self, link: Link, sent: float, state: RealtimeState) -> None:
         now = self._clock()
+        self._seen = now
+        self._passed += self._controller.passed(state.time, now)
         if self._has_ended:
             self._dialogue.step(b"", state, now)
             if self._dialogue.is_over:
@@ -217,7 +258,7 @@ class LinkedProgram:
             if now - self._lost[1] > _GRACE:
                 self._life.fail(self._lost[0])
         elif self._concluded is not None:
-            if now - self._concluded > _END_TIMEOUT:
+            if self._passed - self._concluded > _END_TIMEOUT and stands(state.qd_actual):
                 self._life.finish()
         elif link.is_up or link.poll(self._life.phase is Phase.RUNNING):
             self._talk(link, state, now)
@@ -266,7 +307,7 @@ class LinkedProgram:
         link = self._link
         if link is not None and link.is_up and self._dialogue.farewell:
             self._has_said_farewell = True
-            self._context.channel.setpoint(lambda: link.send(self._dialogue.farewell), is_stop=True)
+            self._context.channel.setpoint(lambda: link.send(self._dated(self._dialogue.farewell)), is_stop=True)
         else:
             self._context.programs.stop(self._life)
 

@@ -24,8 +24,9 @@ __all__ = ["LinkedBlock"]
 _LONGEST = 6.0
 #: Seconds to wait for the reason of a lost connection.
 _REASON = 1.5
-#: Seconds to wait for the end of the program when the block is left.
-_END_TIMEOUT = 2.0
+#: Seconds to wait for the end of the program when the block is left. Chosen: a controller that runs at a fifth of its
+#: speed has two seconds of its own to brake; where it sends no states, the interlock ends the motion after one.
+_END_TIMEOUT = 10.0
 
 
 class LinkedBlock(Motion):
@@ -76,7 +77,7 @@ class LinkedBlock(Motion):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Stop the arm, and wait until it stands still, two seconds at most. Raises no earlier error."""
+        """Stop the arm, and wait until it stands still, ten seconds at most. Raises no earlier error."""
         with self._block:
             try:
                 self._program.finish()
@@ -101,14 +102,14 @@ class LinkedBlock(Motion):
         if self.done or self._program.is_finishing:
             raise self.error or Closed(f"the block of the {self.name} was left")
 
-    def _say(self, data: bytes) -> None:
-        """Send to the program.
+    def _say(self, data: bytes, watchdog: float) -> None:
+        """Send a word of the user's loop to the program; `watchdog`: s without a word after which that brakes.
 
         Raises:
             LinkError: why nothing can be sent; the reason that the robot reports, if that comes in time.
         """
         try:
-            self._program.say(data)
+            self._program.feed(data, watchdog)
         except LinkError as error:
             if not self.done:
                 self._program.lose(error)

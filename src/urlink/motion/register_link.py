@@ -17,14 +17,14 @@ from .setpoints import WORD_SIZE, read_word
 
 __all__ = ["NAMES", "Inputs", "RegisterLink", "RegisterPort"]
 
-#: Number of the first float register and of the first integer register: the last twelve and the last three of all are
+#: Number of the first float register and of the first integer register: the last twelve and the last four of all are
 #: used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
-FIRST_FLOAT, FIRST_INTEGER = 36, 45
-#: The RTDE inputs that a link writes: positions and speeds of a set-point, the number of the word, what to do, and the
-#: token.
+FIRST_FLOAT, FIRST_INTEGER = 36, 44
+#: The RTDE inputs that a link writes: positions and speeds of a set-point, the date and the number of the word, what to
+#: do, and the token.
 NAMES = tuple(
     [f"input_double_register_{FIRST_FLOAT + i}" for i in range(12)]
-    + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(3)]
+    + [f"input_int_register_{FIRST_INTEGER + i}" for i in range(4)]
 )
 #: Largest number of a word, as large as an integer register holds; after it comes 1 again.
 _MOST = 0x7FFF_FFFF
@@ -88,16 +88,17 @@ class RegisterLink:
         return self.is_up
 
     def send(self, data: bytes) -> None:
-        """Write the last of the words; earlier ones would be overwritten before they could be read.
+        """Write a dated word.
 
         Raises:
             LinkError: it could not be written.
         """
         if self._is_closed:
             raise ConnectionLost("the registers are not written any more")
-        q, qd, mode = read_word(data[-WORD_SIZE:])
+        q, qd, mode = read_word(data[:WORD_SIZE])
+        date = int.from_bytes(data[WORD_SIZE:], "big")
         self._count = self._count % _MOST + 1
-        self._inputs._write(dict(zip(NAMES, (*q, *qd, self._count, mode, self.endpoint.token), strict=True)))
+        self._inputs._write(dict(zip(NAMES, (*q, *qd, date, self._count, mode, self.endpoint.token), strict=True)))
 
     def received(self) -> bytes:
         """No bytes: a program with registers answers by `textmsg` only."""

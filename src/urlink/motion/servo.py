@@ -155,7 +155,7 @@ class Servo(LinkedBlock):
             self._targets.newest = values
         else:
             self._check_step(values, now)
-            self._say(setpoint(values, self._speeds(values, now)))
+            self._say(setpoint(values, self._speeds(values, now)), self._servoing.watchdog)
             self._limit.take(self._last or values, values, now)
         self._count_one(values, now)
 

@@ -10,10 +10,12 @@ from ..firmware import Firmware
 from ..urscript.links import FOLLOW, SCALE, STOP, WAIT, InputRegisters, ReverseSocket, missable
 from ..urscript.streaming import COASTING, streaming
 
-__all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "read_word", "setpoint"]
+__all__ = ["STOP_WORD", "WAIT_WORD", "WORD_SIZE", "Servoing", "dated", "read_word", "setpoint"]
 
 _WORD = struct.Struct(">13i")
-#: Bytes of a word.
+#: Largest date, as large as 32 bits hold: after 49 days at 500 Hz.
+_LAST_DATE = 0x7FFF_FFFF
+#: Bytes of a word without its date.
 WORD_SIZE = _WORD.size
 
 #: Brake, and end the program.
@@ -32,8 +34,13 @@ def setpoint(q: Sequence[float], qd: Sequence[float]) -> bytes:
     return _WORD.pack(*[round(each * SCALE) for each in (*q, *qd)], FOLLOW)
 
 
+def dated(word: bytes, date: int) -> bytes:
+    """A word as it is sent: after it comes its date (`urlink.urscript.links`), cycles."""
+    return word + min(date, _LAST_DATE).to_bytes(4, "big")
+
+
 def read_word(word: bytes) -> tuple[list[float], list[float], int]:
-    """The content of a word: joint positions, rad, joint speeds, rad/s, and the command."""
+    """The content of a word without its date: joint positions, rad, joint speeds, rad/s, and the command."""
     *numbers, mode = _WORD.unpack(word)
     values = [each / SCALE for each in numbers]
     return values[:6], values[6:], mode

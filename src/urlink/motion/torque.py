@@ -57,9 +57,14 @@ class Torque(LinkedBlock):
             self._limits = six(limits, "limits").tolist()
             for joint, (limit, largest) in enumerate(zip(self._limits, most, strict=True)):
                 check_number(limit, f"limits[{joint}] ({JOINTS[joint]})", 0.0, largest)
-        seconds = check_number(watchdog, "watchdog", 0.01, 1.0)
+        self._watchdog = check_number(watchdog, "watchdog", 0.01, 1.0)
         self._told = KeptWord(
-            partial(yielding.torque, firmware, friction_compensation=bool(friction_compensation), watchdog=seconds)
+            partial(
+                yielding.torque,
+                firmware,
+                friction_compensation=bool(friction_compensation),
+                watchdog=self._watchdog,
+            )
         )
         super().__init__(context, "torque", self._told, open_link)
 
@@ -80,4 +85,4 @@ class Torque(LinkedBlock):
             if abs(value) > most:
                 raise BadValue(f"torque[{joint}] ({JOINTS[joint]}) is {value:g} Nm; at most {most:g} Nm")
         self._told.is_mute = True
-        self._say(word(values))
+        self._say(word(values), self._watchdog)

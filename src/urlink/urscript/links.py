@@ -1,11 +1,19 @@
 """Programs that are led from this computer, cycle by cycle: how their words reach them, and the loop that obeys them.
 
-A word is thirteen big-endian int32: six numbers in millionths (`SCALE`), six more, and what to do: `STOP`, `FOLLOW` or
-`WAIT`. In `urlink.urscript.streaming` the numbers are positions of the joints, rad, and their speeds, rad/s.
+A word is fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, what to do: `STOP`, `FOLLOW` or
+`WAIT`, and a date. In `urlink.urscript.streaming` the numbers are positions of the joints, rad, and their speeds,
+rad/s.
+
+The date is the cycle of the controller's clock in which the state was sent that the word answers, counted from the
+first state of the motion. URScript cannot read that clock on every firmware, so the program counts its own cycles, and
+keeps the smallest difference between its count and a date: that of the word that came quickest. A set-point whose
+difference exceeds it by more than the watchdog's cycles counts as none. So set-points that waited in the socket while
+the controller hung are followed for one watchdog time at most. A round of the loop takes one cycle at least, so the
+program counts no faster than the controller's clock, and words do not grow old by counting.
 
 Over a `ReverseSocket` the program connects back to this computer, as those of public drivers do, and sends a token that
 only its text holds: another peer that finds the port must not be taken for the robot. The answer of
-``socket_read_binary_integer`` begins with the count that was read, which is less than thirteen after two seconds
+``socket_read_binary_integer`` begins with the count that was read, which is less than fourteen after two seconds
 without a word, or once the connection is lost. Over `InputRegisters` the program waits for the token instead.
 
 Assignments in a thread or a nested function reach the variables of the program around them, as the programs of public
@@ -45,7 +53,7 @@ __all__ = [
 TOKENS = 1 << 31
 #: Factor between rad or rad/s and the integers of a word.
 SCALE = 1_000_000
-#: The last of the thirteen numbers: brake and end, go to this set-point, or do nothing yet.
+#: The last number but one: brake and end, go to this set-point, or do nothing yet.
 STOP, FOLLOW, WAIT = 0, 1, 2
 
 NO_CONNECTION = "urlink: cannot connect"
@@ -73,9 +81,9 @@ class ReverseSocket(NamedTuple):
 class InputRegisters(NamedTuple):
     """Input registers that this computer writes by RTDE: nothing has to be reached from the robot.
 
-    Set-points are in twelve floating point registers: positions, rad, and speeds, rad/s. Three integer registers hold
-    the number of the word, by which a new one is known; what to do; and the token. That a program sees all inputs of
-    one RTDE package in the same cycle is what public clients with such programs rely on.
+    Set-points are in twelve floating point registers: positions, rad, and speeds, rad/s. Four integer registers hold
+    the date; the number of the word, by which a new one is known; what to do; and the token. That a program sees all
+    inputs of one RTDE package in the same cycle is what public clients with such programs rely on.
 
     Attributes:
         first_float, first_integer: number of the first register of each kind.
@@ -87,19 +95,24 @@ class InputRegisters(NamedTuple):
     token: int
 
     @property
+    def date(self) -> int:
+        """The register that holds the date."""
+        return self.first_integer
+
+    @property
     def word(self) -> int:
         """The register that numbers the words."""
-        return self.first_integer
+        return self.first_integer + 1
 
     @property
     def mode(self) -> int:
         """The register that says what to do."""
-        return self.first_integer + 1
+        return self.first_integer + 2
 
     @property
     def proof(self) -> int:
         """The register that holds the token."""
-        return self.first_integer + 2
+        return self.first_integer + 3
 
 
 def word_loop(
@@ -118,11 +131,13 @@ def word_loop(
     Args:
         link: how they come.
         start: what it does first; it sets ``missed`` to 0.
-        told: for a new word, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to 0, and takes a cycle.
+        told: for a new word that is not too old, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to 0, and
+            takes a cycle.
         late: for the cycle ``missed`` without a word; it takes a cycle.
         end: what it does last, also when no word has come for longer.
         watchdog: seconds without a word after which the program ends.
-        most_missed: rounds without one in these seconds, after which it says `STARVED` and ends.
+        most_missed: rounds without one in these seconds, after which it says `STARVED` and ends; and rounds by which a
+            word may be older than the one that came quickest.
     """
     if isinstance(link, ReverseSocket):
         # Reading waits, so a thread of its own moves the arm.
@@ -132,11 +147,17 @@ def word_loop(
     text = f"""
 {indented(shared)}
         starved = False
+        cycle = 0
+        quickest = {_SLOWEST}
         {kind} servo():
 {indented(start, 10)}
           going = True
           while going:
+            cycle = cycle + 1
 {indented(take, 12)}
+            if is_new:
+              is_new = cycle - date - quickest <= {most_missed}
+            end
             if wanted == {STOP}:
               going = False
             elif wanted == {WAIT}:
@@ -159,10 +180,15 @@ def word_loop(
     return lines(text)
 
 
+#: More than the difference between a count of cycles and a date can be at first.
+_SLOWEST = 1_000_000_000
+#: Numbers of a word.
+_WORD = 14
 #: The variables by which the thread that reads the socket hands words to the one that moves the arm.
 _SHARED = f"""
     target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     target_speed = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    date_told = 0
     mode = {WAIT}
     fresh = False
 """
@@ -173,6 +199,7 @@ _TAKE_SHARED = """
     fresh = False
     goal = target
     speed = target_speed
+    date = date_told
     exit_critical
 """
 
@@ -185,25 +212,30 @@ def _over_socket(link: ReverseSocket) -> str:
           servo_thread = run servo()
           reading = True
           while reading:
-            word = socket_read_binary_integer(13)
-            if word[0] < 13:
+            word = socket_read_binary_integer({_WORD})
+            if word[0] < {_WORD}:
               if not starved:
                 textmsg({quoted(LINK_ENDED)})
               end
               reading = False
             elif starved:
               reading = False
-            elif word[13] == {FOLLOW}:
-              goal_read = [{each("word[{n}] / " + number(SCALE))}]
-              speed_read = [{each("word[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
-              enter_critical
-              target = goal_read
-              target_speed = speed_read
-              fresh = True
-              mode = {FOLLOW}
-              exit_critical
             elif word[13] == {STOP}:
               reading = False
+            else:
+              date_read = word[14]
+{indented(_keep_quickest("date_read"), 14)}
+              if word[13] == {FOLLOW}:
+                goal_read = [{each("word[{n}] / " + number(SCALE))}]
+                speed_read = [{each("word[{way}] / " + number(SCALE), [str(7 + i) for i in range(6)])}]
+                enter_critical
+                target = goal_read
+                target_speed = speed_read
+                date_told = date_read
+                fresh = True
+                mode = {FOLLOW}
+                exit_critical
+              end
             end
           end
           mode = {STOP}
@@ -226,6 +258,10 @@ def _take_registers(link: InputRegisters) -> str:
         number = read_input_integer_register({link.word})
         is_new = number != seen
         seen = number
+        date = read_input_integer_register({link.date})
+        if is_new:
+{indented(_keep_quickest("date"), 10)}
+        end
         goal = [{each("read_input_float_register({way})", [str(link.first_float + i) for i in range(6)])}]
         speed = [{each("read_input_float_register({way})", [str(link.first_float + 6 + i) for i in range(6)])}]
     """
@@ -250,6 +286,16 @@ def _over_registers(link: InputRegisters, firmware: Firmware, watchdog: float) -
           servo()
         else:
           textmsg({quoted(NO_CONNECTION)})
+        end
+    """
+
+
+def _keep_quickest(date: str) -> str:
+    """Keep the difference of the word that came quickest; words without a set-point count too."""
+    return f"""
+        behind = cycle - {date}
+        if behind < quickest:
+          quickest = behind
         end
     """
 

@@ -14,7 +14,7 @@ from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.kinematics import Arm
 from urlink.models import model
 from urlink.motion.paced import PacedSetpoints, SetpointSource
-from urlink.motion.setpoints import WAIT_WORD, Servoing, read_word
+from urlink.motion.setpoints import WAIT_WORD, WORD_SIZE, Servoing, dated, read_word
 from urlink.motion.speed_limit import largest_speeds
 from urlink.simulator.registers import Registers
 from urlink.simulator.robot.generator import MotionGenerator
@@ -98,6 +98,11 @@ class Bench:
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"the program asks for {name}, which it has no need of")
 
+    def say(self, words: bytes) -> None:
+        """Words of this cycle reach its socket."""
+        for at in range(0, len(words), WORD_SIZE):
+            self.sockets.waiting += dated(words[at : at + WORD_SIZE], self.cycle)
+
     def run(self, cycles: int = 1, each: Callable[[], object] = lambda: None) -> None:
         """So many cycles, each after `each`; stops when the program is over."""
         for _ in range(cycles):
@@ -168,7 +173,7 @@ class Led:
         for i in range(cycles):
             if i >= missed:
                 word = self.paced.answer(self.state(), 1000.0 + self.time)
-                self.bench.sockets.waiting.extend(word)
+                self.bench.say(word)
                 if word and word != WAIT_WORD:
                     self.sent.append(read_word(word)[0])
             self.bench.run()

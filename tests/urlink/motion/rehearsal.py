@@ -207,7 +207,7 @@ class Rehearsal(StandIn):
             self.speeds = numbers[6:]
             return numbers[:6], int(inputs["input_int_register_46"])
         assert self.link is not None
-        while len(self._rest) < WORD_SIZE:
+        while len(self._rest) < WORD_SIZE + 4:
             try:
                 data = self.link.recv(4096)
             except ConnectionError:
@@ -216,7 +216,7 @@ class Rehearsal(StandIn):
                 return None
             self._rest += data
         *words, mode = struct.unpack(">13i", self._rest[:WORD_SIZE])
-        self._rest = self._rest[WORD_SIZE:]
+        self._rest = self._rest[WORD_SIZE + 4 :]  # without its date
         numbers = [each / 1e6 for each in words]
         self.speeds = numbers[6:]
         return numbers[:6], mode

@@ -196,7 +196,7 @@ def test_a_program_that_does_not_end_when_its_block_is_left(robot: Rehearsal, mo
     with entered(robot, robot.motion.jog()) as jog:
         monkeypatch.setattr(jog, "wait", wait)
         jog.__exit__()
-        assert waited == [2.0]
+        assert waited == [10.0]
         assert jog.phase is Phase.CANCELLED
 
 

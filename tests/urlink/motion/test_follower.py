@@ -451,7 +451,7 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
             expected.append(modelled.cycle(b""))
             bench.run()
         words = feeding.state(missed + 1)
-        bench.sockets.waiting.extend(words)
+        bench.say(words)
         expected.append(modelled.cycle(words))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
@@ -468,7 +468,7 @@ def test_what_is_known_here_of_a_program_that_goes_on_by_itself(firmware: Firmwa
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
     bench.run(2)
-    bench.sockets.waiting.extend(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
+    bench.say(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
     most = missable(min(watchdog, 0.1), firmware.rate)
     bench.run(most + 5)
     way = [q[5] for q in targets]
@@ -533,7 +533,7 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
     while not led.is_over:
         setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
         words = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
-        bench.sockets.waiting.extend(words)
+        bench.say(words)
         assert led.began is not None
         t = 50.0 + now - led.began
         errors.append(setpoint.q[5] - path.sample(t - lag)[0][5])
@@ -541,7 +541,7 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
         assert bench.cycle < 10 * firmware.rate
     assert bench.path[-1] == pytest.approx(turned(0.0), abs=0.01)
     assert np.abs(errors[round(0.1 * firmware.rate) :]).max() < 0.005
-    bench.sockets.waiting.extend(led.farewell)
+    bench.say(led.farewell)
     bench.run(firmware.rate)
     assert bench.has_finished
 
@@ -566,10 +566,10 @@ def test_both_ends_are_held_up_again_and_again(held: int, answered: tuple[int, .
             states.append(seen()[0])
             bench.run()
         for each in answered:
-            bench.sockets.waiting.extend(led.step(b"", states[each], seen()[1]))
+            bench.say(led.step(b"", states[each], seen()[1]))
         for _ in range(3):
             bench.run()
-            bench.sockets.waiting.extend(led.step(b"", *seen()))
+            bench.say(led.step(b"", *seen()))
         assert bench.cycle < 12 * firmware.rate
     way = np.array(bench.path)
     # Without the bound it is 250 to 370, and the arm of the simulator stops protectively.

@@ -214,13 +214,13 @@ class TestHeldSpeeds:
 def bench(firmware: Firmware, is_tool: bool = False) -> Bench:
     program = jogging(firmware, ReverseSocket("10.0.0.1", 50001, 7), is_tool=is_tool, acceleration=2.0, watchdog=0.1)
     made = Bench(program, firmware)
-    made.run(3, lambda: made.sockets.waiting.extend(WAIT_WORD))
+    made.run(3, lambda: made.say(WAIT_WORD))
     assert made.path[-1] == list(HOME)
     return made
 
 
 def told(bench: Bench, speeds: list[float], seconds: float) -> None:
-    bench.run(round(seconds / bench.period), lambda: bench.sockets.waiting.extend(setpoint(speeds, _REST)))
+    bench.run(round(seconds / bench.period), lambda: bench.say(setpoint(speeds, _REST)))
 
 
 @pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
@@ -232,7 +232,7 @@ class TestTheProgram:
             assert jogged.motion.setpoint.qd[5] == pytest.approx(speed, abs=1e-9)
         speeds = np.diff(np.array(jogged.path)[:, 5]) / jogged.period
         assert np.abs(np.diff(speeds)).max() / jogged.period <= 2.0 + 1e-6
-        jogged.sockets.waiting.extend(STOP_WORD)
+        jogged.say(STOP_WORD)
         jogged.run(firmware.rate // 5)
         assert jogged.has_finished
         assert jogged.said == []

@@ -88,7 +88,7 @@ class Talk:
     def send(self, data: bytes) -> None:
         if self.loss is not None:
             raise self.loss
-        self.said.append(data)
+        self.said.append(data[:-4] if self.farewell else data)  # without its date
 
     def received(self) -> bytes:
         if self.loss is not None:
@@ -104,8 +104,9 @@ class Talk:
     # -- what the test does ------------------------------------------------------------------------------
 
     def look(self, seconds: float = 0.0) -> None:
-        """States come so much later, of which one has been seen to its end, or it is over."""
+        """States come so much later on both clocks, of which one has been seen to its end, or it is over."""
         self.now += seconds
+        self.robot.time += seconds
         looks = self._looks
         self.robot.until(lambda: self._looks >= looks + 2 or self.life.is_over)
 
@@ -170,13 +171,13 @@ def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> N
     talk.is_over = True
     talk.robot.until(lambda: talk.program.is_finishing)
     talk.program.finish()
-    talk.look(1.0)
+    talk.look(0.5)
     assert not talk.motion.done
     assert talk.said.count(b"bye") == 1
     if is_told:
         talk.robot.finish()
     else:
-        talk.look(0.01)
+        talk.look(0.6)
     talk.motion.wait(TIMEOUT)
     assert talk.motion.phase is Phase.DONE
     assert talk.closed == [True]

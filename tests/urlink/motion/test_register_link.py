@@ -12,7 +12,7 @@ from tests.urlink.motion.bench import Bench
 from tests.urlink.motion.rehearsal import HOME, turned
 from urlink.firmware import Firmware
 from urlink.motion.register_link import NAMES, RegisterLink, RegisterPort
-from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, setpoint
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, dated, setpoint
 from urlink.motion.trajectory import Trajectory
 from urlink.simulator.registers import Bank
 from urlink.urscript import links
@@ -62,7 +62,7 @@ class Led(Bench):
         return self
 
     def say(self, word: bytes, cycles: int = 1) -> None:
-        self.link.send(word)
+        self.link.send(dated(word, self.cycle))
         self.run(cycles)
 
 
@@ -72,14 +72,14 @@ def test_what_is_written() -> None:
     assert not link.is_up
     assert not link.poll(has_begun=False)
     assert link.poll(has_begun=True)
-    link.send(WAIT_WORD + setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6], [1.1, -1.2, 1.3, -1.4, 1.5, -1.6]))
-    link.send(STOP_WORD)
+    link.send(dated(setpoint([0.1, -0.2, 0.3, -0.4, 0.5, -0.6], [1.1, -1.2, 1.3, -1.4, 1.5, -1.6]), 500))
+    link.send(dated(STOP_WORD, 501))
     assert [tuple(package) for package in packages] == [NAMES, NAMES]
     token = link.endpoint.token
     assert list(packages[0].values()) == pytest.approx(
-        [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1.1, -1.2, 1.3, -1.4, 1.5, -1.6, 1, links.FOLLOW, token]
+        [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 1.1, -1.2, 1.3, -1.4, 1.5, -1.6, 500, 1, links.FOLLOW, token]
     )
-    assert list(packages[1].values()) == [0.0] * 12 + [2, links.STOP, token]
+    assert list(packages[1].values()) == [0.0] * 12 + [501, 2, links.STOP, token]
     assert link.received() == b""
     link.close(farewell=True)
     assert [link.is_up, link.poll(has_begun=True)] == [False, False]
@@ -88,14 +88,16 @@ def test_what_is_written() -> None:
     assert isinstance(link.absence("nothing came"), ConnectFailed)
 
 
-def test_numbers_of_words_fit_a_register_for_ever() -> None:
+def test_numbers_and_dates_of_words_fit_a_register_for_ever() -> None:
     """Nor are they ever 0, which is what a register holds that nobody has written."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
     link._count = 0x7FFF_FFFD  # as after 50 days at 500 Hz
     for _ in range(4):
-        link.send(WAIT_WORD)
+        link.send(dated(WAIT_WORD, link._count))
     assert [package["input_int_register_45"] for package in packages] == [0x7FFF_FFFE, 0x7FFF_FFFF, 1, 2]
+    link.send(dated(WAIT_WORD, 0x8000_0000))
+    assert packages[-1]["input_int_register_44"] == 0x7FFF_FFFF
 
 
 def test_registers_are_claimed_for_the_first_program_alone() -> None:

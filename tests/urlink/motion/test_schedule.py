@@ -64,7 +64,7 @@ def delay_of(firmware: Firmware) -> float:
             led.bench.run()
 
     def send(q: list[float]) -> None:
-        led.bench.sockets.waiting.extend(setpoint(q, [0.0] * 6))
+        led.bench.say(setpoint(q, [0.0] * 6))
 
     return measure(states(), send, 5, -0.05, 0.5)
 
@@ -134,7 +134,7 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
         led.bench.run(2)
         while not follower.is_over:
             state = led.state()
-            led.bench.sockets.waiting.extend(follower.step(b"", state, led.time))
+            led.bench.say(follower.step(b"", state, led.time))
             if follower.began is not None:
                 errors.append(state.q_actual[5] - follower.desired(state.time - follower.began)[0][5])
             led.bench.run()

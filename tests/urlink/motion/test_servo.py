@@ -100,7 +100,7 @@ def test_outside_of_its_block(led: Rehearsal) -> None:
 
 def test_statistics(led: Rehearsal) -> None:
     """Of a loop that means to send each 2 ms, and is 2 ms late with every tenth set-point."""
-    with opened(led) as servo:
+    with opened(led, watchdog=5.0) as servo:
         assert servo.stats == ServoStatistics(0, 0.0, 0.0, 0.0, 0.0, 0)
         for n in range(101):
             servo.send(HOME)
@@ -115,7 +115,7 @@ def test_statistics(led: Rehearsal) -> None:
 
 def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> None:
     """Statistics look back on the newest intervals, but what they count is of all."""
-    with opened(robot, rate=2.0) as servo:
+    with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (0.5, 0.75, 0.25, 0.8125, 0.5):
             servo.send(HOME)
             robot.time += interval
@@ -129,7 +129,7 @@ def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> 
 
 def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo._REMEMBERED", 2)
-    with opened(robot, rate=2.0) as servo:
+    with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (2.0, 0.5, 0.75):
             servo.send(HOME)
             robot.time += interval

@@ -15,7 +15,7 @@ from urlink.urscript import links, yielding
 from urlink.urscript.links import FOLLOW, STOP, InputRegisters
 from urlink.urscript.wrapping import program
 
-LINK = InputRegisters(first_float=36, first_integer=45, token=77)
+LINK = InputRegisters(first_float=36, first_integer=44, token=77)
 DOWN = (False, False, True, False, False, False)
 FIRMWARES = ["3.15", "5.11", "5.25", "10.12"]
 
@@ -47,6 +47,7 @@ class Bench:
         inputs.integers[LINK.proof] = LINK.token
         for _ in range(max(round(seconds * self.firmware.rate), 1)):
             self._count += 1
+            inputs.integers[LINK.date] = round(self.controller.time * self.firmware.rate)
             inputs.integers[LINK.word], inputs.integers[LINK.mode] = self._count, mode
             for i, value in enumerate(values):
                 inputs.floats[LINK.first_float + i] = value

@@ -1,0 +1,173 @@
+"""Words that waited while the controller hung: how long they lead the arm; and what ends by the controller's clock."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import ConnectionLost
+from linkcore.simulated import Computer, Simulation, simulated_time
+from tests.urlink.motion.bench import Bench
+from tests.urlink.motion.rehearsal import turned
+from urlink.firmware import Firmware
+from urlink.motion.setpoints import WAIT_WORD, dated, setpoint
+from urlink.robot import Robot
+from urlink.simulator import Controller, Still
+from urlink.urscript.jogging import jogging
+from urlink.urscript.links import STARVED, ReverseSocket
+from urlink.urscript.streaming import streaming
+
+STILL = [0.0] * 6
+LINK = ReverseSocket("10.0.0.1", 50001, 7)
+#: One of CB2, CB3 and e-Series, and PolyScope X.
+FIRMWARES = ["1.8", "3.15", "5.11", "10.12"]
+#: s of the robot without a word, after which it brakes; rad/s of the base.
+WATCHDOG, SPEED = 0.1, 0.5
+CELL = "192.168.0.100"
+
+
+@pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
+@pytest.mark.parametrize("late", [0.0, 0.09])
+def test_words_that_are_late_evenly_or_by_jitter_are_obeyed(firmware: Firmware, late: float) -> None:
+    """Some states reach this computer late by nearly the watchdog's time, some at once."""
+    bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
+    bench.run(5, lambda: bench.say(WAIT_WORD))
+    begin, most = bench.cycle, round(late * firmware.rate)
+
+    def feed() -> None:
+        i = bench.cycle - begin
+        word = setpoint(turned(SPEED * i * bench.period), [*STILL[:5], SPEED])
+        bench.sockets.waiting += dated(word, max(bench.cycle - i % (most + 1), 0))
+
+    bench.run(firmware.rate, feed)
+    assert not bench.execution.is_over
+    assert bench.q_actual[5] == pytest.approx(turned(SPEED)[5], abs=0.05)
+
+
+@pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
+def test_old_set_points_are_followed_for_one_watchdog_time(firmware: Firmware) -> None:
+    bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
+    bench.run(5, lambda: bench.say(WAIT_WORD))
+    last = bench.cycle  # of the last state before the controller hung
+
+    def feed() -> None:
+        word = setpoint(turned(SPEED * (bench.cycle - last) * bench.period), [*STILL[:5], SPEED])
+        bench.sockets.waiting += dated(word, last)
+
+    told: list[float] = []
+    bench.watch_servoj(lambda q: told.append(q[5]))
+    bench.run(firmware.rate, feed)
+    assert bench.execution.is_over
+    assert STARVED in bench.said
+    # The watchdog's time at the set-points, and as long coasting: half as far.
+    assert told[-1] - turned(0.0)[5] == pytest.approx(1.5 * WATCHDOG * SPEED, abs=0.02)
+
+
+@pytest.mark.parametrize("version", FIRMWARES)
+def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
+    firmware = Firmware.parse(version)
+    body = jogging(firmware, LINK, is_tool=False, acceleration=5.0, watchdog=WATCHDOG)
+    bench = Bench(body, firmware)
+    bench.run(5, lambda: bench.say(WAIT_WORD))
+    last, before = bench.cycle, bench.q_actual[5]
+
+    def feed() -> None:
+        bench.sockets.waiting += dated(setpoint([*STILL[:5], SPEED], STILL), last)
+
+    bench.run(firmware.rate, feed)
+    assert bench.execution.is_over
+    assert STARVED in bench.said
+    # As long at the last speed as at the old ones, and a tenth of a second for changes of speed.
+    assert 0.0 < bench.q_actual[5] - before < 3.0 * WATCHDOG * SPEED
+
+
+# -- both ends, in simulated time -----------------------------------------------------------------------------------
+
+
+class Ends:
+    """A controller on a computer of its own, and a robot that is connected to it."""
+
+    def __init__(self, sim: Simulation, cell: Computer, controller: Controller, robot: Robot) -> None:
+        self.sim, self.cell, self.controller, self.robot = sim, cell, controller, robot
+
+    @property
+    def base(self) -> float:
+        """rad; where the base is led."""
+        return float(self.controller.arm.setpoint.q[0])
+
+    @property
+    def speed(self) -> float:
+        """rad/s of the fastest joint."""
+        return max(map(abs, self.controller.arm.setpoint.qd))
+
+    def hang(self, seconds: float) -> None:
+        """The controller hangs for so long, beginning now, and goes on."""
+        self.cell.suspend()
+        self.sim.at(self.sim.now + seconds, self.cell.resume)
+
+
+@contextlib.contextmanager
+def ends(arm: str, firmware: str) -> Iterator[Ends]:
+    with simulated_time(1, latency=0.0005, jitter=0.0, limit=60.0) as sim:
+        cell = sim.computer("cell", CELL)
+        with sim.on(cell):
+            controller = Controller(arm, firmware, host=CELL, ports="standard", motion=Still()).start()
+        with urlink.connect(CELL) as robot:
+            robot.realtime.wait()
+            yield Ends(sim, cell, controller, robot)
+        with sim.on(cell):
+            controller.close()
+
+
+@pytest.mark.parametrize(
+    ("arm", "firmware", "link"),
+    [
+        ("UR5", "1.8", "reverse"),
+        ("UR5", "3.15", "reverse"),
+        ("UR5e", "5.11", "reverse"),
+        ("UR5e", "10.12", "reverse"),
+        ("UR5", "3.15", "rtde"),
+        ("UR5e", "5.11", "rtde"),
+        ("UR5e", "10.12", "rtde"),
+    ],
+)
+def test_a_controller_that_hung_does_not_catch_up(arm: str, firmware: str, link: str) -> None:
+    """A loop goes on by the clock of this computer while the controller hangs for 0.8 s."""
+    with ends(arm, firmware) as both:
+        robot, cycle = both.robot, 1.0 / both.robot.firmware.rate
+        way: dict[str, Any] = {} if link == "reverse" else {"link": link}
+        hung: float | None = None
+        with pytest.raises(ConnectionLost), robot.motion.servo(watchdog=WATCHDOG, **way) as servo:  # noqa: PT012 -- which of its set-points fails is not known
+            begin, q = time.monotonic(), np.array(robot.realtime.wait().q_target)
+            while (t := time.monotonic() - begin) < 3.0:
+                servo.send(q + np.array([SPEED * t, 0.0, 0.0, 0.0, 0.0, 0.0]))
+                if hung is None and t > 0.3:
+                    hung = both.base
+                    both.hang(0.8)
+                time.sleep(cycle)
+        assert hung is not None
+        time.sleep(1.0)
+        assert both.speed == 0.0
+        # The watchdog's time at the old set-points, as long coasting, and braking.
+        assert 0.0 <= both.base - hung < 2.5 * WATCHDOG * SPEED
+
+
+@pytest.mark.parametrize("share", [1.0, 0.2])
+def test_a_torque_block_ends_at_rest_on_a_controller_that_is_slow(share: float) -> None:
+    """At a fifth of its speed the controller needs longer to brake than the library's own clock would wait."""
+    with ends("UR5e", "10.12") as both:
+        with both.robot.motion.torque(watchdog=0.5) as block:
+            both.cell.rate = share
+            end = time.monotonic() + 20.0
+            while both.speed < 1.0:
+                assert time.monotonic() < end
+                block.send([30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+                time.sleep(0.002)
+        assert both.speed == 0.0
+        assert block.error is None
