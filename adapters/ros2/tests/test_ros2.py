@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -193,6 +194,12 @@ def test_a_goal_waits_for_its_stamp_without_moving_and_is_cancelled(robot: urlin
         assert robot.motion.current is None
 
 
+def suspend(process: subprocess.Popen[str]) -> None:
+    """Suspend it, and wait until it is: the signal alone takes effect later."""
+    process.send_signal(signal.SIGSTOP)
+    os.waitpid(process.pid, os.WUNTRACED)
+
+
 def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
     robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
@@ -208,7 +215,7 @@ def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
         assert server.stdout.readline() == "serving arm over ros2; Ctrl-C ends it\n"
         client = drive("give_up", goal((0.0, START), (1.0, FAR)), "3.0", wait=False)
         assert json.loads(client.stdout.readline()) == {"ready": True}
-        server.send_signal(signal.SIGSTOP)
+        suspend(server)
         client.stdin.write("send\n")
         client.stdin.flush()
         assert json.loads(client.stdout.readline()) == {"answered": False}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -341,6 +342,12 @@ def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_
         subscription.Close()
 
 
+def suspend(process: subprocess.Popen[str]) -> None:
+    """Suspend it, and wait until it is: the signal alone takes effect later."""
+    process.send_signal(signal.SIGSTOP)
+    os.waitpid(process.pid, os.WUNTRACED)
+
+
 @contextlib.contextmanager
 def running(address: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A server in a process of its own, and where it serves."""
@@ -376,7 +383,7 @@ def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
         goal = None if what != "trajectory" else trajectory(node, arm, [(0.0, START), (1.0, far.tolist())])
         generator = None if goal is None else arm.execute_trajectory(goal)
         node.RequestTimeout = 1
-        server.send_signal(signal.SIGSTOP)
+        suspend(server)
         suspended = time.monotonic()
         try:
             if wire is not None:
@@ -480,6 +487,53 @@ def test_variables_of_a_mobile_robot_as_wires(node: Any) -> None:
         # Whoever set the speed is gone.
         until(lambda: robot["cmdtransvel"] == 0)
         service.close()
+
+
+_RHD = """
+import sys, rhdlink
+from urlink_rr import open_node, register_rhd
+with (
+    rhdlink.connect(sys.argv[1], access="w") as robot,
+    robot.background(),
+    open_node("test.rhd", 0, announce=False) as (node, port),
+):
+    service = register_rhd(node, "turtle", robot)
+    print(port, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_speed_that_was_written_while_the_server_was_suspended_moves_nothing_later(node: Any) -> None:
+    with rhdlink.Host([Turtle()], port=0) as host:
+        process = subprocess.Popen(
+            [sys.executable, "-c", _RHD, f"127.0.0.1:{host.port}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert process.stdout is not None
+            url = f"rr+tcp://localhost:{process.stdout.readline().strip()}?service=turtle"
+            turtle = node.ConnectService(url)
+            way, speed = turtle.transpos.Connect(), turtle.command_cmdtransvel.Connect()
+            until(lambda: way.InValueValid)
+            suspend(process)
+            suspended = time.monotonic()
+            speed.OutValue = np.array([30000], np.int32)
+            until(lambda: time.monotonic() > suspended + 3.0)
+            process.send_signal(signal.SIGCONT)
+            until(lambda: turtle.connected.PeekInValue()[0] == 1, 20.0)
+            begun = time.monotonic()
+            while time.monotonic() < begun + 3.0:
+                assert way.InValue[0] == 0
+                time.sleep(0.01)
+            # And not for ever.
+            speed.OutValue = np.array([30000], np.int32)
+            until(lambda: way.InValue[0] > 500)
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+            process.communicate()
 
 
 def test_serve_from_the_command_line(node: Any) -> None:

@@ -89,6 +89,7 @@ class RobotNode:
         self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
         self.node.create_timer(_LOOK, self._look)
         # Not by the timer: a busy executor is late by seconds, while the process runs.
+        self._expiry.tick()
         threading.Thread(target=self._tick, name="urlink-ros2 tick", daemon=True).start()
 
     def end_motion(self) -> None:

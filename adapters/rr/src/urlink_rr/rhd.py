@@ -14,9 +14,14 @@ import RobotRaconteur as RR
 
 from rhdlink import ConnectionEvent, ConnectionState, LinkError, Update, Variables
 
+from .expiry import Expiry
+
 __all__ = ["RhdService", "definition", "register_rhd"]
 
 _log = logging.getLogger("urlink.rr")
+
+#: Seconds between two ticks of the clock by which values expire.
+_TICK = 0.1
 
 
 def definition(name: str, robot: Variables) -> tuple[str, dict[str, str], dict[str, str]]:
@@ -51,6 +56,7 @@ class RhdService:
 
     Values go both ways as they are on the wire of RHD: 32-bit words. What a client writes is the robot's with its next
     sync. When that client is lost, what it has written is set to 0, which lets the robots that are known here stand.
+    What may have waited while this process was held up is not written.
 
     Args:
         robot: which somebody keeps in sync: ``robot.background()``.
@@ -66,6 +72,8 @@ class RhdService:
         #: variable -> the client that wrote it last
         self._written: dict[str, int] = {}
         self._subscriptions: list[Any] = []
+        self._expiry = Expiry()
+        self._ended = threading.Event()
 
     @property
     def address(self) -> str:
@@ -84,17 +92,25 @@ class RhdService:
             self._robot.subscribe(self._changed),
             self._robot.subscribe_connection(self._connection_changed),
         ]
+        self._expiry.tick()
+        threading.Thread(target=self._tick, name="urlink-rr tick", daemon=True).start()
 
     def close(self) -> None:
         """Set what clients have written to 0, and tell no more; idempotent."""
+        self._ended.set()
         for subscription in self._subscriptions:
             subscription.close()
         for endpoint in set(self._written.values()):
             self._lost(endpoint)
 
+    def _tick(self) -> None:
+        while not self._ended.wait(_TICK):
+            self._expiry.tick()
+
     def _receiver(self, variable: str) -> Any:
         def receive(value: Any, stamp: Any, endpoint: int) -> None:
             try:
+                self._expiry.check()
                 with self._lock:
                     self._robot[variable] = int(value[0]) if len(value) == 1 else np.asarray(value)
                     self._written[variable] = int(endpoint)

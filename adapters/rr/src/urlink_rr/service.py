@@ -107,6 +107,7 @@ class RobotService:
         self._downsampler.AddPipeBroadcaster(self.robot_state_sensor_data)  # type: ignore[attr-defined]
         context.AddServerServiceListener(self._heard)
         self._subscription = self._robot.realtime.subscribe(self._taken, policy=drop_oldest(2 * self._every))
+        self._expiry.tick()
         self._thread.start()
 
     def close(self) -> None:
