@@ -1,7 +1,8 @@
 """What is called leaves no reference cycle, so that a program may switch the garbage collector off (docs/real-time.md).
 
 Each public method that sends something is called several times with the collector off, on a controller in a process of
-its own; then nothing may be left that only the collector finds. `nox -s fuzz -- -m matrix` calls each far more often.
+its own; then nothing may be left that only the collector finds. `URLINK_CYCLES` says how often, as in
+`URLINK_CYCLES=10000 pytest tests/urlink/test_cycles.py`.
 """
 
 from __future__ import annotations
