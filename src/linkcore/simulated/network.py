@@ -71,7 +71,6 @@ class Computer:
     held: list[Task] = field(default_factory=list)
     listeners: dict[int, Listener] = field(default_factory=dict)
     ends: dict[End, None] = field(default_factory=dict)
-    descriptors: set[int] = field(default_factory=set)
     next_port: int = 32768
 
     def suspend(self) -> None:
@@ -91,7 +90,7 @@ class Computer:
             end.close()
 
     def power_off(self) -> None:
-        """Take its power: nobody hears of it any more."""
+        """Take its power: it sends and takes no packet any more, and its connections are forgotten."""
         self.is_on = False
         self.scheduler.suspend(self)
         self.listeners.clear()

@@ -165,10 +165,6 @@ class Scheduler:
 
     # -- what a running task does ------------------------------------------------------------------------
 
-    def is_mine(self) -> bool:
-        """Whether the calling thread is the task that runs; others take no part."""
-        return self.ident == get_ident()
-
     def step(self) -> None:
         """Pass the seam: time goes on by a little, and another task may be let in."""
         self.now += STEP
