@@ -109,7 +109,9 @@ class World:
         if len(self.clients) > 1:
             for number in range(len(self.clients)):
                 events = tuple(
-                    replace(event, client=max(event.client - (event.client > number), 0)) for event in self.events
+                    replace(event, client=event.client - (event.client > number))
+                    for event in self.events
+                    if event.client != number
                 )
                 rest = self.clients[:number] + self.clients[number + 1 :]
                 found.append(replace(self, clients=rest, events=events))

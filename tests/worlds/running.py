@@ -65,8 +65,8 @@ class Watch:
         self._sim = sim
         self._controller = controller
         self._outcome = outcome
-        #: how many clients want the arm to move, and until when it may although none does
-        self.wanting = 0
+        #: the clients that want the arm to move, and until when it may although none does
+        self.wanting: set[int] = set()
         self._until = 0.0
         self._is_admitted = False
         self._is_reported = False
@@ -86,18 +86,21 @@ class Watch:
         self.note(f"FAULT: {text}")
         self._outcome.faults.append(text)
 
-    def begin(self) -> None:
-        self.wanting += 1
+    def begin(self, client: int) -> None:
+        """A client asks for something."""
+        self.wanting.add(client)
 
-    def end(self, error: BaseException | None, *, braking: float = BRAKING) -> None:
-        """A client has been told of the end of what it asked for."""
-        self.wanting -= 1
-        self._until = max(self._until, self._sim.now + braking)
-        if error is not None and _ADMITS.search(str(error)):
-            self._is_admitted = True
+    def end(self, client: int, error: BaseException | None) -> None:
+        """It has been told of the end, unless it is gone."""
+        if client in self.wanting:
+            self.wanting.discard(client)
+            self._until = max(self._until, self._sim.now + BRAKING)
+            if error is not None and _ADMITS.search(str(error)):
+                self._is_admitted = True
 
-    def admit(self) -> None:
-        """A client is gone: what runs on the robot by itself may come to its end."""
+    def gone(self, client: int) -> None:
+        """A client is killed: what runs on the robot by itself may come to its end."""
+        self.wanting.discard(client)
         self._is_admitted = True
 
     def _look(self) -> None:
@@ -195,7 +198,7 @@ class Run:
     def _ask(self, number: int, robot: urlink.Robot, ask: Ask) -> None:
         watch = self.watch
         watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
-        watch.begin()
+        watch.begin(number)
         error: BaseException | None = None
         try:
             with contextlib.ExitStack() as block:
@@ -206,10 +209,7 @@ class Run:
             error = raised
         finally:
             watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
-            if number in self.gone:
-                watch.wanting -= 1
-            else:
-                watch.end(error)
+            watch.end(number, error)
 
     def _then(self, motion: Any, ask: Ask) -> BaseException | None:
         begun = time.monotonic()
@@ -272,8 +272,7 @@ class Run:
             elif event.what == "kill_client":
                 self.gone.add(event.client)
                 client.kill()
-                self.watch.admit()
-                self.watch.wanting = max(self.watch.wanting - 1, 0)
+                self.watch.gone(event.client)
             if undo is not None:
                 sim.at(sim.now + event.lasts, undo)
 
