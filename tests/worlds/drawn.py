@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from urlink.firmware import RELEASES
 
-#: What a client asks for; `running.ASKED` carries each out.
+#: What a client asks for; `asked.BEGIN` has a function for each.
 ASKED = (
     "move_joints",
     "move_linear",

@@ -1,129 +1,29 @@
-"""One world, run in simulated time, and what must be true of it.
-
-The arm is looked at in each cycle. It may move only while somebody wants it to: from the moment at which a client asks
-until it has been told of the end, and for as long as an arm takes to brake. Where the error of a call says that the arm
-may still move, it may, until the program on the controller is over.
-"""
+"""One world, run in simulated time: its controller, its clients and what happens to them."""
 
 from __future__ import annotations
 
 import contextlib
-import re
 import threading
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
-
-import numpy as np
 
 import urlink
 from linkcore.errors import LinkError
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
 from urlink.simulator import Controller, Still
 
+from .asked import BEGIN
 from .drawn import Ask, Client, Event, World
+from .watch import BRAKING, Outcome, Watch
 
 __all__ = ["Outcome", "run"]
 
-#: rad/s above which the arm moves, and seconds in which it comes to rest once it is told to.
-MOVES, BRAKING = 0.01, 1.0
-#: s: the least watchdog that is drawn, and how much longer than it said a call may take.
-WATCHDOG, LATE = 0.3, 1.5
+#: s: how much longer than its time-out a call may take.
+LATE = 1.5
 #: s of simulated time for everything.
 LIMIT = 300.0
-READY = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
-#: An error that admits that the arm may go on.
-_ADMITS = re.compile(r"may still|may go on|to the end of")
-
-
-@dataclass
-class Outcome:
-    """What a run has shown.
-
-    Attributes:
-        faults: what was not as it must be, in words; none in a good run.
-        trace, steps: of the scheduler.
-        moved: seconds for which the arm moved.
-        simulated: seconds that passed.
-        log: what was asked, what happened and what came of it, by its time.
-    """
-
-    faults: list[str] = field(default_factory=list)
-    trace: int = 0
-    steps: int = 0
-    moved: float = 0.0
-    simulated: float = 0.0
-    log: list[str] = field(default_factory=list)
-
-
-class Watch:
-    """Looks at the arm in every cycle."""
-
-    def __init__(self, sim: Simulation, controller: Controller, outcome: Outcome) -> None:
-        self._sim = sim
-        self._controller = controller
-        self._outcome = outcome
-        #: the clients that want the arm to move, and until when it may although none does
-        self.wanting: set[int] = set()
-        self._until = 0.0
-        self._is_admitted = False
-        self._is_reported = False
-        self._q = np.array(controller.arm.setpoint.q)
-        advance = controller._control.advance
-
-        def observed() -> None:
-            advance()
-            self._look()
-
-        controller._control.advance = observed  # type: ignore[method-assign]
-
-    def note(self, text: str) -> None:
-        self._outcome.log.append(f"{self._sim.now:10.6f} {text}")
-
-    def fault(self, text: str) -> None:
-        self.note(f"FAULT: {text}")
-        self._outcome.faults.append(text)
-
-    def begin(self, client: int) -> None:
-        """A client asks for something."""
-        self.wanting.add(client)
-
-    def end(self, client: int, error: BaseException | None) -> None:
-        """It has been told of the end, unless it is gone."""
-        if client in self.wanting:
-            self.wanting.discard(client)
-            self._until = max(self._until, self._sim.now + BRAKING)
-            if error is not None and _ADMITS.search(str(error)):
-                self._is_admitted = True
-
-    def gone(self, client: int) -> None:
-        """A client is killed: what runs on the robot by itself may come to its end."""
-        self.wanting.discard(client)
-        self._is_admitted = True
-
-    def _look(self) -> None:
-        controller = self._controller
-        setpoint = controller.arm.setpoint
-        speed = float(np.max(np.abs(setpoint.qd)))
-        q = np.array(setpoint.q)
-        period = 1.0 / controller.firmware.rate
-        if np.max(np.abs(q - self._q)) > 1.2 * period * 3.5:  # rad/s: above each joint's limit of 3.34
-            self._once(f"a leap of {np.max(np.abs(q - self._q)):.4f} rad in one cycle")
-        self._q = q
-        if speed <= MOVES:
-            if not controller.is_running_program:
-                self._is_admitted = False
-            return
-        self._outcome.moved += period
-        if not self.wanting and self._sim.now > self._until and not self._is_admitted:
-            self._once(f"the arm moves at {speed:.3f} rad/s, and nobody wants it to: {controller.program_name}")
-
-    def _once(self, text: str) -> None:
-        if not self._is_reported:
-            self._is_reported = True
-            self.fault(text)
 
 
 class Run:
@@ -202,7 +102,7 @@ class Run:
         error: BaseException | None = None
         try:
             with contextlib.ExitStack() as block:
-                motion = _BEGIN[ask.what](robot, ask, block)
+                motion = BEGIN[ask.what](robot, ask, block)
                 if motion is not None:
                     error = self._then(motion, ask)
         except LinkError as raised:
@@ -306,84 +206,6 @@ def _count(counted: list[int]) -> None:
 
 def _brief(error: BaseException) -> str:
     return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
-
-
-# -- what is asked for ---------------------------------------------------------------------------------
-
-
-def _move_joints(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    return robot.motion.move_joints(READY + 0.4 * ask.size, speed=0.2 + ask.size)
-
-
-def _move_linear(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    pose = robot.realtime.wait(2.0).tool_vector_actual.copy()
-    pose[2] += 0.1 * (ask.size - 0.5)
-    return robot.motion.move_linear(pose, speed=0.05 + 0.1 * ask.size)
-
-
-def _path(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    return robot.motion.path([urlink.Joint(READY + 0.2), urlink.Joint(READY + 0.3 * ask.size)], speed=0.3)
-
-
-def _speed_joints(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    return robot.motion.speed_joints([0.3 * (ask.size - 0.5)] * 6, duration=0.5 * ask.size + 0.05)
-
-
-def _speed_linear(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    return robot.motion.speed_linear([0, 0, 0.1 * (ask.size - 0.5), 0, 0, 0], duration=0.5 * ask.size + 0.05)
-
-
-def _follow(robot: Any, ask: Ask, block: contextlib.ExitStack, **how: Any) -> Any:
-    q = robot.realtime.wait(2.0).q_target
-    way = np.array([q, q + 0.1 * ask.size, q + 0.2 * ask.size])
-    return robot.motion.follow(urlink.Trajectory.from_arrays([0.0, 0.5, 1.0], way), watchdog=WATCHDOG, **how)
-
-
-def _servo(robot: Any, ask: Ask, block: contextlib.ExitStack, **how: Any) -> Any:
-    servo = block.enter_context(robot.motion.servo(watchdog=WATCHDOG, **how))
-    q = robot.realtime.wait(2.0).q_target
-    for step in range(int(100 * ask.size)):
-        servo.send(q + 0.0005 * step)
-        robot.realtime.wait(2.0)
-    return servo
-
-
-def _jog(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    jog = block.enter_context(robot.motion.jog("base", timeout=0.5, watchdog=WATCHDOG))
-    jog.move([0, 0, 0.1 * (ask.size - 0.5), 0, 0, 0])
-    time.sleep(ask.size)
-    return jog
-
-
-def _force_mode(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    down = [0, 0, 1, 0, 0, 0], [0, 0, -10.0, 0, 0, 0], [0.05] * 6
-    return block.enter_context(robot.motion.force_mode("base", *down, watchdog=WATCHDOG))
-
-
-def _script(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    return robot.script.run(f"def p():\n  movej({(READY + 0.2 * ask.size).tolist()}, v=0.5)\nend\n")
-
-
-def _output(robot: Any, ask: Ask, block: contextlib.ExitStack) -> Any:
-    robot.io.set_digital_out(0, ask.size > 0.5)
-    return None
-
-
-_BEGIN: dict[str, Callable[[Any, Ask, contextlib.ExitStack], Any]] = {
-    "move_joints": _move_joints,
-    "move_linear": _move_linear,
-    "path": _path,
-    "speed_joints": _speed_joints,
-    "speed_linear": _speed_linear,
-    "follow": _follow,
-    "follow_rtde": lambda robot, ask, block: _follow(robot, ask, block, link="rtde"),
-    "servo": _servo,
-    "servo_rtde": lambda robot, ask, block: _servo(robot, ask, block, link="rtde"),
-    "jog": _jog,
-    "force_mode": _force_mode,
-    "script": _script,
-    "output": _output,
-}
 
 
 def run(world: World) -> Outcome:
