@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import TYPE_CHECKING
 
 from linkcore.callbacks import CallbackThread
@@ -52,6 +52,8 @@ class Control:
         name: of the robot, for threads.
         host: where the controller is.
         ports: name of each port that it serves -> number.
+        peer: by what this process knows the controller again after the robot was closed; None for one that ends with
+            the robot.
         primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
             refer to the connections, and not to the streams.
         who: identifies the controller.
@@ -68,6 +70,7 @@ class Control:
         name: str,
         host: str,
         ports: Mapping[str, int],
+        peer: Hashable | None,
         primary: Stream[RobotState],
         realtime: Stream[RealtimeState],
         who: KnownIdentity,
@@ -88,7 +91,7 @@ class Control:
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
-        self._recall = recall = Recall(host)
+        self._recall = recall = Recall(host) if peer is None else Recall.of(peer, host, self)
         channel = CommandChannel(slow, monitor, section, recall=recall)
         self._programs = programs = Programs(
             slow,
@@ -176,11 +179,15 @@ class Control:
         )
         return self._grippers.setdefault("one", made)
 
+    def settle(self, timeout: float) -> None:
+        """Wait until nothing is left that was given up and is to be taken back, for at most `timeout` seconds."""
+        self._recall.settle(timeout)
+
     def close(self, timeout: float) -> None:
         """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
         until = time.monotonic() + timeout
         self._is_closed = True
-        self._recall.close()
+        self._recall.close(self)
         self._programs.close()
         self._monitor.close()
         for dashboard in self._dashboards.values():

@@ -6,12 +6,13 @@ import os
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from linkcore.arguments import check_callable, check_choice, check_number
 from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError
+from linkcore.net.recall import Recall
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.stream import Stream
 
@@ -74,7 +75,9 @@ def connect(
 ) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
-    Asks the controller who it is; the streams themselves connect when first used.
+    Asks the controller who it is; the streams themselves connect when first used. What this process gave up at the same
+    address before, and may still be carried out, is taken back first, for at most `timeout` seconds; see
+    docs/moving.md, "What was given up is not carried out". A connection with `read_only` takes nothing back.
 
     Args:
         address: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``,
@@ -143,7 +146,7 @@ def connect(
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
     try:
-        return assemble(wanted, place, source_of(wanted, place), controller)
+        robot = assemble(wanted, place, source_of(wanted, place), controller)
     except ConnectFailed as error:
         # Without the frames and the error of the operating system below: the message has what they have.
         raise error.with_traceback(None) from None
@@ -151,6 +154,13 @@ def connect(
         if controller is not None:
             controller.close()
         raise
+    if owes(robot, place):
+        try:
+            take_back(robot, wanted.timeout)
+        except BaseException:
+            robot.close()
+            raise
+    return robot
 
 
 class Wanted(NamedTuple):
@@ -265,6 +275,7 @@ def assemble(
             address,
             place.host,
             place.ports,
+            peer_of(place) if controller is None else None,
             robot.primary,
             robot.realtime,
             robot._who,
@@ -277,6 +288,21 @@ def assemble(
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
         return Robot(address, source, controller, refusal=refusal, known=known)
     return Robot(address, source, controller, known=known, control=control)
+
+
+def peer_of(place: RobotAddress) -> Hashable:
+    """By what this process knows a controller again."""
+    return place.host.casefold(), frozenset(place.ports.items())
+
+
+def owes(robot: Robot, place: RobotAddress) -> bool:
+    """This process gave something up at that controller that may still be carried out, and the robot may command it."""
+    return robot._make_control is not None and Recall.is_owed(peer_of(place))
+
+
+def take_back(robot: Robot, timeout: float) -> None:
+    """Wait until that is taken back, at most `timeout` seconds; the robot goes on with it while it is open."""
+    robot._commanded().settle(timeout)
 
 
 class Robot(AnswersForeignNames):
@@ -338,6 +364,8 @@ class Robot(AnswersForeignNames):
             who = self._who  # and not this object, which holds the made one
             made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
             rtde = self._rtdes.setdefault("one", made)
+            if self._is_closed:
+                rtde.close(0.0)
         return rtde
 
     @property
@@ -684,6 +712,8 @@ class Robot(AnswersForeignNames):
         if known is None:
             made = self._source.stream(name, f"{self.address} {name}", self._who.doubt)
             known = self._streams.setdefault(name, made)
+            if self._is_closed:
+                known.close(0.0)  # `close` has not seen it; what would connect raises `Closed`
         return known
 
 

@@ -3,35 +3,47 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 
 import pytest
 
-from linkcore.errors import ConnectFailed, LinkTimeout
+from linkcore.errors import Closed, ConnectFailed, LinkTimeout
 from linkcore.net.recall import Recall, TakeBack
 from tests.waiting import until
 
 TIMEOUT = 10.0
 
 
+class Client:
+    """What an attempt talks by."""
+
+    def __init__(self) -> None:
+        self.closed = threading.Event()
+
+    def close(self) -> None:
+        self.closed.set()
+
+
 class Peer:
-    """What takes commands back: not before `contact` is set. `asked` has what it was asked to."""
+    """What takes commands back: not before `contact` is set. `undone` has what it was asked to."""
 
     def __init__(self) -> None:
         self.contact = threading.Event()
         self.attempts = 0
         self.undone: list[str] = []
 
-    def undo(self, name: str) -> Callable[[Callable[[], bool]], None]:
-        def take_back(is_wanted: Callable[[], bool]) -> None:
+    def undo(self, name: str) -> TakeBack[Client]:
+        def take_back(client: Client, is_wanted: Callable[[], bool]) -> None:
             self.attempts += 1
             if not self.contact.is_set():
                 raise ConnectFailed("nobody is there")
             if is_wanted():
                 self.undone.append(name)
 
-        return take_back
+        return TakeBack(Client, take_back)
 
 
 @pytest.fixture
@@ -43,7 +55,7 @@ def recall() -> Iterator[Recall]:
     until(lambda: set(threading.enumerate()) <= before)
 
 
-def fail(recall: Recall, name: str, take_back: TakeBack) -> None:
+def fail(recall: Recall, name: str, take_back: TakeBack[Client]) -> None:
     with contextlib.suppress(LinkTimeout), recall.command(name, TIMEOUT, take_back) as given_up:
         given_up()
         raise LinkTimeout("no reply")
@@ -95,13 +107,13 @@ def test_what_supersedes_it_leaves_nothing_to_take_back(recall: Recall) -> None:
     """Also where an attempt is waiting for its contact."""
     waiting, contact, undone = threading.Event(), threading.Event(), []
 
-    def take_back(is_wanted: Callable[[], bool]) -> None:
+    def take_back(client: Client, is_wanted: Callable[[], bool]) -> None:
         waiting.set()
         assert contact.wait(TIMEOUT)
         if is_wanted():
             undone.append("play")
 
-    fail(recall, "play", take_back)
+    fail(recall, "play", TakeBack(Client, take_back))
     assert waiting.wait(TIMEOUT)
     recall.drop()
     contact.set()
@@ -130,3 +142,72 @@ def test_nothing_is_taken_back_after_the_close(recall: Recall) -> None:
     until(lambda: recall._thread is None)
     assert peer.undone == []
     assert peer.attempts <= attempts + 1
+
+
+class User:
+    """Who gives commands to the peer."""
+
+
+def test_what_is_owed_is_kept_without_a_thread_and_taken_back_for_the_next_user() -> None:
+    peer, key, user = Peer(), object(), User()
+
+    def use_and_close() -> None:
+        recall = Recall.of(key, "robot", user)
+        assert not Recall.is_owed(key)
+        give_up(recall, peer)
+        recall.close(user)
+        until(lambda: recall._thread is None)
+        give_up(recall, peer, "gripper")  # a call that waits ends as its robot is closed
+        assert recall._thread is None
+
+    use_and_close()
+    gc.collect()
+    assert peer.undone == []
+    assert Recall.is_owed(key)
+    peer.contact.set()
+    recall = Recall.of(key, "robot", user)
+    assert recall.settle(TIMEOUT)
+    assert sorted(peer.undone) == ["gripper", "play"]
+    assert not Recall.is_owed(key)
+    recall.close(user)
+
+
+def test_nothing_is_kept_of_a_peer_that_owes_nothing() -> None:
+    key, user = object(), User()
+    held = weakref.ref(Recall.of(key, "robot", user))
+    until(lambda: held() is None)
+
+
+def test_users_share_what_is_owed_and_the_last_one_ends_the_thread() -> None:
+    peer, key, first, second = Peer(), object(), User(), User()
+    recall = Recall.of(key, "robot", first)
+    assert Recall.of(key, "robot", second) is recall
+    give_up(recall, peer)
+    recall.close(first)
+    recall.close(first)
+    assert recall._thread is not None
+    with pytest.raises(LinkTimeout), recall.command("set", 0.05):
+        pytest.fail("sent")
+    recall.close(second)
+    until(lambda: recall._thread is None)
+    Recall.of(key, "robot", first).drop()
+    assert not Recall.is_owed(key)
+    recall.close(first)
+
+
+def test_an_attempt_that_waits_is_broken_off_by_the_last_close() -> None:
+    waiting = threading.Event()
+
+    def take_back(client: Client, is_wanted: Callable[[], bool]) -> None:
+        waiting.set()
+        assert client.closed.wait(TIMEOUT)
+        raise Closed("closed")
+
+    key, user = object(), User()
+    recall = Recall.of(key, "robot", user)
+    fail(recall, "play", TakeBack(Client, take_back))
+    assert waiting.wait(TIMEOUT)
+    recall.close(user)
+    until(lambda: recall._thread is None)
+    assert Recall.is_owed(key)
+    recall.drop()

@@ -394,6 +394,22 @@ def test_closed_is_the_last_word() -> None:
         assert robot.connection is ConnectionState.CLOSED
 
 
+def test_nothing_connects_after_the_close() -> None:
+    """Also where nothing was used before; a connection that nobody takes would fail."""
+    with ScriptedServer(lambda peer: Robot().greet(peer)) as server:
+        robot = rhdlink.connect(server.address, Smr)
+        robot.close()
+        uses: list[Callable[[], object]] = [
+            robot.sync,
+            robot.background,
+            lambda: robot.subscribe(print),
+            lambda: robot.subscribe_connection(print),
+        ]
+        for use in uses:
+            with pytest.raises(Closed):
+                use()
+
+
 def test_what_came_in_all_batches_of_a_sync_is_fresh() -> None:
     side = Robot()
     is_said = threading.Event()

@@ -4,6 +4,9 @@ A peer that hangs has the bytes of a command already, and carries it out when it
 failed. What has an opposite, as `play` has `stop`, can be taken back then: at the first contact, and before a newer
 command is sent. A thread tries that for as long as something is pending, always on a connection of its own. It sends
 the opposite only after the peer has answered a question, so that nothing of this waits at a peer that hangs.
+
+What is pending belongs to the peer, and not to the object that gave it up: it is kept for the life of the process. No
+thread is left once the last who uses the peer has closed. Who uses it next begins with taking it back.
 """
 
 from __future__ import annotations
@@ -12,7 +15,10 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+import weakref
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 
 from ..errors import Closed, LinkError, LinkTimeout, LocalError
 from ..threads import started
@@ -26,11 +32,28 @@ _PAUSE, _LONGEST = 0.1, 2.0
 #: Seconds between two looks whether it has been taken back.
 _POLL = 0.02
 
-#: Makes contact with the peer, and takes the command back if the argument, called then, says that it still is to be.
-#: Raises `LinkError` if that cannot be done now.
-TakeBack = Callable[[Callable[[], bool]], object]
-
 _log = logging.getLogger(__name__)
+
+
+class _Closeable(Protocol):
+    def close(self) -> None: ...
+
+
+C = TypeVar("C", bound=_Closeable)
+
+
+@dataclass(frozen=True, eq=False)
+class TakeBack(Generic[C]):
+    """How a command is taken back. It outlives who gave the command, and should refer to nothing of theirs.
+
+    Attributes:
+        client: makes what talks to the peer, which connects when it is used; closed after each attempt.
+        undo: makes contact by it, and takes the command back if the second argument, called then, is still True.
+            Raises `LinkError` if that cannot be done now.
+    """
+
+    client: Callable[[], C]
+    undo: Callable[[C, Callable[[], bool]], object]
 
 
 class Recall:
@@ -42,10 +65,40 @@ class Recall:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._pending: dict[str, TakeBack] = {}
+        self._pending: dict[str, TakeBack[Any]] = {}
         self._thread: threading.Thread | None = None
+        self._client: _Closeable | None = None
         self._lock = threading.RLock()  # a signal handler may give up another one
         self._closed = threading.Event()
+        #: who uses it; None for one that belongs to whoever made it, and is forgotten when it is closed
+        self._users: weakref.WeakSet[object] | None = None
+
+    @classmethod
+    def of(cls, peer: Hashable, name: str, user: object) -> Recall:
+        """That of a peer, the same one for as long as this process lives; what is pending is taken back from now on.
+
+        Args:
+            peer: what identifies it.
+            name: of the peer, for messages.
+            user: who uses it, and closes it.
+        """
+        with _registry:
+            recall = _known.get(peer)
+            if recall is None:
+                recall = _known[peer] = cls(name)
+                recall._users = weakref.WeakSet()
+            with recall._lock:
+                assert recall._users is not None
+                recall._users.add(user)
+                recall._closed.clear()
+                recall._start()
+        return recall
+
+    @staticmethod
+    def is_owed(peer: Hashable) -> bool:
+        """Something is to be taken back from the peer."""
+        recall = _known.get(peer)
+        return recall is not None and bool(recall._pending)
 
     @property
     def pending(self) -> tuple[str, ...]:
@@ -53,7 +106,9 @@ class Recall:
         return tuple(self._pending)
 
     @contextlib.contextmanager
-    def command(self, name: str, timeout: float, take_back: TakeBack | None = None) -> Iterator[Callable[[], None]]:
+    def command(
+        self, name: str, timeout: float, take_back: TakeBack[Any] | None = None
+    ) -> Iterator[Callable[[], None]]:
         """Around a command: those of this peer that were given up are taken back before it is sent.
 
         Args:
@@ -74,7 +129,7 @@ class Recall:
                 f"taken back within {timeout:g} s"
             )
         yield lambda: None if take_back is None else self._add(name, take_back)
-        self._pending.pop(name, None)
+        self._remove(name)
 
     def settle(self, timeout: float) -> bool:
         """Wait until nothing is pending; False if that takes longer."""
@@ -88,32 +143,59 @@ class Recall:
 
     def drop(self) -> None:
         """Something newer has been sent that supersedes all of it."""
-        self._pending.clear()
+        self._remove(*self._pending)
 
-    def close(self) -> None:
-        """Take back nothing more; an attempt under way ends by its own time-out. Idempotent."""
-        self._closed.set()
-        self._pending.clear()
+    def close(self, user: object = None) -> None:
+        """Take back nothing more; an attempt under way is broken off. Idempotent.
 
-    def _add(self, name: str, take_back: TakeBack) -> None:
+        Args:
+            user: who closes it. What is pending is kept for the next user, and the others go on.
+        """
         with self._lock:
-            if self._closed.is_set():
+            if self._users is None:
+                self.drop()
+            else:
+                self._users.discard(user)
+                if self._users:
+                    return
+            self._closed.set()
+            client = self._client
+        if client is not None:
+            client.close()
+
+    def _add(self, name: str, take_back: TakeBack[Any]) -> None:
+        with self._lock:
+            if self._users is None and self._closed.is_set():
                 return
             self._pending[name] = take_back
+            if self._users is not None:
+                _owed.add(self)
             _log.warning("%s: %r was given up; %s, and is taken back at the next contact", self._name, name, MAY_STILL)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=f"{self._name} take back", daemon=True)
-                try:
-                    started(self._thread)
-                except LocalError:
-                    self._thread = None
-                    _log.exception("%s: %r is not taken back", self._name, name)
+            self._start()
+
+    def _remove(self, *names: str) -> None:
+        with self._lock:
+            for name in names:
+                self._pending.pop(name, None)
+            if not self._pending:
+                _owed.discard(self)
+
+    def _start(self) -> None:
+        """Start the thread if there is something for it. With the lock."""
+        if self._thread is not None or not self._pending or self._closed.is_set():
+            return
+        self._thread = threading.Thread(target=self._run, name=f"{self._name} take back", daemon=True)
+        try:
+            started(self._thread)
+        except LocalError:
+            self._thread = None
+            _log.exception("%s: %s is not taken back", self._name, ", ".join(map(repr, self._pending)))
 
     def _run(self) -> None:
         pause = _PAUSE
         while True:
             with self._lock:
-                if not self._pending:
+                if not self._pending or self._closed.is_set():
                     self._thread = None
                     return
             for name, take_back in tuple(self._pending.items()):
@@ -122,17 +204,32 @@ class Recall:
                 self._closed.wait(pause)
                 pause = min(2.0 * pause, _LONGEST)
 
-    def _try(self, name: str, take_back: TakeBack) -> None:
+    def _try(self, name: str, take_back: TakeBack[Any]) -> None:
         def is_wanted() -> bool:
             return self._pending.get(name) is take_back
 
+        client = take_back.client()
+        with self._lock:
+            if self._closed.is_set():
+                return
+            self._client = client
         try:
-            take_back(is_wanted)
+            take_back.undo(client, is_wanted)
         except Closed:
             return
         except LinkError as error:
             _log.info("%s: %r cannot be taken back yet: %s", self._name, name, error)
             return
+        finally:
+            self._client = None
+            client.close()
         if is_wanted():
-            self._pending.pop(name, None)
+            self._remove(name)
             _log.warning("%s: %r, which was given up, was taken back", self._name, name)
+
+
+#: Held while `Recall.of` looks a peer up.
+_registry = threading.RLock()
+#: The peers that are used or owe something, and those that owe something.
+_known: weakref.WeakValueDictionary[Hashable, Recall] = weakref.WeakValueDictionary()
+_owed: set[Recall] = set()

@@ -251,7 +251,7 @@ class _Connecting:
             raise LocalError(f"{wanted.address} is a recording, which urlink.connect plays, and no event loop")
         loop = running_loop("connect_async")
         workers = Workers(wanted.address, _CALLS)
-        controller = None
+        controller = robot = None
         try:
             if isinstance(place, SimulatorAddress):
                 simulated = partial(threaded.simulated, place)
@@ -267,9 +267,14 @@ class _Connecting:
                 tcp=AwaitedTcp,
                 known=known,
             )._replace(connection=partial(LoopConnection, loop=loop), rtde=AwaitedRtde)
-            return AsyncRobot(threaded.assemble(wanted, place, source, controller, known), workers)
+            robot = threaded.assemble(wanted, place, source, controller, known)
+            if threaded.owes(robot, place):
+                await workers.make(partial(threaded.take_back, robot, wanted.timeout))
+            return AsyncRobot(robot, workers)
         except BaseException:
-            if controller is not None:
+            if robot is not None:
+                workers.submit(robot.close)
+            elif controller is not None:
                 workers.submit(controller.close)
             workers.close()
             raise

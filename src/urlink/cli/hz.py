@@ -61,15 +61,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def measure(stream: Stream[Any], kind: type[State], window: int, duration: float | None) -> None:
-    """Print a line each second, for `duration` seconds, or until the stream ends.
+def measure(
+    stream: Stream[Any], kind: type[State], window: int, duration: float | None, count: int | None = None
+) -> None:
+    """Print a line each second, for `duration` seconds, `count` lines, or until the stream ends.
 
     Raises:
         RemoteError: the stream could not be opened, gave up, or no state came.
     """
     periods: deque[float] = deque(maxlen=window)
     last: float | None = None
-    fresh = 0
+    fresh = lines = 0
     with Tap(stream, kind) as tap:
         until = math.inf if duration is None else time.monotonic() + duration
         due = min(time.monotonic() + 1.0, until)
@@ -86,7 +88,8 @@ def measure(stream: Stream[Any], kind: type[State], window: int, duration: float
             is_over = packets is None or now >= until
             if now >= due or is_over:
                 print(line(periods, fresh, stream.stats), flush=True)
-                due, fresh = min(due + 1.0, until), 0
+                due, fresh, lines = min(due + 1.0, until), 0, lines + 1
+                is_over = is_over or lines == count
     if last is None:
         raise LinkTimeout(f"{stream.name}: no state came")
 

@@ -58,7 +58,9 @@ def add_parser(subparsers: Subparsers) -> None:
     form.add_argument("--csv", action="store_true", help="a header line, then one line each; a column for each number")
     form.add_argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does")
     parser.add_argument("--record", metavar="FILE", help="record into a file too; it must not exist yet")
-    parser.add_argument("--count", type=positive_int, metavar="N", help="end after N lines (never)")
+    parser.add_argument(
+        "--count", type=positive_int, metavar="N", help="end after N lines, which --hz prints each second (never)"
+    )
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
     parser.add_argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)")
     parser.set_defaults(run=run)
@@ -81,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         stream: OutputStream[Any] = robot.rtde.outputs(*args.names, frequency=args.frequency, missing=missing)
         with nullcontext() if args.record is None else robot.record(args.record, [stream]):
             if args.hz:
-                measure(stream, Outputs, 1000, args.duration)
+                measure(stream, Outputs, 1000, args.duration, args.count)
             else:
                 _print(stream, args)
     return 0

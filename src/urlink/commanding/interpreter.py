@@ -13,11 +13,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from linkcore.arguments import check_callable, check_seconds, check_wait
 from linkcore.callbacks import CallbackThread
-from linkcore.errors import Cancelled, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
+from linkcore.errors import Cancelled, Closed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError
 from linkcore.handle import Lifecycle
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.recall import Recall, TakeBack
@@ -80,7 +80,7 @@ class Interpreter(Program):
         dialogue: Dialogue,
         channel: CommandChannel,
         recall: Recall,
-        take_back: TakeBack,
+        take_back: TakeBack[Any],
         finish_timeout: float,
     ) -> None:
         super().__init__(life, texts)
@@ -213,7 +213,7 @@ class Interpreter(Program):
 
     # -- what is said ----------------------------------------------------------------------------------
 
-    def _hand_over(self, line: str, reason_within: float = _REASON, take_back: TakeBack | None = None) -> int:
+    def _hand_over(self, line: str, reason_within: float = _REASON, take_back: TakeBack[Any] | None = None) -> int:
         """A statement, through the interlock; its number.
 
         Args:
@@ -282,9 +282,11 @@ class Interpreters:
         self._timeout = timeout
         #: the connections of those that were begun and not ended
         self._open: list[Dialogue] = []
+        self._is_closed = False
 
     def close(self) -> None:
         """Disconnect what was not ended; its programs have been stopped."""
+        self._is_closed = True
         for dialogue in self._open:
             dialogue.close()
 
@@ -296,6 +298,8 @@ class Interpreters:
         check_seconds(finish_timeout, "finish_timeout", finite=True)
         if on_text is not None:
             check_callable(on_text, "on_text")
+        if self._is_closed:
+            raise Closed(f"the robot at {self._host} was closed")
         firmware = self._firmware()
         if firmware not in _SINCE:
             raise LocalError(f"firmware {firmware} has no interpreter mode; the first that has it is 5.10")
@@ -305,7 +309,8 @@ class Interpreters:
         life = self._programs.life("interpreter mode")
         life.brake = lambda: self._programs.stop(life)
         texts: deque[str] = deque(maxlen=TEXTS)
-        take_back = partial(self._take_back, self._port, life)
+        connection = partial(_connection, self._host, self._port, self._firmware, self._timeout)
+        take_back = TakeBack(connection, partial(_take_back, life))
         interpreter = Interpreter(life, texts, dialogue, self._channel, self._recall, take_back, finish_timeout)
 
         def hear(text: str) -> None:
@@ -325,22 +330,9 @@ class Interpreters:
         return interpreter
 
     def _dialogue(self, port: int) -> Dialogue:
-        transport = TcpTransport(self._host, port, silence=_REPLY, refused=lambda: refusal_hint(self._firmware()))
-        dialogue = Dialogue(transport, InterpreterProtocol, f"interpreter mode at {transport.name}", self._timeout)
+        dialogue = _connection(self._host, port, self._firmware, self._timeout)
         self._open = [each for each in self._open if not each.is_closed] + [dialogue]
         return dialogue
-
-    def _take_back(self, port: int, life: Lifecycle, is_wanted: Callable[[], bool]) -> None:
-        """Abort what moves and throw away what has not begun; where the program was given up too, end it."""
-        dialogue = self._dialogue(port)
-        try:
-            if is_wanted():
-                dialogue.ask("statelastexecuted", _REPLY)  # the contact
-            for line in ("skipbuffer", "abort", *(("end_interpreter()",) if life.is_over else ())):
-                if is_wanted():
-                    dialogue.ask(line, _REPLY)
-        finally:
-            dialogue.close()
 
     def _await_mode(self, interpreter: Interpreter, until: float, timeout: float) -> None:
         """Until the controller takes a statement."""
@@ -357,3 +349,18 @@ class Interpreters:
             if left <= 0:
                 raise LinkTimeout(f"{interpreter.name} has not begun within {timeout:g} s")
             time.sleep(min(_POLL, left))
+
+
+def _connection(host: str, port: int, firmware: Callable[[], Firmware], timeout: float) -> Dialogue:
+    """Talks to interpreter mode, over a connection that is made when it is needed."""
+    transport = TcpTransport(host, port, silence=_REPLY, refused=lambda: refusal_hint(firmware()))
+    return Dialogue(transport, InterpreterProtocol, f"interpreter mode at {transport.name}", timeout)
+
+
+def _take_back(life: Lifecycle, dialogue: Dialogue, is_wanted: Callable[[], bool]) -> None:
+    """Abort what moves and throw away what has not begun; where the program was given up too, end it."""
+    if is_wanted():
+        dialogue.ask("statelastexecuted", _REPLY)  # the contact
+    for line in ("skipbuffer", "abort", *(("end_interpreter()",) if life.is_over else ())):
+        if is_wanted():
+            dialogue.ask(line, _REPLY)

@@ -164,7 +164,10 @@ class Rtde:
 
         Raises:
             LocalError: it has none.
+            Closed: the robot was closed.
         """
+        if self._is_closed:
+            raise Closed(f"{self._name} was closed")
         firmware = self._firmware()
         if firmware < _FIRST:
             raise LocalError(f"firmware {firmware} has no RTDE, which came with 3.3; robot.realtime has states too")
@@ -251,6 +254,7 @@ class Rtde:
         Raises:
             RemoteError: the controller cannot be reached, or does not answer.
             LocalError: a recording, or a connection that was made with ``read_only=True``.
+            Closed: the robot was closed.
         """
         self._check_writable()
         self._brief.give_back()
@@ -264,6 +268,7 @@ class Rtde:
         Raises:
             RemoteError: the controller cannot be reached, or does not answer.
             BadValue: of a recording, which has nobody to ask.
+            Closed: the robot was closed.
         """
         if self.is_recorded:
             raise BadValue(f"{self._name} is a recording; it has what was recorded: {', '.join(self.outputs().names)}")

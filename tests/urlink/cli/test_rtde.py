@@ -70,6 +70,8 @@ def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
     status, out, _ = run("rtde", address, "timestamp", "--hz", "--duration", "0.3")
     assert status == 0
     assert "Hz | period min" in out
+    status, out, _ = run("rtde", address, "timestamp", "--hz", "--count", "1", "--duration", "5")
+    assert (status, out.count("\n")) == (0, 1)
 
 
 @pytest.mark.parametrize(

@@ -301,6 +301,11 @@ def test_what_is_no_reply_and_no_statement() -> None:
             parse_reply(line)
     with pytest.raises(WrongPeer, match="says short lines"):
         InterpreterProtocol().feed(b"x" * (LONGEST_REPLY + 1))
+    unasked = InterpreterProtocol()
+    for _ in range(LONGEST_REPLY // 10):
+        assert unasked.feed(b"ack: 1: x\n") is None
+    with pytest.raises(WrongPeer, match="nothing asked for, which begin with b'ack: 1: x'"):
+        unasked.feed(b"ack: 1: x\n")
     for statement, error in (
         ("# nothing", "is no statement"),
         (" abort ", "'abort' is no statement"),

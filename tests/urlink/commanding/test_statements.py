@@ -20,7 +20,7 @@ from linkcore.errors import (
     RemoteError,
 )
 from linkcore.net.dialogue import Dialogue
-from linkcore.net.recall import Recall
+from linkcore.net.recall import Recall, TakeBack
 from tests.urlink.line import Programming, slow
 from urlink.commanding import interpreter as module
 from urlink.commanding.interpreter import Interpreter, Interpreters, InterpreterState
@@ -82,9 +82,10 @@ class Mode(Programming):
         dialogue = cast(Dialogue, self.peer)
         self.recall = Recall("robot")
 
-        def take_back(is_wanted: Callable[[], bool]) -> None:
+        def client() -> Dialogue:
             raise AssertionError("nothing was given up")
 
+        take_back = TakeBack(client, lambda client, is_wanted: None)
         self.interpreter = Interpreter(self.life, deque(), dialogue, self.channel, self.recall, take_back, 42.0)
 
     def sleep(self, seconds: float) -> None:

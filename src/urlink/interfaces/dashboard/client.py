@@ -11,13 +11,14 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from linkcore.errors import BadValue, Closed, LinkTimeout, LocalError, PacketError
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.http_client import HttpClient
-from linkcore.net.recall import Recall
+from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.version import version_text
 
@@ -125,7 +126,6 @@ class Dashboard:
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
         self._owns_recall = recall is None
         self._recall = Recall(self._name) if recall is None else recall
-        self._taking_back: Dashboard | None = None
         self._switched_off = -math.inf
 
     # -- power ---------------------------------------------------------------------------------------
@@ -389,8 +389,6 @@ class Dashboard:
         """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
         if self._owns_recall:
             self._recall.close()
-        if self._taking_back is not None:
-            self._taking_back.close()
         self._http.close()
         self._dialogue.close()
 
@@ -462,24 +460,28 @@ class Dashboard:
         """Around a command; the context is what to call if it was sent and given up, None for a question."""
         if only_asks:
             return contextlib.nullcontext()
-        return self._recall.command(name, self._timeout, self._stop_what_plays if name == "play" else None)
+        take_back = None
+        if name == "play":
+            another = partial(
+                Dashboard, self._host, self._port, self._firmware, api_port=self._api_port, timeout=self._timeout
+            )
+            take_back = TakeBack(another, _stop_what_plays)
+        return self._recall.command(name, self._timeout, take_back)
 
-    def _stop_what_plays(self, is_wanted: Callable[[], bool]) -> None:
-        """Take `play` back."""
-        dashboard = Dashboard(self._host, self._port, self._firmware, api_port=self._api_port, timeout=self._timeout)
-        with dashboard:
-            self._taking_back = dashboard
-            if not is_wanted():
-                return
-            # Any answer is the contact.
-            with contextlib.suppress(DashboardRefused, PacketError):
-                if dashboard._present().is_polyscope_x:
-                    dashboard.program_state()
-                else:
-                    dashboard.robot_mode()
-            if is_wanted():
-                with contextlib.suppress(DashboardRefused):  # nothing runs
-                    dashboard.stop()
+
+def _stop_what_plays(dashboard: Dashboard, is_wanted: Callable[[], bool]) -> None:
+    """Take `play` back."""
+    if not is_wanted():
+        return
+    # Any answer is the contact.
+    with contextlib.suppress(DashboardRefused, PacketError):
+        if dashboard._present().is_polyscope_x:
+            dashboard.program_state()
+        else:
+            dashboard.robot_mode()
+    if is_wanted():
+        with contextlib.suppress(DashboardRefused):  # nothing runs
+            dashboard.stop()
 
 
 def _positive(timeout: float) -> float:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from linkcore.arguments import check_seconds, check_wait
 from linkcore.errors import BadValue, LinkTimeout, RemoteError
 from linkcore.net.dialogue import Dialogue
-from linkcore.net.recall import Recall
+from linkcore.net.recall import Recall, TakeBack
 from linkcore.net.transport import TcpTransport
 from linkcore.wire.shapes import OpenInt
 
@@ -141,8 +142,8 @@ class Gripper:
 
         self._connect = dialogue
         self._dialogue = dialogue()
-        self._taking_back = self._dialogue
         self._name = f"{host}:{port}"
+        self._owns_recall = recall is None
         self._recall = Recall(f"the gripper at {self._name}") if recall is None else recall
 
     # -- activation ------------------------------------------------------------------------------------
@@ -272,7 +273,8 @@ class Gripper:
         self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
 
     def _set(self, line: str, moves: bool) -> None:
-        with self._recall.command("gripper", self._timeout, self._stop_fingers if moves else None) as given_up:
+        take_back = TakeBack(self._connect, partial(_stop_fingers, self._timeout)) if moves else None
+        with self._recall.command("gripper", self._timeout, take_back) as given_up:
             reply = self._dialogue.ask(line, self._timeout, given_up=given_up)
         if reply.casefold() != "ack":
             raise GripperFault(f"{line!r}: the gripper answered {reply[:80]!r}")
@@ -290,21 +292,18 @@ class Gripper:
                 raise LinkTimeout(f"the gripper at {self._name}: {otherwise} within {timeout:g} s")
             time.sleep(min(_POLL, left))
 
-    def _stop_fingers(self, is_wanted: Callable[[], bool]) -> None:
-        """Take a movement back."""
-        dialogue = self._taking_back = self._connect()
-        try:
-            for line in (get_line("STA"), set_line({"GTO": 0})):  # the first is the contact
-                if is_wanted():
-                    dialogue.ask(line, self._timeout)
-        finally:
-            dialogue.close()
-
     def _disconnect(self) -> None:
         """Disconnect for good."""
-        self._recall.close()
-        self._taking_back.close()
+        if self._owns_recall:
+            self._recall.close()
         self._dialogue.close()
 
     def __repr__(self) -> str:
         return f"<Gripper {self._name}>"
+
+
+def _stop_fingers(timeout: float, dialogue: Dialogue, is_wanted: Callable[[], bool]) -> None:
+    """Take a movement back."""
+    for line in (get_line("STA"), set_line({"GTO": 0})):  # the first is the contact
+        if is_wanted():
+            dialogue.ask(line, timeout)

@@ -131,12 +131,17 @@ class InterpreterProtocol:
         """The answer, once it is whole.
 
         Raises:
-            WrongPeer: what answers does so without end.
+            WrongPeer: a line, or what came with nothing asked, is longer than `LONGEST_REPLY`.
         """
         self._rest += data
         line, end, rest = self._rest.partition(b"\n")
         if len(line) > LONGEST_REPLY:
             raise WrongPeer(f"interpreter mode says short lines, but here is one that begins with {line[:32]!r}")
+        if not self._is_asked and len(self._rest) > LONGEST_REPLY:
+            raise WrongPeer(
+                f"interpreter mode answers when it is asked, but here are {len(self._rest)} bytes that nothing asked "
+                f"for, which begin with {line[:32]!r}"
+            )
         if not end or not self._is_asked:
             return None
         self._rest, self._is_asked = rest, False

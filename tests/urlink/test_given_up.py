@@ -1,0 +1,158 @@
+"""A call that failed and may still be carried out is taken back by the next connection of this process, too.
+
+The service of the simulated controller hangs, the call fails, the robot is closed, and the controller goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import urlink
+from linkcore.errors import LinkError
+from linkcore.net.recall import Recall
+from tests.waiting import until
+from urlink.address import RobotAddress, parse_address
+from urlink.robot import peer_of
+from urlink.simulator import Controller, Still
+
+TIMEOUT = 20.0
+#: rad; it takes some 15 s to get there, so an arm that moves was not stopped by its arrival.
+HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
+TEXT = f"movej({[1.5, *HOME[1:]]}, a=20, v=0.1)"
+#: s for which the service hangs, and in which an answer has to come
+HANGS, ANSWER = 1.5, 0.4
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    files = {"/p.urp": f"def p():\n  {TEXT}\nend\n"}
+    before = set(threading.enumerate())
+    with Controller("UR5e", "5.11", motion=Still(HOME), files=files) as controller:
+        yield controller
+    until(lambda: set(threading.enumerate()) <= before)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.commanding.interpreter._REPLY", ANSWER)
+
+
+def moves(controller: Controller) -> bool:
+    return max(map(abs, controller.arm.setpoint.qd)) > 0.05
+
+
+def is_owed(controller: Controller) -> bool:
+    place = parse_address(controller.address)
+    assert isinstance(place, RobotAddress)
+    return Recall.is_owed(peer_of(place))
+
+
+def play(controller: Controller, robot: urlink.Robot) -> None:
+    robot.dashboard.load("/p.urp")
+    controller.faults.stall(HANGS, "dashboard")
+    robot.dashboard.send("play", ANSWER)
+
+
+def execute(controller: Controller, robot: urlink.Robot) -> None:
+    interpreter = robot.interpreter()
+    controller.faults.stall(HANGS, "interpreter")
+    interpreter.execute(TEXT)
+
+
+def squeeze(controller: Controller, robot: urlink.Robot) -> None:
+    robot.gripper.activate()
+    robot.gripper._timeout = ANSWER
+    controller.faults.stall(HANGS, "gripper")
+    robot.gripper.set(POS=255, SPE=0, GTO=1)
+
+
+def give_up(controller: Controller, call: Callable[[Controller, urlink.Robot], None]) -> None:
+    """What `call` calls fails, and the robot is closed."""
+    with urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot:
+        robot.motion.stop(wait=10)
+        with pytest.raises(LinkError, match="it may still be carried out"):
+            call(controller, robot)
+    until(lambda: not [each for each in threading.enumerate() if each.name.endswith("take back")])
+    assert is_owed(controller)
+
+
+def anew(controller: Controller) -> None:
+    """Connects once more."""
+    urlink.connect(controller.address).close()
+
+
+def anew_with_asyncio(controller: Controller) -> None:
+    async def connect() -> None:
+        async with urlink.connect_async(controller.address):
+            pass
+
+    asyncio.run(connect())
+
+
+@pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
+def test_what_moves_is_stopped_before_the_connection_is_there(
+    controller: Controller, connect: Callable[[Controller], None]
+) -> None:
+    give_up(controller, play)
+    until(lambda: moves(controller), TIMEOUT)
+    urlink.connect(controller.address, read_only=True).close()
+    assert moves(controller)
+    assert is_owed(controller)
+    connect(controller)
+    assert not is_owed(controller)
+    until(lambda: not moves(controller), TIMEOUT)
+    assert controller.arm.setpoint.q[0] < 1.0
+
+
+@pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
+def test_statements_are_thrown_away(controller: Controller, connect: Callable[[Controller], None]) -> None:
+    """Here the close of the robot has ended the program that takes them, too."""
+    give_up(controller, execute)
+    connect(controller)
+    assert not is_owed(controller)
+
+
+@pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
+def test_fingers_are_stopped(controller: Controller, connect: Callable[[Controller], None]) -> None:
+    give_up(controller, squeeze)
+    until(lambda: controller.gripper.position > 20, TIMEOUT)
+    connect(controller)
+    assert not is_owed(controller)
+    stopped = controller.gripper.position
+    assert stopped < 250
+    later = controller.time + 0.5
+    until(lambda: controller.time > later, TIMEOUT)
+    assert controller.gripper.position == stopped
+
+
+def test_a_connection_goes_on_with_what_it_could_not_take_back_in_time(controller: Controller) -> None:
+    give_up(controller, play)
+    controller.faults.stall(5.0, "dashboard")
+    with urlink.connect(controller.address, timeout=1.5) as robot:
+        assert is_owed(controller)
+        with pytest.raises(urlink.LinkTimeout, match="'power on' was not sent: 'play' was given up before"):
+            robot.dashboard.power_on()
+        until(lambda: not is_owed(controller), TIMEOUT)
+        until(lambda: not controller.is_running_program, TIMEOUT)
+
+
+def test_a_newer_program_supersedes_it(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urlink.commanding.channel._TAKE_BACK", 0.0)
+    with urlink.connect(controller.address) as other:
+        give_up(controller, play)
+        controller.faults.stall(3.0, "dashboard")
+        other.motion.move_joints(HOME)
+        assert not is_owed(controller)
+
+
+def test_a_simulator_that_ends_with_its_robot_is_owed_nothing() -> None:
+    with urlink.connect("sim://ur5e?firmware=5.11") as robot:
+        place = parse_address(robot.controller.address)
+        assert isinstance(place, RobotAddress)
+        with pytest.raises(LinkError, match="it may still be carried out"):
+            execute(robot.controller, robot)
+    assert not Recall.is_owed(peer_of(place))
