@@ -1,4 +1,7 @@
-"""Runs worlds: ``python -m tests.worlds --seeds 300 --jobs 2``; ``--seed 17`` for one, with its log."""
+"""Runs worlds: ``python -m tests.worlds --seeds 300 --jobs 2``; ``--seed 17`` for one, with its log.
+
+``--planted NAME --seeds 10000`` puts a defect of `planted` back, and searches for the first seed that shows it.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from itertools import islice
 
 from .drawn import World, draw
+from .planted import NAMES, planted, worlds
 from .running import Outcome, run
 
 
@@ -46,7 +50,13 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--seed", type=int, help="run this one, and print what happens")
     parser.add_argument("--shrink", action="store_true", help="make a world in which something is wrong smaller")
+    parser.add_argument("--until", action="store_true", help="end with the first fault, and make its world smaller")
+    parser.add_argument("--planted", metavar="NAME", choices=NAMES, help=f"with a defect: {', '.join(NAMES)}")
     given = parser.parse_args()
+    if given.planted is not None:
+        rest = ["--first", str(given.first), "--seeds", str(given.seeds), "--jobs", str(given.jobs), "--until"]
+        with planted(given.planted) as root:
+            return worlds(root, rest if given.seed is None else ["--seed", str(given.seed), "--shrink"]).returncode
     if given.seed is not None:
         world = draw(given.seed)
         result = run(world)
@@ -66,6 +76,12 @@ def main() -> int:
                 if result.faults:
                     failed += 1
                     print(f"python -m tests.worlds --seed {seed}    # {result.faults[0].splitlines()[0]}", flush=True)
+                    if given.until:
+                        pool.shutdown(cancel_futures=True)
+                        print(f"after {done} worlds and {time.perf_counter() - begun:.0f} s", flush=True)
+                        world = shrunk(draw(seed))
+                        show(world, run(world))
+                        return 1
     seconds = time.perf_counter() - begun
     print(
         f"{done} worlds, {failed} with faults; {simulated:.0f} s of simulated time, in {moved:.0f} s of it "

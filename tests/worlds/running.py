@@ -76,6 +76,7 @@ class Run:
         ]
         if left and not self.gone:
             self.watch.fault(f"threads are left: {left}")
+        self.watch.observed.check_ends(is_quiet=not self.world.events)
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
 
@@ -213,7 +214,9 @@ def run(world: World) -> Outcome:
     outcome = Outcome()
     with simulated_time(world.seed, latency=world.latency, jitter=world.jitter, limit=LIMIT) as sim:
         try:
-            Run(world, sim, outcome).everything()
+            whole = Run(world, sim, outcome)
+            with whole.watch.observed.watching():
+                whole.everything()
         except (Deadlock, TimeLimit) as error:
             outcome.faults.append(f"{type(error).__name__}: {error}")
         outcome.trace, outcome.steps, outcome.simulated = sim.trace, sim.steps, sim.now

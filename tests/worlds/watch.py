@@ -15,12 +15,12 @@ import numpy as np
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
 
+from .observed import ADMITS, BRAKING, Observed
+
 __all__ = ["BRAKING", "Outcome", "Watch"]
 
-#: rad/s above which the arm moves, and seconds in which it comes to rest after a stop.
-MOVES, BRAKING = 0.01, 1.0
-#: An error that admits that the arm may go on.
-_ADMITS = re.compile(r"may still|may go on|to the end of")
+#: rad/s above which the arm moves.
+MOVES = 0.01
 
 
 @dataclass
@@ -44,18 +44,27 @@ class Outcome:
 
 
 class Watch:
-    """Looks at the arm in every cycle."""
+    """Looks at the arm in every cycle.
+
+    Attributes:
+        observed: programs and handles of the world.
+    """
 
     def __init__(self, sim: Simulation, controller: Controller, outcome: Outcome) -> None:
         self._sim = sim
         self._controller = controller
         self._outcome = outcome
+        self.observed = Observed(sim, controller, self._once)
         #: the clients that want the arm to move, and until when it may although none does
         self.wanting: set[int] = set()
         self._until = 0.0
         self._is_admitted = False
-        self._is_reported = False
+        self._reported: set[str] = set()
         self._q = np.array(controller.arm.setpoint.q)
+        self._qd = np.zeros(6)
+        self._time = 0.0
+        #: rad/s², the largest so far
+        self.accelerated = 0.0
         advance = controller._control.advance
 
         def observed() -> None:
@@ -80,7 +89,7 @@ class Watch:
         if client in self.wanting:
             self.wanting.discard(client)
             self._until = max(self._until, self._sim.now + BRAKING)
-            if error is not None and _ADMITS.search(str(error)):
+            if error is not None and ADMITS.search(str(error)):
                 self._is_admitted = True
 
     def gone(self, client: int) -> None:
@@ -89,23 +98,49 @@ class Watch:
         self._is_admitted = True
 
     def _look(self) -> None:
-        controller = self._controller
+        controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint
-        speed = float(np.max(np.abs(setpoint.qd)))
-        q = np.array(setpoint.q)
+        q, qd = np.array(setpoint.q), np.array(setpoint.qd)
+        speed, before = float(np.max(np.abs(qd))), float(np.max(np.abs(self._qd)))
         period = 1.0 / controller.firmware.rate
         if np.max(np.abs(q - self._q)) > 1.2 * period * 3.5:  # rad/s: above each joint's limit of 3.34
             self._once(f"a leap of {np.max(np.abs(q - self._q)):.4f} rad in one cycle")
-        self._q = q
+        if speed > 3.5:
+            self._once(f"a joint moves at {speed:.2f} rad/s")
+        self.accelerated = max(self.accelerated, float(np.max(np.abs(qd - self._qd))) / period)
+        self._q, self._qd = q, qd
+        self._note_stop()
+        observed.count_rests()
         if speed <= MOVES:
             if not controller.is_running_program:
                 self._is_admitted = False
             return
         self._outcome.moved += period
-        if not self.wanting and self._sim.now > self._until and not self._is_admitted:
+        main = controller._runner.main
+        sent = None if main is None else observed.programs.get(main.name)
+        if sent is not None:
+            why = observed.why_not(sent, is_faster=speed > before + 1e-3)
+            if why is not None:
+                self._once(f"the arm moves at {speed:.3f} rad/s by {sent.wrapped.name} ({sent.life.name}), {why}")
+        elif not self.wanting and self._sim.now > self._until and not self._is_admitted:
             self._once(f"the arm moves at {speed:.3f} rad/s, and nobody wants it to: {controller.program_name}")
 
+    def _note_stop(self) -> None:
+        controller, observed = self._controller, self.observed
+        if controller.time < self._time:  # it was booted
+            observed.stops.clear()
+        self._time = controller.time
+        if controller.stopped_since is None:
+            observed.stop_holds = False
+            return
+        observed.stops[round(controller.time * controller.firmware.rate)] = True
+        if not observed.stop_holds:
+            observed.stop_holds = True
+            observed.stopped.append([self._sim.now, self._sim.now])
+        observed.stopped[-1][1] = self._sim.now
+
     def _once(self, text: str) -> None:
-        if not self._is_reported:
-            self._is_reported = True
+        kind = re.sub(r"[\d.]+", "", text)[:40]
+        if kind not in self._reported:
+            self._reported.add(kind)
             self.fault(text)

@@ -1,0 +1,453 @@
+"""What the library and the controller do in a world, step by step, and which of it must not be.
+
+The methods through which programs, permissions and words leave a client are wrapped while a world runs, and those by
+which the controller begins and ends programs. So for each program is known who sent it, what became of its handle, who
+permitted it, and when it moved the arm. All this is beside the library's own account of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from linkcore.handle import Event, Handle, Lifecycle, Phase
+from linkcore.simulated import Computer, Simulation
+from linkcore.simulated.scheduler import current
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.fanout import FanOut
+from urlink.commanding.channel import CommandChannel
+from urlink.commanding.programs import Programs
+from urlink.interfaces.primary.robot_state import RobotState
+from urlink.interfaces.realtime.packets import RealtimeState
+from urlink.motion.linked import LinkedProgram
+from urlink.motion.register_link import RegisterLink
+from urlink.motion.reverse import ReverseLink
+from urlink.motion.setpoints import STOP_WORD, WAIT_WORD, WORD_SIZE
+from urlink.simulator import Controller
+from urlink.simulator.programs.pendant import Pendant
+from urlink.simulator.programs.program_world import ProgramWorld
+from urlink.urscript import wrapping
+from urlink.urscript.wrapping import Wrapped
+
+__all__ = ["ADMITS", "BRAKING", "Observed", "Sent", "replaced"]
+
+#: An error that admits that the arm may go on.
+ADMITS = re.compile(r"may still|may go on|to the end of")
+#: s on the controller's clock in which an arm comes to rest after a stop.
+BRAKING = 1.0
+#: s on the controller's clock after which an arm gets no faster: by then a watchdog of `asked` is over too.
+_OBEYING = 0.5
+#: s: how much longer than its timeout a wait may take.
+_LATE = 1.5
+#: s: the interlock permits nothing on states that are older.
+_STALE = 1.0
+
+
+@dataclass(eq=False)
+class Sent:
+    """A program of the library, from both sides.
+
+    Attributes:
+        computer: which sent it.
+        wrapped, life: as `Programs.start` was given them.
+        is_stop, is_linked: the same.
+        asked: when it was, s.
+        ended, error: when its handle ended, and by what.
+        begun: when the controller began it; None before.
+        over: when the controller ended it.
+        is_finished: it has reported its own end.
+        granted: when the permission that lets it go on came from its client; None without.
+        rests: cycles in which it may go on to brake, counted from the end of its handle.
+    """
+
+    computer: Computer
+    wrapped: Wrapped
+    life: Lifecycle
+    is_stop: bool
+    is_linked: bool
+    asked: float
+    ended: float | None = None
+    error: BaseException | None = None
+    begun: float | None = None
+    over: float | None = None
+    is_finished: bool = False
+    granted: float | None = None
+    rests: int = 0
+
+    @property
+    def is_admitted(self) -> bool:
+        """Its end says that the arm may go on."""
+        return self.error is not None and ADMITS.search(str(self.error)) is not None
+
+    @property
+    def grant(self) -> str | None:
+        """The text that permits it."""
+        return None if self.wrapped.permission is None else wrapping.grant(self.wrapped.permission)
+
+
+@dataclass
+class _Known:
+    """What a client knows by the states that it has taken whole: those of the batch before the newest.
+
+    Attributes:
+        stopped: cycles in a row in which a stop held.
+        at: when the newest batch came; None while it is not connected.
+    """
+
+    stopped: int = 0
+    at: float | None = None
+    next_stopped: int = 0
+
+
+@contextlib.contextmanager
+def replaced(owner: Any, name: str, around: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
+    """A method of a class, or of one object, is `around(method)` meanwhile."""
+    had = name in vars(owner)
+    method = getattr(owner, name)
+    setattr(owner, name, around(method))
+    try:
+        yield
+    finally:
+        if had:
+            setattr(owner, name, method)
+        else:
+            delattr(owner, name)
+
+
+def here() -> Computer:
+    """The computer whose thread runs."""
+    scheduler = current()
+    assert scheduler is not None
+    assert scheduler.running is not None
+    computer = scheduler.running.process
+    assert isinstance(computer, Computer)
+    return computer
+
+
+class Observed:
+    """Programs, permissions, words and ends of one world.
+
+    Args:
+        sim: the simulation.
+        controller: that of the world.
+        fault: reports what must not be.
+
+    Attributes:
+        programs: by name.
+        transitions: of handles: the phases before and after.
+        places: of programs that wait for permission: phase of the handle, and what the controller does with it, one
+            after the other.
+    """
+
+    def __init__(self, sim: Simulation, controller: Controller, fault: Callable[[str], object]) -> None:
+        self.programs: dict[str, Sent] = {}
+        self.transitions: set[tuple[str, str]] = set()
+        self._sim = sim
+        self._controller = controller
+        self._fault = fault
+        self._linked: list[LinkedProgram] = []
+        self._farewells: set[int] = set()
+        self._links: list[object] = []  # keeps them, since their id is a key
+        #: when connections of a computer were lost that take programs
+        self._lost: dict[Computer, list[float]] = {}
+        self._known: dict[Computer, _Known] = {}
+        self._held: dict[Computer, float] = {}
+        self._since: dict[Computer, float] = {}
+        #: of the controller: cycles since it is up in which a stop held
+        self.stops: dict[int, bool] = {}
+        #: (from, to) of each stop; s
+        self.stopped: list[list[float]] = []
+        #: when a person, or a client, let a paused program go on
+        self.played: list[float] = []
+        self.stop_holds = False
+
+    # -- what is wrapped -------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[None]:
+        """Observe, for as long as the block lasts."""
+        runner = self._controller._runner
+        around: list[tuple[Any, str, Callable[[Callable[..., Any]], Callable[..., Any]]]] = [
+            (Programs, "start", self._start),
+            (CommandChannel, "_send_some", self._text),
+            (LinkedProgram, "begin", self._link_begins),
+            (ReverseLink, "send", self._word),
+            (RegisterLink, "send", self._word),
+            (Lifecycle, "_apply", self._apply),
+            (Handle, "wait", self._wait),
+            (FanOut, "publish", self._publish),
+            (Connection, "_disconnected", self._disconnected),
+            (Computer, "suspend", self._suspend),
+            (Computer, "resume", self._resume),
+            (ProgramWorld, "text_message", self._message),
+            (Pendant, "play", self._play),
+            (runner, "start", self._begun),
+            (runner, "_ended", self._over),
+            (self._controller, "_script_receiver", self._receiver),
+        ]
+        with contextlib.ExitStack() as stack:
+            for owner, name, wrap in around:
+                stack.enter_context(replaced(owner, name, wrap))
+            yield
+
+    # -- clients -----------------------------------------------------------------------------------------
+
+    def _start(self, start: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(programs: Programs, text: Wrapped, life: Lifecycle, **how: Any) -> None:
+            is_stop, is_linked = how.get("is_stop", False), how.get("is_linked", False)
+            sent = Sent(here(), text, life, is_stop, is_linked, self._sim.now)
+            self.programs[text.name] = sent
+            life.on_end(lambda: self._ended(sent))
+            start(programs, text, life, **how)
+
+        return wrapped
+
+    def _ended(self, sent: Sent) -> None:
+        sent.ended, sent.error = self._sim.now, sent.life.error
+
+    def _text(self, send: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(channel: CommandChannel, text: Any, decide: Callable[[], object]) -> None:
+            was_begun, whole = text.is_begun, bytes(text.rest).decode()
+            is_permission = whole.startswith("sec urlink_permission")
+            refusal = None if was_begun else self._refusal()
+            permitted = [sent for sent in self._of(here()) if is_permission and sent.grant == whole]
+            is_wanted = not permitted or any(not sent.life.is_over for sent in permitted)
+            send(channel, text, decide)
+            if was_begun or not text.is_begun:
+                return
+            if refusal is not None and (is_permission or whole.startswith("def ")):
+                self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")
+            if not is_wanted:
+                self._fault(f"{here().name} permitted {permitted[-1].wrapped.name}, whose handle was over")
+
+        return wrapped
+
+    def _link_begins(self, begin: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(program: LinkedProgram) -> None:
+            self._linked.append(program)
+            begin(program)
+
+        return wrapped
+
+    def _word(self, send: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(link: object, data: bytes) -> None:
+            word = data[:WORD_SIZE]
+            leads = len(data) > WORD_SIZE and word not in (STOP_WORD, WAIT_WORD)
+            refusal = self._refusal() if leads else None
+            send(link, data)
+            if word == STOP_WORD:
+                self._farewells.add(id(link))
+                self._links.append(link)
+            elif id(link) in self._farewells:
+                self._fault(f"{here().name} sent a word to a program after the one that ends it")
+            elif refusal is not None:
+                self._fault(f"{here().name} sent a set-point although {refusal}")
+
+        return wrapped
+
+    def _apply(self, apply: Callable[..., bool]) -> Callable[..., bool]:
+        def wrapped(life: Lifecycle, event: Event, *rest: Any, **named: Any) -> bool:
+            before = life.phase
+            has_changed = apply(life, event, *rest, **named)
+            if has_changed:
+                self.transitions.add((before.value, life.phase.value))
+            elif event is not Event.BEGIN and not life.is_over:
+                self._fault(f"{life.name} is {life.phase.value} after {event.value}")
+            return has_changed
+
+        return wrapped
+
+    def _wait(self, wait: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(handle: Handle, timeout: float = 60.0, **how: Any) -> None:
+            computer, begun = here(), self._sim.now
+            held = self._held_of(computer)
+            try:
+                wait(handle, timeout, **how)
+            finally:
+                took = self._sim.now - begun - (self._held_of(computer) - held)
+                if took > timeout * 1.001 + _LATE:
+                    self._fault(f"{handle.name}: wait({timeout:g}) took {took:.2f} s")
+
+        return wrapped
+
+    def _publish(self, publish: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(fan_out: FanOut, packets: Any) -> None:
+            states = [packet for packet in packets if type(packet) is RealtimeState]
+            if states:
+                known = self._known.setdefault(here(), _Known())
+                known.stopped = known.next_stopped
+                known.at = self._sim.now
+                for state in states:
+                    holds = self.stops.get(round(state.time * self._controller.firmware.rate), False)
+                    known.next_stopped = known.next_stopped + 1 if holds else 0
+                if not known.next_stopped:
+                    known.stopped = 0
+            publish(fan_out, packets)
+
+        return wrapped
+
+    def _disconnected(self, disconnected: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(connection: Connection, error: Exception | None) -> None:
+            if not connection.is_over and connection.fan_out.carries(RobotState):
+                self._lost.setdefault(here(), []).append(self._sim.now)
+            disconnected(connection, error)
+
+        return wrapped
+
+    def _refusal(self) -> str | None:
+        """Why the client whose thread runs must not move the arm, by what it knows."""
+        known = self._known.get(here())
+        if known is None or known.at is None:
+            return None
+        if known.stopped > 3:
+            return f"it knew of a stop for {known.stopped} states"
+        return None
+
+    # -- computers ---------------------------------------------------------------------------------------
+
+    def _suspend(self, suspend: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(computer: Computer) -> None:
+            self._since.setdefault(computer, self._sim.now)
+            suspend(computer)
+
+        return wrapped
+
+    def _resume(self, resume: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(computer: Computer) -> None:
+            resume(computer)
+            self._held[computer] = self._held_of(computer)
+            self._since.pop(computer, None)
+
+        return wrapped
+
+    def _held_of(self, computer: Computer) -> float:
+        since = self._since.get(computer)
+        return self._held.get(computer, 0.0) + (0.0 if since is None else self._sim.now - since)
+
+    def is_held(self, computer: Computer) -> bool:
+        """It is suspended."""
+        return computer in self._since
+
+    def lost_since(self, computer: Computer, moment: float) -> bool:
+        """A connection of a computer was lost after that."""
+        return any(at >= moment for at in self._lost.get(computer, ()))
+
+    def has_arrived(self, computer: Computer) -> bool:
+        """What it has sent is there."""
+        return not any(end.unacknowledged for end in computer.ends)
+
+    def _of(self, computer: Computer) -> list[Sent]:
+        return [sent for sent in self.programs.values() if sent.computer is computer]
+
+    # -- the controller ----------------------------------------------------------------------------------
+
+    def _receiver(self, make: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapped(port: str, client: Any) -> Any:
+            receiver = make(port, client)
+            host = client.connection.peer[0]
+            taken = receiver._on_program
+
+            def on_program(text: str) -> bool:
+                if text.startswith("sec urlink_permission"):
+                    for sent in self.programs.values():
+                        is_its = sent.grant == text and sent.computer.address == host
+                        if is_its and sent.begun is not None and sent.over is None:
+                            sent.granted = self._sim.now
+                has_taken: bool = taken(text)
+                return has_taken
+
+            receiver._on_program = on_program
+            return receiver
+
+        return wrapped
+
+    def _begun(self, start: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(script: Any) -> None:
+            main = self._controller._runner.main
+            before = self.programs.get(main.name) if main is not None and main.is_program else None
+            match = re.fullmatch(r"urlink_stop_(\w+)_\d+", script.name)
+            if match is not None and before is not None and f"_{match[1]}_" in before.wrapped.name:
+                is_unasked = not before.life.is_over and not self.lost_since(before.computer, before.asked)
+                if is_unasked:
+                    self._fault(f"{script.name} stops {before.wrapped.name}, which nobody has cancelled")
+            sent = self.programs.get(script.name)
+            if sent is not None:
+                sent.begun = self._sim.now
+            start(script)
+
+        return wrapped
+
+    def _over(self, ended: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(program: Any) -> None:
+            sent = self.programs.get(program.name)
+            if sent is not None:
+                sent.over = self._sim.now
+            ended(program)
+
+        return wrapped
+
+    def _play(self, play: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapped(pendant: Pendant) -> Any:
+            self.played.append(self._sim.now)
+            return play(pendant)
+
+        return wrapped
+
+    def _message(self, message: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(world: ProgramWorld, text: str) -> None:
+            sent = self.programs.get(text.removesuffix(" finished"))
+            if sent is not None and text.endswith(" finished"):
+                sent.is_finished = True
+            message(world, text)
+
+        return wrapped
+
+    # -- in each cycle -----------------------------------------------------------------------------------
+
+    def count_rests(self) -> None:
+        """Count the cycles for which programs may go on whose handles are over."""
+        for sent in self.programs.values():
+            is_known = sent.ended is not None and sent.over is None and not self.is_held(sent.computer)
+            if is_known and self.has_arrived(sent.computer):
+                sent.rests += 1
+
+    def why_not(self, sent: Sent, is_faster: bool) -> str | None:
+        """Why this program must not move the arm in this cycle; None if it may.
+
+        Args:
+            is_faster: it does not only brake.
+        """
+        braking = (_OBEYING if is_faster else BRAKING) * self._controller.firmware.rate
+        now, is_gone = self._sim.now, not sent.computer.is_running
+        waits = sent.wrapped.permission is not None and sent.granted is None
+        if waits and sent.begun is not None and (is_faster or now > sent.begun + BRAKING):
+            return "which has no permission of its own client"
+        if self.stopped and not sent.is_stop and is_faster and not any(at > self.stopped[-1][0] for at in self.played):
+            begun, over = self.stopped[-1]
+            if sent.asked < over:
+                return f"which was asked for at {sent.asked:.3f} s, before the stop at {begun:.3f} s was over"
+        if sent.ended is None or sent.is_stop or is_gone or sent.is_admitted or sent.rests <= braking:
+            return None
+        if not sent.is_linked and self.lost_since(sent.computer, sent.ended - 1.0):
+            return None  # what stops it may be lost with the connection
+        return f"whose handle ended at {sent.ended:.3f} s: {sent.error}"
+
+    # -- at the end --------------------------------------------------------------------------------------
+
+    def check_ends(self, is_quiet: bool) -> None:
+        """Each end of a handle agrees with what the controller did.
+
+        Args:
+            is_quiet: nothing has happened beside the clients.
+        """
+        for name, sent in self.programs.items():
+            phase, error = sent.life.phase, sent.error
+            if sent.computer.is_running and not sent.life.is_over:
+                self._fault(f"{name} is {phase.value} after the end of its client")
+            if phase is Phase.DONE and not (sent.is_finished or sent.is_linked or sent.wrapped.is_secondary):
+                self._fault(f"{name} is done, and the controller has not come to its end")
+            if is_quiet and error is not None and type(error).__name__ in ("NotRunning", "SafetyStop", "NotEnabled"):
+                self._fault(f"{name}: {type(error).__name__} in a world in which nothing happens: {error}")
