@@ -17,9 +17,9 @@ from tests import real_captures
 from tests.waiting import until
 
 # Few by default, so that the suite stays quick; `nox -s fuzz` tries many.
-settings.register_profile("default", deadline=None, derandomize=False, max_examples=25)
+settings.register_profile("default", deadline=None, derandomize=False, max_examples=10)
 # A gate gives the same verdict on the same tree; `fuzz` and every run at home look for what is new.
-settings.register_profile("ci", deadline=None, derandomize=True, max_examples=25, print_blob=True)
+settings.register_profile("ci", deadline=None, derandomize=True, max_examples=10, print_blob=True)
 settings.register_profile("fuzz", deadline=None, derandomize=False, max_examples=2000, print_blob=True)
 # What fails ends the run of a mutant, so nothing is made smaller or remembered.
 settings.register_profile(

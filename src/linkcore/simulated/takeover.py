@@ -53,6 +53,11 @@ _BEFORE = ("asyncio", "concurrent.futures.thread", "multiprocessing.process", "n
 _OF_COMPUTERS = ("suspend", "resume", "kill", "power_off", "power_on")
 _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 
+#: Modules of others in which nothing was to be replaced, with the number of names that they had: looking through all
+#: modules takes most of the time of a short block.
+_without: dict[str, int] = {}
+_OURS = ("linkcore", "urlink", "rhdlink", "pytest_urlink", "tests")
+
 #: Methods of `threading.Thread` that are replaced.
 _METHODS = ("start", "join", "is_alive")
 
@@ -289,14 +294,19 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
     """Replace objects wherever a module has them by a name; how to put them back."""
     by_identity = {id(real): simulated for real, simulated in replacements}
     done: list[tuple[ModuleType, str, object]] = []
+    names: dict[str, int] = {}
     for name, module in list(sys.modules.items()):
-        if not isinstance(module, ModuleType) or name.startswith(_KEPT):
+        if not isinstance(module, ModuleType):
             continue
-        for attribute, value in list(vars(module).items()):
-            simulated = by_identity.get(id(value))
-            if simulated is not None:
-                done.append((module, attribute, value))
-                setattr(module, attribute, simulated)
+        names[name] = len(vars(module))
+        if name.startswith(_KEPT) or _without.get(name) == names[name]:
+            continue
+        found = [(key, by_identity[id(value)]) for key, value in list(vars(module).items()) if id(value) in by_identity]
+        for attribute, simulated in found:
+            done.append((module, attribute, vars(module)[attribute]))
+            setattr(module, attribute, simulated)
+        if not found and not name.startswith(_OURS):
+            _without[name] = names[name]
     # Methods of the class itself, for the sake of what is derived from it.
     kept = {name: getattr(threading.Thread, name) for name in _METHODS}
     for name in _METHODS:
@@ -309,10 +319,14 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
         for module, attribute, value in done:
             setattr(module, attribute, value)
         # Modules that were imported meanwhile have the simulated ones.
-        for module in list(sys.modules.values()):
-            if isinstance(module, ModuleType):
+        for name, module in list(sys.modules.items()):
+            if (
+                isinstance(module, ModuleType)
+                and not name.startswith("linkcore.simulated")
+                and len(vars(module)) != names.get(name)
+            ):
                 for attribute, value in list(vars(module).items()):
-                    if id(value) in replaced and not module.__name__.startswith("linkcore.simulated"):
+                    if id(value) in replaced:
                         setattr(module, attribute, replaced[id(value)])
 
     return put_back
