@@ -167,6 +167,8 @@ class End:
         self._oldest = 0.0
         self._retransmit = _RETRANSMIT[0]
         self._is_retransmitting = False
+        # To the peer, and from it.
+        self._ways: tuple[Route, Route] | None = None
         computer.ends[self] = None
 
     # -- the program's side ------------------------------------------------------------------------------

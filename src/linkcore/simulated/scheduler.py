@@ -18,6 +18,7 @@ import zlib
 from _thread import allocate_lock, get_ident
 from collections import deque
 from collections.abc import Callable
+from struct import Struct
 from typing import Protocol
 
 __all__ = ["Deadlock", "Ended", "Process", "Scheduler", "Task", "TimeLimit", "current"]
@@ -30,6 +31,9 @@ SWITCHES = (2.0, 500.0)
 #: Real seconds that a thread has to end in when the simulation ends, and how often it may catch `Ended`.
 _TO_END = 5.0
 _ENDINGS = 100
+#: What the trace has of each choice: the number of the task, and the time.
+_CHOICE = Struct("<Id")
+_NEVER = float("inf")
 
 
 class Deadlock(Exception):
@@ -60,17 +64,20 @@ class Task:
     """A thread that takes part."""
 
     __slots__ = (
+        "alarm",
         "baton",
+        "deadline",
         "endings",
         "error",
         "ident",
+        "is_late",
         "is_over",
         "is_ready",
         "joiners",
         "name",
         "number",
         "process",
-        "waits",
+        "waiters",
     )
 
     def __init__(self, name: str, number: int, process: Process) -> None:
@@ -83,8 +90,14 @@ class Task:
         self.ident = 0
         self.is_ready = False
         self.is_over = False
-        #: how often it has waited: tells a deadline that is over from that of the wait that goes on
-        self.waits = 0
+        #: until when it waits; None without a limit, and while it does not wait
+        self.deadline: float | None = None
+        #: when the scheduler looks at its deadline next: most waits end before, and leave nothing to be looked at then
+        self.alarm = _NEVER
+        #: whether the deadline came first
+        self.is_late = False
+        #: where who is to make it ready finds it
+        self.waiters: deque[Task] | None = None
         #: raised when it runs next
         self.error: BaseException | None = None
         #: how often it has gone on after `Ended`
@@ -114,8 +127,8 @@ class Scheduler:
         self.is_ending = False
         self.tasks: list[Task] = []
         self._ready: list[Task] = []
-        # When, a number that keeps what is due together in order, and what to do: a call, or the task and its wait.
-        self._due: list[tuple[float, int, Callable[[], object] | None, Task | None, int]] = []
+        # When, a number that keeps what is due together in order, and what to do: a call, or the task of an alarm.
+        self._due: list[tuple[float, int, Callable[[], object] | None, Task | None]] = []
         self._numbers = 0
         low, high = SWITCHES
         self._mean = low * (high / low) ** self.random.random()
@@ -191,20 +204,16 @@ class Scheduler:
         """
         task = self.running
         assert task is not None
-        task.is_ready = False
-        task.waits += 1
+        task.is_late = False
+        task.deadline = deadline
+        task.waiters = waiters
         if waiters is not None:
             waiters.append(task)
-        if deadline is not None:
-            self._numbers += 1
-            heapq.heappush(self._due, (deadline, self._numbers, None, task, task.waits))
-        waits = task.waits
+        if deadline is not None and deadline < task.alarm:
+            self._set_alarm(task, deadline)
         self._change(task)
-        if task.waits == waits:
-            return True
-        if waiters is not None and task in waiters:
-            waiters.remove(task)
-        return False
+        task.deadline = None
+        return not task.is_late
 
     def deadline(self, seconds: float | None) -> float | None:
         """When so many seconds of the running task's computer are over."""
@@ -225,7 +234,7 @@ class Scheduler:
     def wake_one(self, waiters: deque[Task]) -> None:
         """Make one of those that wait ready, which the seed chooses."""
         if waiters:
-            number = 0 if len(waiters) == 1 else self.random.randrange(len(waiters))
+            number = 0 if len(waiters) == 1 else int(self.random.random() * len(waiters))
             task = waiters[number]
             del waiters[number]
             self.make_ready(task)
@@ -238,7 +247,7 @@ class Scheduler:
     def call_at(self, when: float, call: Callable[[], object]) -> None:
         """Call something at a simulated time, between two steps of the tasks. It must not wait."""
         self._numbers += 1
-        heapq.heappush(self._due, (when, self._numbers, call, None, 0))
+        heapq.heappush(self._due, (when, self._numbers, call, None))
 
     def note(self, data: bytes) -> None:
         """Add what has happened to the trace."""
@@ -248,7 +257,7 @@ class Scheduler:
         """No task of it runs until `resume`."""
         process.is_running = False
         process.held += [task for task in self._ready if task.process is process]
-        self._ready = [task for task in self._ready if task.process is not process]
+        self._ready[:] = [task for task in self._ready if task.process is not process]
         if not self._is_choosing and self.running is not None and self.running.process is process:
             self.make_way()
 
@@ -310,37 +319,54 @@ class Scheduler:
         self.ident = task.ident
         task.baton.release()
 
+    def _set_alarm(self, task: Task, when: float) -> None:
+        task.alarm = when
+        self._numbers += 1
+        heapq.heappush(self._due, (when, self._numbers, None, task))
+
+    def _ring(self, task: Task) -> None:
+        """The alarm of a task: its deadline is over, or that of a later wait is still to come, or it does not wait."""
+        task.alarm = _NEVER
+        deadline = task.deadline
+        if deadline is None or task.is_ready or task.is_over:
+            return
+        if deadline > self.now:
+            self._set_alarm(task, deadline)
+        else:
+            task.is_late = True
+            if task.waiters is not None:
+                task.waiters.remove(task)
+            self.make_ready(task)
+
     def _next(self) -> Task:
         """The task that runs next. Time goes on until there is one."""
+        due, ready = self._due, self._ready
         while True:
-            due = self._due
             while due and due[0][0] <= self.now:
-                _, _, call, task, waits = heapq.heappop(due)
+                when, _, call, task = heapq.heappop(due)
                 if call is not None:
                     self._is_choosing = True
                     call()
                     self._is_choosing = False
-                elif task is not None and task.waits == waits and not task.is_ready and not task.is_over:
-                    task.waits += 1
-                    self.make_ready(task)
-            ready = self._ready
+                elif task is not None and task.alarm == when:
+                    self._ring(task)
             if ready:
                 if len(ready) == 1:
                     task = ready.pop()
                 else:
-                    number = self.random.randrange(len(ready))
+                    number = int(self.random.random() * len(ready))
                     task = ready[number]
                     ready[number] = ready[-1]
                     ready.pop()
                 task.is_ready = False
-                self.trace = zlib.crc32(b"%d %d" % (task.number, int(self.now * 1e9)), self.trace)
+                self.trace = zlib.crc32(_CHOICE.pack(task.number, self.now), self.trace)
                 return task
             first = self.tasks[0]
             if not due:
                 self._interrupt(first, Deadlock(f"at {self.now:.6f} s every thread waits\n{self.stacks()}"))
             elif due[0][0] > self.limit:
                 error = TimeLimit(f"{self.limit:g} s of simulated time are over\n{self.stacks()}")
-                self.limit = float("inf")
+                self.limit = _NEVER
                 self._interrupt(first, error)
             else:
                 self.now = due[0][0]
@@ -348,7 +374,6 @@ class Scheduler:
     def _interrupt(self, task: Task, error: BaseException) -> None:
         task.error = error
         task.process.is_running = True
-        task.waits += 1
         task.is_ready = False
         self.make_ready(task)
 

@@ -9,7 +9,6 @@ import select as _select
 import selectors
 import socket as _socket
 import struct
-from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -21,10 +20,54 @@ __all__ = ["Poll", "Selector", "Socket", "Sockets"]
 #: The first descriptor: above those that a process usually has, and with room below 1024, where `select` ends.
 _FIRST = 400
 
+#: Of `poll`; those of `_ALWAYS` are reported whether they are wanted or not.
+_IN, _OUT, _ERR, _HUP, _NVAL = _select.POLLIN, _select.POLLOUT, _select.POLLERR, _select.POLLHUP, _select.POLLNVAL
+_ALWAYS = _ERR | _HUP | _NVAL
+
 _RealSocket = _socket.socket
 
 
-class Socket:
+class Pollable:
+    """What has a descriptor, and events that tasks wait for."""
+
+    def __init__(self, sockets: Sockets) -> None:
+        self._sockets = sockets
+        #: who waits, and for which events
+        self._waiters: list[tuple[Task, int]] = []
+        #: the selectors that it is registered with
+        self.selectors: list[Selector] = []
+        self._number = sockets.open(self)
+
+    def fileno(self) -> int:
+        return self._number
+
+    def events(self) -> int:
+        """What `poll` reports."""
+        raise NotImplementedError
+
+    def changed(self) -> None:
+        """Make those ready who wait for what there is now. A task that would only wait again does not run for it."""
+        for selector in self.selectors:
+            selector.look_at(self)
+        if self._waiters:
+            events = self.events()
+            for task, mask in self._waiters:
+                if events & mask:
+                    self._sockets.scheduler.make_ready(task)
+
+    def wait_for(self, mask: int, deadline: float | None) -> bool:
+        """Wait until one of these events may be there; False if the deadline came first."""
+        scheduler = self._sockets.scheduler
+        assert scheduler.running is not None
+        waiter = scheduler.running, mask
+        self._waiters.append(waiter)
+        try:
+            return scheduler.wait(deadline)
+        finally:
+            self._waiters.remove(waiter)
+
+
+class Socket(Pollable):
     """What `socket.socket` makes while time is simulated: TCP, and as much of UDP as shows a route."""
 
     makefile = _RealSocket.makefile
@@ -35,7 +78,7 @@ class Socket:
         self.family = _socket.AddressFamily(family if family >= 0 else _socket.AF_INET)
         self.type = _socket.SocketKind(kind if kind >= 0 else _socket.SOCK_STREAM)
         self.proto = max(proto, 0)
-        self._sockets = sockets
+        super().__init__(sockets)
         self._computer = sockets.computer()
         self._timeout: float | None = _socket.getdefaulttimeout()
         self._receive_timeout = 0.0
@@ -45,15 +88,10 @@ class Socket:
         self._end = end
         #: None, -1 while it connects, or the outcome
         self._connecting: int | None = None
-        self._waiters: deque[Task] = deque()
-        self._number = sockets.open(self)
         if end is not None:
             end.owner = self
 
     # -- names -------------------------------------------------------------------------------------------
-
-    def fileno(self) -> int:
-        return self._number
 
     def getsockname(self) -> tuple[str, int]:
         if self._end is not None:
@@ -135,7 +173,7 @@ class Socket:
         listener = self._listener
         if listener is None:
             raise OSError(errno.EINVAL, "Invalid argument")
-        self._wait(lambda: bool(listener.accepted), self._timeout)
+        self._wait(_IN, self._timeout)
         if self._listener is None:
             raise OSError(errno.EINVAL, "Invalid argument")
         end = listener.accepted.popleft()
@@ -171,7 +209,7 @@ class Socket:
             raise BlockingIOError(errno.EALREADY, "Operation already in progress")
         if self._timeout == 0.0 and self._connecting == -1:
             raise BlockingIOError(errno.EINPROGRESS, "Operation now in progress")
-        self._wait(lambda: self._connecting != -1, self._timeout)
+        self._wait(_OUT, self._timeout)
         outcome, self._connecting = self._connecting, None
         if outcome:
             raise OSError(outcome, os.strerror(outcome))
@@ -191,16 +229,14 @@ class Socket:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
             timeout = self._timeout
             if timeout is None and self._receive_timeout:
-                self._wait(self._is_readable, self._receive_timeout, BlockingIOError)
+                self._wait(_IN, self._receive_timeout, BlockingIOError)
             else:
-                self._wait(self._is_readable, timeout)
+                self._wait(_IN, timeout)
         if end.received:
             if flags & _socket.MSG_PEEK:
                 return bytes(end.received[:size])
             return end.take(size)
         self._raise_error(end)
-        if self._number < 0 and not self._is_shut_for_reading:
-            raise OSError(errno.EBADF, "Bad file descriptor")
         return b""
 
     def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
@@ -216,7 +252,7 @@ class Socket:
         if end.is_open and not end.is_shut and not end.room:
             if flags & _socket.MSG_DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
-            self._wait(lambda: bool(end.room) or not end.is_open, self._timeout)
+            self._wait(_OUT, self._timeout)
         self._raise_error(end)
         if not end.is_open or end.is_shut:
             raise BrokenPipeError(errno.EPIPE, "Broken pipe")
@@ -287,46 +323,39 @@ class Socket:
 
     def events(self) -> int:
         """What `poll` reports."""
-        end, found = self._end, 0
+        end = self._end
         if self._number < 0:
-            return _select.POLLNVAL
+            return _NVAL
         if self._listener is not None:
-            return _select.POLLIN if self._listener.accepted else 0
+            return _IN if self._listener.accepted else 0
         if end is None:
-            return _select.POLLHUP | _select.POLLOUT
+            return _HUP | _OUT
         if self._connecting == -1:
             return 0
+        found = _IN if end.received else 0
         if end.error:
-            found |= _select.POLLERR | _select.POLLHUP | _select.POLLIN | _select.POLLOUT
+            found |= _ERR | _HUP | _IN | _OUT
         if not end.is_open:
-            found |= _select.POLLHUP | _select.POLLIN | _select.POLLOUT
-        if end.received or end.is_ended or self._is_shut_for_reading:
-            found |= _select.POLLIN
+            found |= _HUP | _IN | _OUT
+        elif 3 * end.room >= end.send_buffer:  # Linux reports room when a third is free
+            found |= _OUT
         if end.is_ended or self._is_shut_for_reading:
-            found |= _select.POLLRDHUP
-        if end.is_open and end.room >= end.send_buffer // 3:  # Linux reports room when a third is free
-            found |= _select.POLLOUT
+            found |= _IN | _select.POLLRDHUP
         return found
 
-    def changed(self) -> None:
-        """Have those who wait look again."""
-        self._sockets.scheduler.wake_all(self._waiters)
-
-    def _is_readable(self) -> bool:
-        return bool(self.events() & (_select.POLLIN | _select.POLLNVAL))
-
-    def _wait(self, is_over: Any, timeout: float | None, late: type[OSError] = TimeoutError) -> None:
-        if is_over():
-            return
-        scheduler = self._scheduler()
-        if timeout == 0.0:
-            raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
-        deadline = scheduler.deadline(timeout)
-        while not is_over():
-            if self._number < 0:
-                raise OSError(errno.EBADF, "Bad file descriptor")
-            if not scheduler.wait(deadline, self._waiters):
-                raise late(errno.EAGAIN, "timed out") if late is BlockingIOError else late("timed out")
+    def _wait(self, mask: int, timeout: float | None, late: type[OSError] = TimeoutError) -> None:
+        """Wait for one of these events, or for the end of the socket."""
+        mask |= _ALWAYS
+        if not self.events() & mask:
+            scheduler = self._scheduler()
+            if timeout == 0.0:
+                raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+            deadline = scheduler.deadline(timeout)
+            while not self.events() & mask:
+                if not self.wait_for(mask, deadline):
+                    raise late(errno.EAGAIN, "timed out") if late is BlockingIOError else late("timed out")
+        if self._number < 0 and not self._is_shut_for_reading:
+            raise OSError(errno.EBADF, "Bad file descriptor")
 
     def _scheduler(self) -> Scheduler:
         scheduler = current()
@@ -372,7 +401,7 @@ class Sockets:
     def __init__(self, scheduler: Scheduler, network: Network) -> None:
         self.scheduler = scheduler
         self.network = network
-        self._open: dict[int, Socket] = {}
+        self._open: dict[int, Pollable] = {}
 
     def computer(self) -> Computer:
         """That of the task that runs."""
@@ -381,25 +410,25 @@ class Sockets:
         assert isinstance(process, Computer)
         return process
 
-    def open(self, socket: Socket) -> int:
+    def open(self, opened: Pollable) -> int:
         number = _FIRST
         while number in self._open:
             number += 1
-        self._open[number] = socket
+        self._open[number] = opened
         return number
 
     def forget(self, number: int) -> None:
         self._open.pop(number, None)
 
-    def find(self, which: Any) -> Socket | Selector | None:
-        """The socket with a descriptor, or None if that is none of the simulation."""
+    def find(self, which: Any) -> Pollable | None:
+        """What has this descriptor, or None if that is none of the simulation."""
         number = which if isinstance(which, int) else which.fileno()
         return self._open.get(number)
 
     @property
     def count(self) -> int:
         """How many are open."""
-        return len(self._open)
+        return sum(isinstance(each, Socket) for each in self._open.values())
 
     def pair(self) -> tuple[Socket, Socket]:
         """`socket.socketpair`."""
@@ -440,28 +469,25 @@ class Sockets:
         scheduler = self.scheduler
         scheduler.step()
         deadline = scheduler.deadline(timeout)
+        task = scheduler.running
+        assert task is not None
         while True:
             found = {}
             watched = []
             for number, mask in wanted.items():
-                socket = self._open.get(number)
-                events = _select.POLLNVAL if socket is None else socket.events()
-                if hit := events & (mask | _select.POLLERR | _select.POLLHUP | _select.POLLNVAL):
+                each = self._open.get(number)
+                if hit := (_NVAL if each is None else each.events()) & (mask | _ALWAYS):
                     found[number] = hit
-                elif socket is not None:
-                    watched.append(socket)
-            if found or timeout == 0 or (timeout is not None and timeout < 0):
+                elif each is not None:
+                    watched.append((each, (task, mask | _ALWAYS)))
+            if found or (timeout is not None and timeout <= 0):
                 return found
-            task = scheduler.running
-            assert task is not None
-            for socket in watched:
-                socket._waiters.append(task)
-            in_time = scheduler.wait(deadline)
-            for socket in watched:
-                if task in socket._waiters:
-                    socket._waiters.remove(task)
-            if not in_time:
+            for each, waiter in watched:
+                each._waiters.append(waiter)
+            if not scheduler.wait(deadline):
                 timeout = 0
+            for each, waiter in watched:
+                each._waiters.remove(waiter)
 
 
 class Poll:
@@ -484,26 +510,81 @@ class Poll:
         return list(self._sockets.wait(self._wanted, seconds).items())
 
 
-class Selector(selectors._BaseSelectorImpl):
-    """`selectors.DefaultSelector`, with deadlines as fine as the clock."""
+class Selector(Pollable, selectors._BaseSelectorImpl):
+    """`selectors.DefaultSelector`, with deadlines as fine as the clock.
+
+    Like epoll, it has a descriptor, looks only at what has changed since there was nothing to report of it, and reports
+    nothing of what is closed.
+    """
 
     def __init__(self, sockets: Sockets) -> None:
-        super().__init__()
-        self._sockets = sockets
+        selectors._BaseSelectorImpl.__init__(self)
+        Pollable.__init__(self, sockets)
+        # Descriptor and events of each that is registered, and those to look at, in the order in which they changed.
+        self._watched: dict[Pollable, tuple[int, int]] = {}
+        self._changed: dict[Pollable, None] = {}
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        key = super().register(fileobj, events, data)
+        found = self._sockets.find(key.fd)
+        if found is None:
+            super().unregister(fileobj)
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        mask = (_IN if events & selectors.EVENT_READ else 0) | (_OUT if events & selectors.EVENT_WRITE else 0)
+        self._watched[found] = key.fd, mask | _ALWAYS
+        found.selectors.append(self)
+        self.look_at(found)
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        key = super().unregister(fileobj)
+        found = next(each for each, (number, _) in self._watched.items() if number == key.fd)
+        found.selectors.remove(self)
+        self._changed.pop(found, None)
+        del self._watched[found]
+        return key
+
+    def close(self) -> None:
+        for found in self._watched:
+            found.selectors.remove(self)
+        self._watched.clear()
+        self._changed.clear()
+        super().close()
+        self._sockets.forget(self._number)
+
+    def look_at(self, found: Pollable) -> None:
+        """Something that is registered has changed."""
+        self._changed[found] = None
+        if self._waiters:
+            self.changed()
+
+    def events(self) -> int:
+        return _IN if self._ready() else 0
+
+    def _ready(self) -> list[tuple[int, int]]:
+        """(descriptor, events) of what can be reported."""
+        ready = []
+        for found in list(self._changed):
+            number, mask = self._watched[found]
+            hit = found.events() & mask
+            if hit and hit != _NVAL:
+                ready.append((number, hit))
+            else:
+                del self._changed[found]
+        return ready
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        wanted = {
-            number: (_select.POLLIN if key.events & selectors.EVENT_READ else 0)
-            | (_select.POLLOUT if key.events & selectors.EVENT_WRITE else 0)
-            for number, key in self._fd_to_key.items()  # type: ignore[attr-defined]
-        }
+        scheduler = self._sockets.scheduler
+        scheduler.step()
+        deadline = scheduler.deadline(timeout)
+        while not (found := self._ready()) and (timeout is None or timeout > 0):
+            if not self.wait_for(_IN, deadline):
+                timeout = 0
         ready = []
-        for number, events in self._sockets.wait(wanted, timeout).items():
+        for number, events in found:
             key = self._fd_to_key[number]  # type: ignore[attr-defined]
-            mask = 0
-            if events & ~_select.POLLOUT:
-                mask |= selectors.EVENT_READ
-            if events & ~_select.POLLIN:
+            mask = selectors.EVENT_READ if events & ~_OUT else 0
+            if events & ~_IN:
                 mask |= selectors.EVENT_WRITE
             if mask & key.events:
                 ready.append((key, mask & key.events))

@@ -262,6 +262,40 @@ def test_poll_select_and_selectors(sim: Simulation, robot: Computer) -> None:
             assert sim.now - begun == pytest.approx(0.5, abs=1e-3)
 
 
+def test_a_selector_reports_what_is_there_until_it_is_taken(sim: Simulation, robot: Computer) -> None:
+    with contextlib.ExitStack() as links, selectors.DefaultSelector() as selector:
+        pairs = [socket.socketpair() for _ in range(3)]
+        for number, (here, there) in enumerate(pairs):
+            links.enter_context(here)
+            links.enter_context(there)
+            selector.register(here, selectors.EVENT_READ, number)
+
+        def ready(timeout: float = 0.1) -> list[int]:
+            return [key.data for key, _ in selector.select(timeout)]
+
+        assert ready() == []
+        pairs[1][1].send(b"ab")
+        pairs[0][1].send(b"c")
+        time.sleep(0.01)
+        assert sorted(ready()) == sorted(ready()) == [0, 1]
+        assert select.select([selector.fileno()], [], [], 1.0)[0] == [selector.fileno()]  # type: ignore[attr-defined]
+        pairs[0][0].recv(1)
+        pairs[1][0].recv(1)
+        assert ready() == [1]
+        selector.modify(pairs[2][0], selectors.EVENT_WRITE, 2)
+        assert sorted(ready()) == [1, 2]
+        selector.modify(pairs[2][0], selectors.EVENT_READ, 2)
+        # What is closed is reported no more, as by epoll, and can still be taken out.
+        pairs[1][0].close()
+        assert ready() == []
+        selector.unregister(pairs[1][0])
+        pairs[2][1].close()
+        assert ready() == [2]
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            selector.register(9999, selectors.EVENT_READ)
+    assert sim.open_sockets == 0
+
+
 def test_streams_of_asyncio(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
 

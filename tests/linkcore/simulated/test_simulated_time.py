@@ -194,6 +194,33 @@ def slow(seconds: int) -> int:
     return seconds
 
 
+def test_a_lock_goes_to_one_who_still_waits() -> None:
+    """Also where another one's time-out is over at the moment of its release, and its thread has not run since."""
+
+    def hold(lock: threading.Lock) -> None:
+        with lock:
+            time.sleep(1.0)
+
+    for seed in range(30):
+        with simulated_time(seed):
+            lock = threading.Lock()
+            holder = threading.Thread(target=hold, args=(lock,))
+            holder.start()
+            time.sleep(0.5)
+            late = threading.Thread(target=lock.acquire, kwargs={"timeout": 0.5})
+            patient = threading.Thread(target=hold, args=(lock,))
+            late.start()
+            patient.start()
+            time.sleep(0.4)
+            until = time.monotonic() + 0.2
+            while time.monotonic() < until:  # passes no lock, so both deadlines are over when another thread runs
+                pass
+            holder.join()
+            late.join()
+            if not lock.locked():
+                patient.join()  # a deadlock, if it was not woken
+
+
 def test_a_pool_of_threads() -> None:
     with simulated_time() as sim, ThreadPoolExecutor(2) as pool:
         futures = [pool.submit(slow, each) for each in (3, 1, 2)]
