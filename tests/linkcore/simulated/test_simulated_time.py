@@ -211,8 +211,8 @@ def test_a_lock_goes_to_one_who_still_waits() -> None:
             patient = threading.Thread(target=hold, args=(lock,))
             late.start()
             patient.start()
-            time.sleep(0.4)
-            until = time.monotonic() + 0.2
+            time.sleep(0.4999)
+            until = time.monotonic() + 0.0002
             while time.monotonic() < until:  # passes no lock, so both deadlines are over when another thread runs
                 pass
             holder.join()

@@ -14,6 +14,7 @@ from urlink.kinematics import Arm
 from urlink.models import MODELS
 from urlink.simulator import Controller
 from urlink.simulator.robot import arm as simulated
+from urlink.simulator.robot.sensors import Sample, Sensors
 from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
 
 ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
@@ -305,3 +306,28 @@ def test_signals_are_checked() -> None:
         signals.set_analog_input(4, 1.0)
     with pytest.raises(BadValue, match="0 and 1"):
         signals.set_analog_output(0, math.inf)
+
+
+def test_sensors_of_an_arm_that_stands_follow_what_changes() -> None:
+    """What was computed in the cycle before is used again only where it is still right."""
+    kinematics = Arm("UR5e")
+    sensors = Sensors(kinematics, HOME, seed=3)
+    at, elsewhere = Setpoint(list(HOME), [0.0] * 6, [0.0] * 6), Setpoint([q + 0.1 for q in HOME], [0.0] * 6, [0.0] * 6)
+    flange, tool, cog, pushed = [0.0] * 6, [0.0, 0.01, 0.2, 0.3, 0.0, 0.1], (0.0, 0.0, 0.05), (1.0, 2.0, 3.0, 0, 0, 0)
+    for setpoint, tcp, payload, external in (
+        (at, flange, 0.0, [0.0] * 6),
+        (at, flange, 0.0, [0.0] * 6),
+        (at, tool, 0.0, [0.0] * 6),
+        (at, tool, 1.5, [0.0] * 6),
+        (at, tool, 1.5, pushed),
+        (elsewhere, tool, 1.5, pushed),
+        (elsewhere._replace(qdd=[1.0] * 6), tool, 1.5, pushed),
+        (elsewhere._replace(qd=[0.1] * 6), tool, 1.5, pushed),
+        (at, flange, 0.0, [0.0] * 6),
+    ):
+        used, new = (
+            each.sample(setpoint, tcp, payload, cog, external, external, 7, 1.0, True)
+            for each in (sensors, Sensors(kinematics, HOME, seed=3))
+        )
+        for name in Sample.__slots__:
+            assert getattr(used, name) == getattr(new, name), name
