@@ -278,7 +278,7 @@ def test_a_selector_reports_what_is_there_until_it_is_taken(sim: Simulation, rob
         pairs[0][1].send(b"c")
         time.sleep(0.01)
         assert sorted(ready()) == sorted(ready()) == [0, 1]
-        assert select.select([selector.fileno()], [], [], 1.0)[0] == [selector.fileno()]  # type: ignore[attr-defined]
+        assert select.select([selector.fileno()], [], [], 1.0)[0] == [selector.fileno()]
         pairs[0][0].recv(1)
         pairs[1][0].recv(1)
         assert ready() == [1]
