@@ -1,0 +1,33 @@
+"""What the processes of one run share of the collection, and what it leaves out, loses nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.collecting import in_turn
+
+pytest_plugins = ["pytester"]
+
+MODULE = '''
+def one():
+    """
+    {prompt} 1
+    2
+    """
+'''
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_each_process_imports_all_modules_and_begins_with_a_share_of_its_own(count: int) -> None:
+    modules = [f"module{number}" for number in range(11)]
+    orders = [in_turn(modules, number, count) for number in range(count)]
+    assert all(sorted(order) == sorted(modules) for order in orders)
+    starts = [*(modules.index(order[0]) for order in orders), len(modules)]
+    shares = [order[: starts[number + 1] - starts[number]] for number, order in enumerate(orders)]
+    assert [module for share in shares for module in share] == modules
+
+
+@pytest.mark.parametrize(("prompt", "failed"), [(">>>", 1), ("...", 0)])
+def test_a_module_with_an_example_is_searched(pytester: pytest.Pytester, prompt: str, failed: int) -> None:
+    pytester.makepyfile(module=MODULE.format(prompt=prompt))
+    pytester.runpytest_inprocess("-p", "tests.collecting", "--doctest-modules").assert_outcomes(failed=failed)
