@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from linkcore.handle import Event, Handle, Lifecycle, Phase
+from linkcore.pending_call import current_call
 from linkcore.simulated import Computer, Simulation
 from linkcore.simulated.scheduler import current
 from linkcore.streaming.connection import Connection
@@ -32,7 +33,7 @@ from urlink.simulator.programs.program_world import ProgramWorld
 from urlink.urscript import wrapping
 from urlink.urscript.wrapping import Wrapped
 
-__all__ = ["ADMITS", "BRAKING", "Observed", "Sent", "replaced"]
+__all__ = ["ADMITS", "BRAKING", "Observed", "Sent", "here", "replaced"]
 
 #: An error that admits that the arm may go on.
 ADMITS = re.compile(r"may still|may go on|to the end of")
@@ -40,6 +41,8 @@ ADMITS = re.compile(r"may still|may go on|to the end of")
 BRAKING = 1.0
 #: s on the controller's clock after which an arm gets no faster: by then a watchdog of `asked` is over too.
 _OBEYING = 0.5
+#: s for which a speed may go on whose client is gone.
+_SPEED = 0.5
 #: s: how much longer than its timeout a wait may take.
 _LATE = 1.5
 #: s: the interlock permits nothing on states that are older.
@@ -156,6 +159,7 @@ class Observed:
         self._known: dict[Computer, _Known] = {}
         self._held: dict[Computer, float] = {}
         self._since: dict[Computer, float] = {}
+        self._dead: set[Computer] = set()
         #: of the controller: cycles since it is up in which a stop held
         self.stops: dict[int, bool] = {}
         #: (from, to) of each stop; s
@@ -182,6 +186,8 @@ class Observed:
             (Connection, "_disconnected", self._disconnected),
             (Computer, "suspend", self._suspend),
             (Computer, "resume", self._resume),
+            (Computer, "kill", self._die),
+            (Computer, "power_off", self._die),
             (ProgramWorld, "text_message", self._message),
             (Pendant, "play", self._play),
             (runner, "start", self._begun),
@@ -213,6 +219,8 @@ class Observed:
             was_begun, whole = text.is_begun, bytes(text.rest).decode()
             is_permission = whole.startswith("sec urlink_permission")
             refusal = None if was_begun else self._refusal()
+            call = current_call()
+            is_given_up = call is not None and call.is_given_up
             permitted = [sent for sent in self._of(here()) if is_permission and sent.grant == whole]
             is_wanted = not permitted or any(not sent.life.is_over for sent in permitted)
             send(channel, text, decide)
@@ -220,6 +228,8 @@ class Observed:
                 return
             if refusal is not None and (is_permission or whole.startswith("def ")):
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")
+            if is_given_up:
+                self._fault(f"{here().name} sent {whole.splitlines()[0]} for a task that had given it up")
             if not is_wanted:
                 self._fault(f"{here().name} permitted {permitted[-1].wrapped.name}, whose handle was over")
 
@@ -323,6 +333,13 @@ class Observed:
 
         return wrapped
 
+    def _die(self, die: Callable[..., None]) -> Callable[..., None]:
+        def wrapped(computer: Computer) -> None:
+            self._dead.add(computer)
+            die(computer)
+
+        return wrapped
+
     def _held_of(self, computer: Computer) -> float:
         since = self._since.get(computer)
         return self._held.get(computer, 0.0) + (0.0 if since is None else self._sim.now - since)
@@ -410,8 +427,8 @@ class Observed:
     def count_rests(self) -> None:
         """Count the cycles for which programs may go on whose handles are over."""
         for sent in self.programs.values():
-            is_known = sent.ended is not None and sent.over is None and not self.is_held(sent.computer)
-            if is_known and self.has_arrived(sent.computer):
+            is_ending = sent.ended is not None and not self.is_held(sent.computer)
+            if sent.over is None and (sent.computer in self._dead or (is_ending and self.has_arrived(sent.computer))):
                 sent.rests += 1
 
     def why_not(self, sent: Sent, is_faster: bool) -> str | None:
@@ -420,8 +437,9 @@ class Observed:
         Args:
             is_faster: it does not only brake.
         """
-        braking = (_OBEYING if is_faster else BRAKING) * self._controller.firmware.rate
-        now, is_gone = self._sim.now, not sent.computer.is_running
+        rate = self._controller.firmware.rate
+        braking = (_OBEYING if is_faster else BRAKING) * rate
+        now, is_dead = self._sim.now, sent.computer in self._dead
         waits = sent.wrapped.permission is not None and sent.granted is None
         if waits and sent.begun is not None and (is_faster or now > sent.begun + BRAKING):
             return "which has no permission of its own client"
@@ -429,6 +447,9 @@ class Observed:
             begun, over = self.stopped[-1]
             if sent.asked < over:
                 return f"which was asked for at {sent.asked:.3f} s, before the stop at {begun:.3f} s was over"
+        if is_dead and (sent.is_linked or sent.life.name.startswith("speed")) and sent.rests > braking + _SPEED * rate:
+            return "whose client is gone"
+        is_gone = is_dead or not sent.computer.is_running
         if sent.ended is None or sent.is_stop or is_gone or sent.is_admitted or sent.rests <= braking:
             return None
         if not sent.is_linked and self.lost_since(sent.computer, sent.ended - 1.0):
@@ -437,11 +458,12 @@ class Observed:
 
     # -- at the end --------------------------------------------------------------------------------------
 
-    def check_ends(self, is_quiet: bool) -> None:
+    def check_ends(self, is_quiet: bool, has_others: bool) -> None:
         """Each end of a handle agrees with what the controller did.
 
         Args:
             is_quiet: nothing has happened beside the clients.
+            has_others: there is more than one client.
         """
         for name, sent in self.programs.items():
             phase, error = sent.life.phase, sent.error
@@ -449,5 +471,6 @@ class Observed:
                 self._fault(f"{name} is {phase.value} after the end of its client")
             if phase is Phase.DONE and not (sent.is_finished or sent.is_linked or sent.wrapped.is_secondary):
                 self._fault(f"{name} is done, and the controller has not come to its end")
-            if is_quiet and error is not None and type(error).__name__ in ("NotRunning", "SafetyStop", "NotEnabled"):
+            wrong = ("NotRunning", "SafetyStop") if has_others else ("NotRunning", "SafetyStop", "InputInUse")
+            if is_quiet and error is not None and type(error).__name__ in wrong:
                 self._fault(f"{name}: {type(error).__name__} in a world in which nothing happens: {error}")

@@ -76,7 +76,7 @@ class Run:
         ]
         if left and not self.gone:
             self.watch.fault(f"threads are left: {left}")
-        self.watch.observed.check_ends(is_quiet=not self.world.events)
+        self.watch.observed.check_ends(not self.world.events, len(self.world.clients) > 1)
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
 
@@ -215,7 +215,7 @@ def run(world: World) -> Outcome:
     with simulated_time(world.seed, latency=world.latency, jitter=world.jitter, limit=LIMIT) as sim:
         try:
             whole = Run(world, sim, outcome)
-            with whole.watch.observed.watching():
+            with whole.watch.watching():
                 whole.everything()
         except (Deadlock, TimeLimit) as error:
             outcome.faults.append(f"{type(error).__name__}: {error}")

@@ -7,7 +7,9 @@ the arm may still move, it may, until the program on the controller is over.
 
 from __future__ import annotations
 
+import contextlib
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +17,8 @@ import numpy as np
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
 
-from .observed import ADMITS, BRAKING, Observed
+from .counted import Counted
+from .observed import ADMITS, BRAKING, Observed, here
 
 __all__ = ["BRAKING", "Outcome", "Watch"]
 
@@ -55,6 +58,7 @@ class Watch:
         self._controller = controller
         self._outcome = outcome
         self.observed = Observed(sim, controller, self._once)
+        self._counted = Counted(controller.firmware.rate, self._once)
         #: the clients that want the arm to move, and until when it may although none does
         self.wanting: set[int] = set()
         self._until = 0.0
@@ -72,6 +76,12 @@ class Watch:
             self._look()
 
         controller._control.advance = observed  # type: ignore[method-assign]
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[None]:
+        """Observe what the library does, too, for as long as the block lasts."""
+        with self.observed.watching(), self._counted.watching():
+            yield
 
     def note(self, text: str) -> None:
         self._outcome.log.append(f"{self._sim.now:10.6f} {text}")
@@ -129,6 +139,9 @@ class Watch:
         controller, observed = self._controller, self.observed
         if controller.time < self._time:  # it was booted
             observed.stops.clear()
+            closed = set(controller.ports.values()) - here().listeners.keys()
+            if controller.is_up and closed:
+                self._once(f"the controller is up after a boot, and its ports are closed: {sorted(closed)}")
         self._time = controller.time
         if controller.stopped_since is None:
             observed.stop_holds = False
