@@ -19,6 +19,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import interrupted, until
 
 OVER = (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
@@ -178,6 +179,7 @@ def test_waiting_where_one_would_wait_for_oneself(callbacks: CallbackThread) -> 
     Handle(life).wait(10)  # there is nothing to wait for
 
 
+@pytest.mark.real_time
 def test_an_interrupted_wait_cancels(life: Lifecycle) -> None:
     brakes: list[None] = []
     life.brake = lambda: brakes.append(None)
@@ -224,6 +226,7 @@ class InterruptedTwice(Handle):
         return self._trace
 
 
+@pytest.mark.real_time
 def test_a_second_interrupt_does_not_keep_it_from_braking(callbacks: CallbackThread) -> None:
     tracing = sys.gettrace()
     for number in range(1, 100):

@@ -12,6 +12,7 @@ import pytest
 
 from linkcore.errors import Closed, ConnectFailed, LinkTimeout
 from linkcore.net.recall import Recall, TakeBack
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 
 TIMEOUT = 10.0

@@ -140,6 +140,7 @@ stream.close()
 """
 
 
+@pytest.mark.real_time
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 def test_a_forked_child_that_closes_the_stream_harms_nobody() -> None:

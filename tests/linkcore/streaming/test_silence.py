@@ -211,6 +211,7 @@ stream.close()
 """
 
 
+@pytest.mark.real_time
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="has no usleep to hold the interpreter's lock with")
 def test_a_stall_of_ones_own_is_no_silence() -> None:

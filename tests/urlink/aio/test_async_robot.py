@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import urlink
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import Closed, ConnectFailed, LocalError, SafetyMode, SafetyStop
 from urlink.simulator import Controller
@@ -20,7 +21,7 @@ from urlink.simulator import Controller
 SOON = 30.0
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "5.11") as controller:
         yield controller

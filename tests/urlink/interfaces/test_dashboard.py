@@ -26,6 +26,7 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.urlink.interfaces.dashboard_desk import FIRMWARES, TIMEOUT, Desk, StandIn
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused

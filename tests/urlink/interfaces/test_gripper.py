@@ -14,6 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.interfaces.gripper.client import Gripper, GripperFault, ObjectStatus
 from urlink.interfaces.gripper.protocol import (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError, PacketError
 from linkcore.net.http_client import HttpClient
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
@@ -32,7 +34,7 @@ FILES = {"pick": "while True:\n  sync()\nend\n"}
 X14, X12, X11, X7 = Firmware(10, 14), Firmware(10, 12), Firmware(10, 11), Firmware(10, 7)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "10.12", motion=Still(), files=FILES) as controller:
         yield controller
@@ -116,6 +118,7 @@ def urpx(name: Any) -> bytes:
 
 
 def test_programs_are_listed_stored_and_fetched(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
+    time.sleep(0.1)  # what is stored as the controller starts is stored at 0
     desk, file = robot.dashboard, tmp_path / "any.urpx"
     file.write_bytes(urpx("pl ace"))
     assert desk.upload_program(file) == "pl ace"
