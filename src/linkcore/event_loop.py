@@ -44,7 +44,10 @@ async def finished(ending: asyncio.Future[T]) -> T:
     except asyncio.CancelledError:
         await asyncio.wait({ending})
         raise
-    return ending.result()
+    try:
+        return ending.result()
+    finally:
+        del ending  # an error refers to this frame, and the future to the error
 
 
 def happened(future: asyncio.Future[None]) -> None:

@@ -64,6 +64,8 @@ class Workers:
         except asyncio.CancelledError:
             self.give_up(pending, making, undo)
             raise
+        finally:
+            del making  # an error refers to this frame, and the future to the error
 
     def give_up(self, pending: PendingCall, making: Future[T], undo: Callable[[T], object]) -> None:
         """Give up a call that was submitted: see `make`. Returns at once; idempotent."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
 from linkcore.aio.workers import Workers
-from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, unraised
 from linkcore.event_loop import finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.recording.recorder import Recorder
@@ -315,11 +315,13 @@ async def _identified(place: RobotAddress, wanted: threaded.Wanted) -> Identity:
     try:
         return await _identify(place.host, place.ports["primary" + suffix], wanted.timeout)
     except ConnectFailed as error:
-        first = error
+        first = unraised(error)
     try:
         return await _identify(place.host, place.ports["secondary" + suffix], wanted.timeout)
     except ConnectFailed:
         raise first from None
+    finally:
+        del first  # it refers to this frame
 
 
 async def _identify(host: str, port: int, timeout: float) -> Identity:

@@ -63,16 +63,22 @@ class Call(Generic[T]):
         except asyncio.CancelledError:
             self.cancel()
             raise
+        finally:
+            del self  # an error refers to this frame, and the future of the call to the error
 
     async def _ended(self) -> T:
+        value: Any = None
         try:
             value = await asyncio.shield(self._begun)
             if isinstance(value, Handle):
                 await asyncio.wrap_future(value._life.future)  # and not `value`, which would brake in this thread
+            result: T = value
+            return result
         except asyncio.CancelledError:
             self.cancel()
             raise
-        return value
+        finally:
+            del self, value  # as in `begun`
 
     def __await__(self) -> Generator[Any, None, T]:
         return self._ended().__await__()

@@ -40,9 +40,14 @@ class RealtimeProtocol:
         self.framer = Framer(RealtimeBoundary(learn))
         self.cycles: MissedCycles | None = None  # known with the size
         self.unknown = 0
-        self.tails = 0
         self._size: int | None = None
-        self.decode = self._decode_any
+        self._any = _AnyLayout()
+        self.decode = self._any.decode
+
+    @property
+    def tails(self) -> int:
+        """Packets that end in bytes which no known layout explains."""
+        return self._any.tails
 
     def _learn(self, size: int) -> None:
         """The frame boundary has learnt the size of this connection's packets, and the size tells the layout."""
@@ -52,14 +57,26 @@ class RealtimeProtocol:
             _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
         elif self._size is None:
             self._size = size
-            self.decode = RealtimeState.LAYOUTS.decoder(size) or self._decode_any
+            self.decode = RealtimeState.LAYOUTS.decoder(size) or self._any.decode
             return
         # An unknown size, or another than before: packets of both may wait to be decoded.
         self._size = 0
-        self.decode = self._decode_any
+        self.decode = self._any.decode
 
-    def _decode_any(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
-        """The state in a packet that goes by its own length, and may have a tail."""
+
+class _AnyLayout:
+    """Packets that go by their own length, and may have a tail. Not a method of the protocol, which would be in a
+    reference cycle with it for as long as no packet has come.
+
+    Attributes:
+        tails: packets that have one.
+    """
+
+    def __init__(self) -> None:
+        self.tails = 0
+
+    def decode(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
+        """The state in a packet."""
         state: RealtimeState = RealtimeState.LAYOUTS.decode(frame, None, stamp)
         self.tails += bool(state.tail)
         return state
