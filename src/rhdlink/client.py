@@ -365,6 +365,7 @@ class Variables(Declarations):
         callback: Callable[[Update], object],
         *names: str,
         policy: Policy | None = None,
+        lifespan: float | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
     ) -> Subscription:
@@ -374,6 +375,8 @@ class Variables(Declarations):
             callback: may be slow and may raise; neither harms anybody else.
             names: the variables it is for; all if none is named.
             policy: what to do when it falls behind; by default `drop_oldest(256)`.
+            lifespan: seconds after its arrival for which an update is worth having; None for ever. One that is older
+                when its turn comes is dropped, and counted in `stats.expired`.
             deadline: seconds within which something new has to come.
             on_deadline: called with the seconds since then, once for each silence that lasts longer.
 
@@ -391,6 +394,7 @@ class Variables(Declarations):
             callback,
             frozenset(names) or None,
             drop_oldest(256) if policy is None else policy,
+            lifespan,
             deadline,
             on_deadline,
             owner=self,

@@ -11,7 +11,7 @@ from linkcore.arguments import check_callable, check_seconds
 from linkcore.errors import BadValue, Closed
 from linkcore.stamp import Stamp
 from linkcore.streaming.packet_queue import PacketQueue
-from linkcore.streaming.policy import Policy, check_policy
+from linkcore.streaming.policy import Policy, check_lifespan, check_policy
 from linkcore.streaming.subscription import Delivery, Subscription, ThreadedDelivery
 
 from .variables.snapshot import Change, Update
@@ -51,6 +51,7 @@ class Subscribers:
         callback: Callable[[Any], object],
         names: frozenset[str] | None,
         policy: Policy,
+        lifespan: float | None = None,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
         *,
@@ -65,7 +66,7 @@ class Subscribers:
             BadValue: arguments that cannot be.
         """
         _check(callback, policy, deadline, on_deadline)
-        queue = PacketQueue(policy)
+        queue = PacketQueue(policy, check_lifespan(lifespan))
 
         def detach(delivery: Delivery) -> None:
             with self._lock:

@@ -671,6 +671,7 @@ def test_names_that_are_almost_right() -> None:
     [
         ((3,), {}, "callback=3; expected a function"),
         ((print,), {"policy": "latest"}, "policy"),
+        ((print,), {"lifespan": 0}, "lifespan=0; expected a positive number of seconds"),
         ((print,), {"deadline": -1}, "deadline=-1; expected a positive number of seconds"),
         ((print,), {"deadline": 1, "on_deadline": 3}, "on_deadline=3; expected a function"),
         ((print,), {"on_deadline": print}, "on_deadline was given without a deadline"),
@@ -976,6 +977,31 @@ def test_several_threads_may_sync_and_each_update_is_told_once_and_in_order(monk
             thread.join(30)
         until(lambda: len(ticks) >= 90)
     assert ticks == list(range(1, 91))
+
+
+def test_an_update_that_is_older_than_its_lifespan_is_dropped_and_counted() -> None:
+    is_in, go_on = threading.Event(), threading.Event()
+    ticks: list[int] = []
+
+    def slow(update: rhdlink.Update) -> None:
+        ticks.append(update["tick"])
+        is_in.set()
+        assert go_on.wait(10)
+
+    with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address) as robot:
+        updates = robot.subscribe(slow, "tick", lifespan=0.05)
+        robot.sync()
+        assert is_in.wait(10)
+        robot.sync()
+        old = robot.received.monotonic
+        until(lambda: time.monotonic() > old + 0.1)
+        go_on.set()
+        until(lambda: updates.stats.expired == 1)
+        robot.sync()
+        until(lambda: len(ticks) == 2)
+    assert ticks == [1, 3]
+    stats = updates.stats
+    assert (stats.delivered, stats.dropped, stats.expired) == (2, 1, 1)
 
 
 def test_a_missed_deadline_is_told() -> None:

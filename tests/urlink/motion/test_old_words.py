@@ -22,6 +22,7 @@ from urlink.simulator import Controller, Still
 from urlink.urscript.jogging import jogging
 from urlink.urscript.links import STARVED, ReverseSocket
 from urlink.urscript.streaming import streaming
+from urlink.urscript.yielding import force_mode, freedrive
 
 STILL = [0.0] * 6
 LINK = ReverseSocket("10.0.0.1", 50001, 7)
@@ -85,6 +86,55 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
     assert STARVED in bench.said
     # As long at the last speed as at the old ones, and a tenth of a second for changes of speed.
     assert 0.0 < bench.q_actual[5] - before < 3.0 * WATCHDOG * SPEED
+
+
+class Yielding(Bench):
+    """Notes in which mode the arm yields, which takes no arm."""
+
+    modes: tuple[str, ...] = ()
+    pose_target = (0.0,) * 6
+
+    def force_mode(self, task: object) -> None:
+        self.modes = (*self.modes, "force_mode")
+
+    def freedrive(self, axes: object, frame: object) -> None:
+        self.modes = (*self.modes, "freedrive")
+
+    def end_yielding(self) -> None:
+        self.modes = (*self.modes, "end")
+
+    def set_force_damping(self, damping: float) -> None:
+        pass
+
+    set_force_gain = set_force_damping
+
+
+@pytest.mark.parametrize("version", ["3.15", "5.11", "10.12"])
+@pytest.mark.parametrize("kind", ["force_mode", "freedrive"])
+def test_a_mode_with_old_words_ends_as_one_without(version: str, kind: str) -> None:
+    firmware = Firmware.parse(version)
+    if kind == "force_mode":
+        frame, axes, limits = STILL, [False, False, True, False, False, False], [0.1] * 6
+        how: dict[str, Any] = {"kind": 2, "damping": None, "gain": None, "watchdog": WATCHDOG}
+        body = force_mode(firmware, LINK, frame, axes, limits, **how)
+    else:
+        body = freedrive(firmware, LINK, None, STILL, watchdog=WATCHDOG)
+    bench = Yielding(body, firmware)
+    word = setpoint([0.0, 0.0, -10.0, 0.0, 0.0, 0.0], STILL)
+    bench.run(5, lambda: bench.say(WAIT_WORD))
+    bench.run(firmware.rate, lambda: bench.say(word))
+    assert bench.modes == (kind,)
+    last = bench.cycle  # of the last state before the controller hung
+
+    def feed() -> None:
+        bench.sockets.waiting += dated(word, last)
+
+    # For the watchdog's time they might be late by jitter; after as long again the mode ends.
+    bench.run(round(1.8 * WATCHDOG * firmware.rate), feed)
+    assert bench.modes == (kind,)
+    bench.run(round(0.4 * WATCHDOG * firmware.rate), feed)
+    assert bench.modes == (kind, "end")
+    assert STARVED in bench.said
 
 
 # -- both ends, in simulated time -----------------------------------------------------------------------------------

@@ -36,18 +36,24 @@ class Bench:
         return list(arm.kinematics.forward(arm.setpoint.q, arm.tcp).tolist())
 
     @property
+    def date(self) -> int:
+        """Of a word of this cycle."""
+        return round(self.controller.time * self.firmware.rate)
+
+    @property
     def is_running(self) -> bool:
         return self.controller.program_name is not None
 
     def take(self, body: Sequence[str]) -> None:
         self.controller.take(program("tried", body, None).text)
 
-    def tell(self, values: Sequence[float], seconds: float, mode: int = FOLLOW) -> None:
+    def tell(self, values: Sequence[float], seconds: float, mode: int = FOLLOW, *, date: int | None = None) -> None:
+        """A new word in each cycle, with the date of that cycle or an older one."""
         inputs = self.controller.registers.inputs
         inputs.integers[LINK.proof] = LINK.token
         for _ in range(max(round(seconds * self.firmware.rate), 1)):
             self._count += 1
-            inputs.integers[LINK.date] = round(self.controller.time * self.firmware.rate)
+            inputs.integers[LINK.date] = self.date if date is None else date
             inputs.integers[LINK.word], inputs.integers[LINK.mode] = self._count, mode
             for i, value in enumerate(values):
                 inputs.floats[LINK.first_float + i] = value
@@ -122,6 +128,30 @@ def test_freedrive_lasts_as_long_as_words_come(firmware: str) -> None:
     assert bench.pose[2] - bench.start[2] > 0.005
     bench.silent(0.4)
     assert not bench.is_running
+    at = bench.pose
+    bench.silent(0.2)
+    assert bench.pose == at
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("kind", ["force_mode", "freedrive"])
+def test_words_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmware: str, kind: str) -> None:
+    """Such as those that waited while the controller hung: the mode ends as if none had come."""
+    if kind == "force_mode":
+        bench = pressing(firmware)
+        wrench = [0, 0, -10.0, 0, 0, 0]
+    else:
+        bench, wrench = Bench(firmware), [0.0] * 6
+        bench.take(yielding.freedrive(bench.firmware, LINK, None, [0.0] * 6, watchdog=0.2))
+    bench.tell(wrench, 0.5)
+    assert bench.is_running
+    # They may be as late as the watchdog's time, by jitter, and after as long again it ends.
+    first = bench.date
+    bench.tell(wrench, 0.35, date=first)
+    assert bench.is_running
+    bench.tell(wrench, 0.25, date=first)
+    assert not bench.is_running
+    bench.controller.push([0, 0, 30.0, 0, 0, 0])
     at = bench.pose
     bench.silent(0.2)
     assert bench.pose == at
