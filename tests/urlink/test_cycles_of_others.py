@@ -162,24 +162,31 @@ def near(control: Control) -> list[float]:
     return pose
 
 
-def last(*results: object) -> None:
-    """Calls one after the other, as a lambda can."""
+def both(first: Callable[[], object], then: Callable[[], object]) -> None:
+    first()
+    then()
 
 
 CONTROL: dict[str, Callable[[Control], object]] = {
     "moveJ": lambda control: control.moveJ(NEAR.tolist() if next(_dials) else HOME.tolist(), 3.0, 10.0),
-    "moveJ, asynchronous": lambda control: last(control.moveJ(HOME.tolist(), 1.0, 1.0, True), control.stopJ(10.0)),
+    "moveJ, asynchronous": lambda control: both(
+        lambda: control.moveJ(HOME.tolist(), 1.0, 1.0, True), lambda: control.stopJ(10.0)
+    ),
     "moveJ_IK": lambda control: control.moveJ_IK(near(control), 3.0, 10.0),
     "moveL": lambda control: control.moveL(near(control), 1.0, 5.0),
     "moveL_FK": lambda control: control.moveL_FK(HOME.tolist(), 1.0, 5.0),
     "stopL": lambda control: control.stopL(),
-    "servoJ": lambda control: last(control.servoJ(HOME.tolist(), 0, 0, 0.01, 0.1, 300), control.servoStop()),
-    "speedJ": lambda control: last(control.speedJ(ZEROS, 0.5, 0.1), control.speedStop()),
-    "speedL": lambda control: last(control.speedL(ZEROS, 0.5, 0.1), control.speedStop()),
-    "jogStart": lambda control: last(control.jogStart(ZEROS), control.jogStop()),
-    "forceMode": lambda control: last(control.forceMode(ZEROS, DOWN[0], ZEROS, 2, DOWN[2]), control.forceModeStop()),
-    "freedriveMode": lambda control: last(control.freedriveMode(), control.endFreedriveMode()),
-    "teachMode": lambda control: last(control.teachMode(), control.endTeachMode()),
+    "servoJ": lambda control: both(
+        lambda: control.servoJ(HOME.tolist(), 0, 0, 0.01, 0.1, 300), lambda: control.servoStop()
+    ),
+    "speedJ": lambda control: both(lambda: control.speedJ(ZEROS, 0.5, 0.1), lambda: control.speedStop()),
+    "speedL": lambda control: both(lambda: control.speedL(ZEROS, 0.5, 0.1), lambda: control.speedStop()),
+    "jogStart": lambda control: both(lambda: control.jogStart(ZEROS), lambda: control.jogStop()),
+    "forceMode": lambda control: both(
+        lambda: control.forceMode(ZEROS, DOWN[0], ZEROS, 2, DOWN[2]), lambda: control.forceModeStop()
+    ),
+    "freedriveMode": lambda control: both(lambda: control.freedriveMode(), lambda: control.endFreedriveMode()),
+    "teachMode": lambda control: both(lambda: control.teachMode(), lambda: control.endTeachMode()),
     "setTcp": lambda control: control.setTcp(ZEROS),
     "setPayload": lambda control: control.setPayload(0.5),
     "zeroFtSensor": lambda control: control.zeroFtSensor(),
@@ -241,8 +248,8 @@ URX: dict[str, Callable[[urx.Robot], object]] = {
     "movel": lambda robot: robot.movel(robot.getl(), 5, 1),
     "translate": lambda robot: robot.translate((0, 0, 0.002 if next(_dials) else -0.002), 5, 1),
     "translate_tool": lambda robot: robot.translate_tool((0, 0, 0.002 if next(_dials) else -0.002), 5, 1),
-    "speedj": lambda robot: last(robot.speedj(ZEROS, 1, 0.1), robot.stopj()),
-    "speedl": lambda robot: last(robot.speedl(ZEROS, 1, 0.1), robot.stopl()),
+    "speedj": lambda robot: both(lambda: robot.speedj(ZEROS, 1, 0.1), lambda: robot.stopj()),
+    "speedl": lambda robot: both(lambda: robot.speedl(ZEROS, 1, 0.1), lambda: robot.stopl()),
     "stop": lambda robot: robot.stop(),
     "set_tcp": lambda robot: robot.set_tcp(ZEROS),
     "set_payload": lambda robot: robot.set_payload(0.5),

@@ -65,6 +65,7 @@ class McapRecorder(Recorder):
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
         """Record `stream` too; see `Recorder.add`. The arm is that of the first `info` that identifies one."""
         writer, name = self._writer, info["name"]
+        writer.say(info)
         with contextlib.suppress(LocalError, WrongPeer):
             writer.describe(described_identity(info).kinematics)
 
@@ -89,6 +90,7 @@ class _McapWriter:
         self._since = time.monotonic()
         self._owners: dict[str, str] = {}
         self._arm: Arm | None = None
+        self._is_said = False
         try:
             self._file = path.open("xb")
         except FileExistsError:
@@ -101,6 +103,20 @@ class _McapWriter:
             self._file.close()
             path.unlink(missing_ok=True)
             raise
+
+    def say(self, info: Mapping[str, Any]) -> None:
+        """Write of which robot the file is, once, as an exported file has it."""
+        about = {"robot": info.get("model"), "firmware": info.get("firmware"), "address": info.get("address")}
+        with self._lock:
+            if self._is_said:
+                return
+            self._is_said = True
+            about["start"] = f"{np.datetime64(time.time_ns(), 'ns')}Z"
+            about["clock"] = (
+                "log_time: UTC of the computer that recorded, when a state arrived; "
+                "time and timestamp: the controller's own clock"
+            )
+            self._mcap.describe({key: str(value) for key, value in about.items() if value is not None})
 
     def describe(self, arm: Arm) -> None:
         """Write the description of the arm, once."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,19 @@ def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
             robot.record(tmp_path / "nowhere" / "run.mcap")
     assert urlink.cli.main(["record", f"replay://{CAPTURE}?rate=max", str(tmp_path / "again.mcap")]) == 0
     assert len(read(tmp_path / "again.mcap")["/joint_states"]) == len(run.realtime)
+
+
+def test_it_says_which_robot_it_is_of(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    before = np.datetime64(time.time_ns(), "ns")
+    with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot, robot.record(path):
+        robot.realtime.join(10)
+    with path.open("rb") as file:
+        (about,) = (each.metadata for each in make_reader(file).iter_metadata() if each.name == "recording")
+    assert (about["robot"], about["firmware"]) == (robot.model, str(robot.firmware))
+    assert about["address"] == robot.address
+    assert before <= np.datetime64(about["start"].rstrip("Z")) <= np.datetime64(time.time_ns(), "ns")
+    assert "UTC" in about["clock"]
 
 
 def test_without_the_extra_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -123,7 +123,7 @@ def test_a_mode_with_old_words_ends_as_one_without(version: str, kind: str) -> N
     word = setpoint([0.0, 0.0, -10.0, 0.0, 0.0, 0.0], STILL)
     bench.run(5, lambda: bench.say(WAIT_WORD))
     bench.run(firmware.rate, lambda: bench.say(word))
-    assert bench.modes == (kind,)
+    assert list(bench.modes) == [kind]
     last = bench.cycle  # of the last state before the controller hung
 
     def feed() -> None:
@@ -131,9 +131,9 @@ def test_a_mode_with_old_words_ends_as_one_without(version: str, kind: str) -> N
 
     # For the watchdog's time they might be late by jitter; after as long again the mode ends.
     bench.run(round(1.8 * WATCHDOG * firmware.rate), feed)
-    assert bench.modes == (kind,)
+    assert list(bench.modes) == [kind]
     bench.run(round(0.4 * WATCHDOG * firmware.rate), feed)
-    assert bench.modes == (kind, "end")
+    assert list(bench.modes) == [kind, "end"]
     assert STARVED in bench.said
 
 
