@@ -16,7 +16,7 @@ from operator import attrgetter
 from typing import Any
 
 import urlink
-from linkcore.wire.oracle import as_struct
+from linkcore.wire.schema import as_struct
 from urlink.firmware import RELEASES
 from urlink.interfaces.primary.decoder import PackageDecoder
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES, RobotState, SubPackage

@@ -90,6 +90,7 @@ if TYPE_CHECKING:
         ValueType as ValueType,
     )
     from .wire.decoder import Limits as Limits
+    from .wire.schema import schema as schema
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -127,5 +128,6 @@ else:
                 Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32 ValueType
             """,
             ".wire.decoder": "Limits",
+            ".wire.schema": "schema",
         },
     )

@@ -174,6 +174,7 @@ if TYPE_CHECKING:
     )
     from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .robot import Robot as Robot, connect as connect
+    from .schemas import schema as schema
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -240,6 +241,7 @@ else:
             """,
             ".motion.trajectory": "Trajectory TrajectoryPoint",
             ".robot": "Robot connect",
+            ".schemas": "schema",
         },
         modules="dynamics kinematics models poses rtde urdf",
     )

@@ -93,6 +93,7 @@ NAMES = [
     "latest",
     "load",
     "read_config",
+    "schema",
     "simulated_time",
 ]
 

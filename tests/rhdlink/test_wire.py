@@ -27,9 +27,7 @@ from rhdlink.wire.messages import (
     encode_ready,
     encode_table,
 )
-from rhdlink.wire.schema import ACCESS, DATA, READY, TABLE
-from rhdlink.wire.schema import END as SCHEMA_END
-from tests.rhdlink.oracle import as_construct
+from rhdlink.wire.schema import schema
 
 names = st.text(st.characters(min_codepoint=1, max_codepoint=255), min_size=1, max_size=32)
 rows = st.lists(st.builds(Row, names, st.integers(1, 9)), max_size=6).map(tuple)
@@ -135,7 +133,7 @@ def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: 
     for _ in range(4):
         ids = data.draw(st.lists(st.integers(0, len(sizes) - 1), max_size=len(sizes)))
         raw = encode_data("w", Selection(layout, np.array(ids, np.int64), width), values, times)
-        oracle = as_construct(DATA, "client", sizes, width).parse(raw)
+        oracle = schema("data", "client", sizes, width).parse(raw)
         assert [each.id for each in oracle["items"]] == ids
         for entry in oracle["items"]:
             start = int(layout.offsets[entry.id])
@@ -161,16 +159,16 @@ def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: 
 @pytest.mark.property
 @given(rows)
 def test_tables_as_construct_has_them(table: tuple[Row, ...]) -> None:
-    declared = as_construct(TABLE, "server")
+    declared = schema("table", "server")
     parsed = declared.parse(encode_table("r", table))
     assert [(row.name.rstrip(b"\0").decode("latin-1"), row.length) for row in parsed["items"]] == list(table)
     assert declared.build(parsed) == encode_table("r", table)
 
 
 def test_small_packages_as_construct_has_them() -> None:
-    assert as_construct(ACCESS, "client").build({"second": b"w"}) == encode_access("w")
-    assert as_construct(READY, "client").build({"second": b"r"}) == encode_ready("r")
-    assert as_construct(SCHEMA_END, "server").parse(END).second == ord("e")
+    assert schema("access", "client").build({"second": b"w"}) == encode_access("w")
+    assert schema("ready", "client").build({"second": b"r"}) == encode_ready("r")
+    assert schema("end", "server").parse(END).second == ord("e")
 
 
 def test_stamps_of_64_bits() -> None:

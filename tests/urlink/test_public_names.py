@@ -156,6 +156,7 @@ NAMES = [
     "latest",
     "load",
     "realtime_options",
+    "schema",
     "simulated_time",
 ]
 

@@ -1,12 +1,12 @@
-"""Every byte of a packet with its meaning."""
+"""Every byte of a packet with its meaning, as construct reads it with the schema of its layout."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from .fields import Header
-from .layout import Layout, Place
+from .fields import Field, Header
+from .layout import Layout
 
 __all__ = ["Row", "dissect", "header_rows"]
 
@@ -31,37 +31,29 @@ def header_rows(header: Header, data: bytes) -> Iterator[Row]:
         offset = end
 
 
-def dissect(layout: Layout, data: bytes, values: Mapping[str, Any]) -> Iterator[Row]:
+def dissect(layout: Layout, data: bytes) -> Iterator[Row]:
     """Every stretch of `data` with its meaning, in wire order, the unknown tail last.
 
     Args:
         layout: that of the packet.
-        data: the whole packet.
-        values: name -> value of each field, as the user holds it.
+        data: the whole packet, which has been decoded with this layout.
     """
+    from .schema import as_struct  # which imports construct: a program that dissects nothing does not pay for that
+
+    parsed = as_struct(layout, located=True).parse(data)
     yield from header_rows(layout.header, data)
-    if layout.has_text:
-        for place, start, end, _ in layout.stretches(data):
-            yield _row(place, start, data[start:end], values[place.field.name])
-    else:
-        for run in layout.runs:
-            yield from _run_rows(run, data, values)
-    end = layout.end(data)
-    if end < len(data):
-        yield Row(end, data[end:], "tail", None, "", "bytes that no known layout explains")
+    for run in layout.runs:
+        first = run[0].field
+        if first.interleave is None:
+            yield _row(first, first.name, parsed[first.name])
+            continue
+        for number, element in enumerate(parsed[first.interleave]):
+            for place in run:
+                name = place.field.name
+                yield _row(place.field, f"{name}[{number}]", element[name])
+    if parsed.tail.data:
+        yield Row(parsed.tail.offset1, parsed.tail.data, "tail", None, "", "bytes that no known layout explains")
 
 
-def _run_rows(run: list[Place], data: bytes, values: Mapping[str, Any]) -> Iterator[Row]:
-    if run[0].field.interleave is None:
-        (place,) = run
-        yield _row(place, place.offset, data[place.offset : place.offset + place.size], values[place.field.name])
-        return
-    for number in range(run[0].count or 0):
-        for place in run:
-            start = place.offset + number * place.stride
-            row = _row(place, start, data[start : start + place.width], values[place.field.name][number])
-            yield row._replace(name=f"{row.name}[{number}]")
-
-
-def _row(place: Place, offset: int, data: bytes, value: Any) -> Row:
-    return Row(offset, data, place.field.name, value, place.field.unit, place.field.doc)
+def _row(field: Field, name: str, found: Any) -> Row:
+    return Row(found.offset1, found.data, name, found.value, field.unit, field.doc)

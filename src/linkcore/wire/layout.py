@@ -8,7 +8,7 @@ Where the fields are known only at run time, a layout can be made of them alone:
     values = layout.unpack(data)
     values[layout.places["timestamp"].at]
 
-`linkcore.wire.oracle` has construct parse the same fields.
+`linkcore.wire.schema` has the same fields as a construct schema.
 """
 
 from __future__ import annotations

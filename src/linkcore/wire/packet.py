@@ -160,7 +160,7 @@ class State:
 
     def dissect(self) -> Iterator[Row]:
         """Every stretch of the packet's bytes with offset, name, value and unit; the unknown tail last."""
-        return dissect(self._layout, self._data, {name: getattr(self, name) for name in self._layout.places})
+        return dissect(self._layout, self._data)
 
     def to_dict(self) -> dict[str, Any]:
         """name -> plain Python value of every field sent: numbers, lists, text; codes by name."""

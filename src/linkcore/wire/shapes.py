@@ -1,8 +1,8 @@
 """How one field is coded on the wire: numbers, coded numbers, a mask of two codings, text, raw bytes.
 
 A shape says which number, or which bytes, lie on the wire, and how they are converted to the value that users hold, and
-back. The fast decoder is derived from that. The numbers have construct's names, and `linkcore.wire.oracle` builds the
-same from construct's own numbers; a property test holds the two equal.
+back. The fast decoder is derived from that. The numbers have construct's names, and `linkcore.wire.schema` builds
+the same from construct's own numbers; a property test holds the two equal.
 """
 
 from __future__ import annotations

@@ -5,16 +5,16 @@ Where the decoders refuse, this shows: every byte is in one piece, and what cann
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from typing import Any
 
 from linkcore.errors import PacketError
 
 from .decoder import Limits, ServerDecoder
 from .messages import Row
-from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, PACKAGES, READY, TABLE, Package
+from .schema import ACCESS, DATA, END, HEAD_SIZE, INT, PACKAGES, READY, TABLE, Package, item_schema
 
 __all__ = ["Part", "Piece", "dissect", "guess_sender", "tables_in"]
 
@@ -107,6 +107,7 @@ class _Broken(Exception):
 class _Dissector:
     def __init__(self, data: bytes, sender: str, tables: dict[str, tuple[Row, ...]], width: int) -> None:
         self.data = data
+        self._stream = BytesIO(data)
         self.at = 0
         self._sender = sender
         self._tables = tables
@@ -173,8 +174,9 @@ class _Dissector:
     def _add_table(self, piece: Piece, direction: str) -> None:
         count = self._add_count(piece, Limits().variables, f"table of {_DIRECTION[direction]} variables")
         rows: list[Row] = []
+        item = item_schema(TABLE, (), self._width)
         for number in range(count):
-            found, size = self._item(TABLE, f"row {number}", ())
+            found, size = self._item(item, f"row {number}")
             name = found["name"].partition(b"\0")[0].decode("latin-1")
             rows.append(Row(name, found["length"]))
             words = f"{found['length']} word" + ("" if found["length"] == 1 else "s")
@@ -188,9 +190,10 @@ class _Dissector:
             piece.meaning = what
             raise _Broken("no table says how long the variables are; --tables names the file with the server's bytes")
         rows = self._tables.get(direction, ())
+        item = item_schema(DATA, [row.length for row in rows], self._width)
         for number in range(self._add_count(piece, len(rows), what)):
-            found, size = self._item(DATA, f"entry {number}", rows)
-            identity, stamp, words = found["id"], found["stamp"], found["data"]
+            found, size = self._item(item, f"entry {number}")
+            identity, stamp, words = found["id"], list(found["stamp"]), list(found["data"])
             if self._width == 4:
                 stamp = [_joined(*stamp[:2]), _joined(*stamp[2:])]
             name = rows[identity].name
@@ -201,28 +204,18 @@ class _Dissector:
                 {"id": identity, "name": name, "stamp": stamp, "words": words},
             )
 
-    def _item(self, package: Package, what: str, rows: Sequence[Row]) -> tuple[dict[str, Any], int]:
-        """The fields of the item at hand, and its bytes; `rows` are those of the table that its id is of."""
-        found: dict[str, Any] = {}
-        size = 0
-        for declared in package.item:
-            code = declared.code
-            if declared.words == "width":
-                code = f"{self._width}{code}"
-            elif declared.words == "length":
-                words = rows[found["id"]].length
-                if words < 0:
-                    raise _Broken(f"{what} is of a variable of {words} words")
-                code = f"{words}{code}"
-            layout = struct.Struct(f">{code}")
-            if len(self.data) - self.at - size < layout.size:
-                raise _Broken(f"cut off in {what}, in its {declared.name}")
-            values = layout.unpack_from(self.data, self.at + size)
-            found[declared.name] = list(values) if declared.words else values[0]
-            size += layout.size
-            if declared.name == "id" and not 0 <= values[0] < len(rows):
-                raise _Broken(f"{what} is of variable {values[0]}; expected 0 to {len(rows) - 1}")
-        return found, size
+    def _item(self, item: Any, what: str) -> tuple[Any, int]:
+        """The fields of the item at hand, and its bytes, as construct reads them."""
+        from construct import CheckError, StreamError
+
+        self._stream.seek(self.at)
+        try:
+            found = item.parse_stream(self._stream)
+        except StreamError as error:
+            raise _Broken(f"cut off in {what}, in its {str(error.path).split(' -> ')[1]}") from None
+        except CheckError as error:
+            raise _Broken(f"{what} is {str(error).splitlines()[-1]}") from None
+        return found, self._stream.tell() - self.at
 
 
 def _joined(low: int, high: int) -> int:

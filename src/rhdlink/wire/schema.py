@@ -5,14 +5,20 @@ All numbers are 32-bit words in network byte order, packed. A *batch* is a row o
 
 The data path (`data`, `messages`, `decoder`) takes letters, struct formats and sizes from here but does not interpret
 the declarations: a package of a thousand entries would take milliseconds. `dissection` and the tables in the docs do
-interpret them. Property tests hold the three equal, and equal to construct's reading of these declarations.
+interpret them, by construct: `schema` has each package as a construct schema. Property tests hold the three equal.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from linkcore.errors import BadValue
+
+if TYPE_CHECKING:
+    from construct import Construct
 
 __all__ = [
     "ACCESS",
@@ -28,6 +34,8 @@ __all__ = [
     "WORD",
     "Field",
     "Package",
+    "item_schema",
+    "schema",
 ]
 
 #: Bytes of a word.
@@ -123,3 +131,79 @@ PACKAGES = {package.letter: package for package in (ACCESS, TABLE, DATA, READY, 
 INT = struct.Struct(">i")
 #: Bytes of a package before its items: two letters and the count.
 HEAD_SIZE = 2 + INT.size
+
+#: The packages by the names that `schema` takes.
+_NAMED: Mapping[str, Package] = MappingProxyType(
+    {"access": ACCESS, "table": TABLE, "data": DATA, "ready": READY, "end": END}
+)
+
+
+def schema(
+    package: Literal["access", "table", "data", "ready", "end"],
+    sender: Literal["client", "server"],
+    lengths: Sequence[int] = (),
+    width: int = 2,
+) -> Construct[Any, Any]:
+    """The construct schema of one package of the RHD format: it parses, builds and checks.
+
+    Made of the declaration that the pages of the format show. construct is imported with the first call. ``parse``
+    raises `construct.ConstructError` where the letters are not those of the package, and where there are fewer bytes
+    than its count and the lengths of its variables ask for.
+
+    Args:
+        package: which; `docs/rhd-wire.md` has what each is for.
+        sender: who sends it.
+        lengths: words of each variable of the direction's table, by its id; needed for "data".
+        width: words of a time stamp, 2 or 4.
+
+    Raises:
+        BadValue: no such package, or the sender sends none.
+
+    >>> from rhdlink import schema
+    >>> schema("data", "server", lengths=[1, 3]).build(
+    ...     {"second": b"r", "items": [{"id": 1, "stamp": [10, 0], "data": [7, 8, 9]}]}
+    ... ).hex(" ")
+    '64 72 00 00 00 01 00 00 00 01 00 00 00 0a 00 00 00 00 00 00 00 07 00 00 00 08 00 00 00 09'
+    """
+    from construct import Byte, Bytes, Const, Int32sb, OneOf, PrefixedArray, Struct
+
+    if package not in _NAMED:
+        raise BadValue(f"no package {package!r}; expected one of {', '.join(_NAMED)}")
+    declared = _NAMED[package]
+    if sender not in declared.second:
+        raise BadValue(f"a {sender!r} sends no {package}; expected {' or '.join(declared.second)}")
+    if width not in WIDTHS:
+        raise BadValue(f"{width!r} words of a time stamp; expected {' or '.join(map(str, WIDTHS))}")
+    second = declared.second[sender]
+    fields = [
+        "letter" / Const(declared.letter.encode()),
+        "second" / (OneOf(Bytes(1), [each.encode() for each in second]) if second else Byte),
+    ]
+    if declared.item:
+        fields.append("items" / PrefixedArray(Int32sb, item_schema(declared, lengths, width)))
+    return Struct(*fields)
+
+
+def item_schema(package: Package, lengths: Sequence[int], width: int) -> Any:
+    """One item of a package; `lengths` and `width` as in `schema`."""
+    import construct
+
+    words = {"i": construct.Int32sb, "I": construct.Int32ub}
+
+    def known(identity: int, context: Any) -> int:
+        if not 0 <= identity < len(lengths):
+            raise construct.CheckError(f"of variable {identity}; expected 0 to {len(lengths) - 1}")
+        if lengths[identity] < 0:
+            raise construct.CheckError(f"of a variable of {lengths[identity]} words")
+        return identity
+
+    def shape(field: Field) -> Any:
+        if field.words == "width":
+            return construct.Array(width, words[field.code])
+        if field.words == "length":
+            return construct.Array(lambda context: lengths[context.id], words[field.code])
+        if field.name == "id":
+            return construct.ExprAdapter(words[field.code], known, known)
+        return words[field.code] if field.code in words else construct.Bytes(int(field.code.removesuffix("s")))
+
+    return construct.Struct(*(field.name / shape(field) for field in package.item))

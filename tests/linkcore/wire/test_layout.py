@@ -10,7 +10,6 @@ import pytest
 
 from linkcore.errors import BadValue, LocalError, PacketError
 from linkcore.wire.fields import Header
-from linkcore.wire.oracle import parse
 from linkcore.wire.packet import IntVector, State, Vector, packet, wire
 from linkcore.wire.shapes import (
     Coded,
@@ -25,6 +24,7 @@ from linkcore.wire.shapes import (
     OpenInt,
     Text,
 )
+from tests.oracle import parse
 
 SIZE = Header(size=Int32sb)
 SIZE_AND_TYPE = Header(size=Int32sb, type=Int8ub)

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from linkcore.errors import PacketError
 from linkcore.wire.fields import Field, Header
 from linkcore.wire.layout import Layout
-from linkcore.wire.oracle import parse
 from linkcore.wire.packet import State, packet, wire
 from linkcore.wire.shapes import (
     Coded,
@@ -25,6 +24,7 @@ from linkcore.wire.shapes import (
     Int64ub,
     Shape,
 )
+from tests.oracle import parse
 
 #: Size, type of package, number of the recipe.
 HEADER = Header(size=Int16ub, type=Int8ub, recipe=Int8ub)

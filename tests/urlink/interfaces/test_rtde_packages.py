@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadValue, PacketError, WrongPeer
 from linkcore.wire.framing import Framer
-from linkcore.wire.oracle import parse
 from linkcore.wire.packet import State
 from tests import real_captures
+from tests.oracle import parse
 from tests.urlink.interfaces.rtde_material import recordings, replies, requests
 from urlink import RealtimeState
 from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from linkcore.errors import BadValue, PacketError
 from linkcore.stamp import Stamp
 from linkcore.wire.framing import Framer
-from linkcore.wire.oracle import parse
 from tests import real_captures
+from tests.oracle import parse
 from tests.urlink.interfaces.rtde_material import recipes, recordings
 from urlink.firmware import Firmware
 from urlink.interfaces.enums import JointMode, RobotMode

@@ -181,7 +181,7 @@ class ProgramStateMessage(State):
     payload: bytes = wire(Raw(), "", "names separated by newlines, or values")
 
 
-@packet(header=PACKAGE, type=0)
+@packet(header=PACKAGE)
 class OtherPackage(State):
     """A package that this library has no layout for (5, 22, 23, ...), kept as it came."""
 

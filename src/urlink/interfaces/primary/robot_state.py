@@ -313,7 +313,7 @@ class SingularityInfo(SubPackage):
     singularity_type: int = wire(Int8ub, "", "type")
 
 
-@packet(header=PACKAGE, type=0)
+@packet(header=PACKAGE)
 class UnknownSubPackage(SubPackage):
     """A sub-package that this library has no layout for, kept as it came."""
 

@@ -1,0 +1,122 @@
+"""The layouts of packets as construct schemas: they parse and build packets, and check their sizes.
+
+Made of the same declarations as the fast decoders, and read by construct alone, so a property test can hold the two
+equal on random bytes, for every layout. `dissect` takes the meaning of each byte from them. construct is imported only
+with this module, since importing it takes longer than all else.
+
+Its `compile()` is not used: it drops bounds checks. Nor are `Optional` and `Select`: they take a broken field for the
+end of the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any
+
+import construct
+
+from .fields import Field, Header
+from .layout import Layout
+from .shapes import Array, Number, Raw, Shape
+
+__all__ = ["as_construct", "as_struct", "checked_fields", "packet_schema", "sized"]
+
+#: What becomes of the construct of one field.
+Wrap = Callable[[Field, Any], Any]
+
+
+def as_construct(shape: Shape) -> Any:
+    """The construct of one shape, whose values are what users hold; arrays are lists."""
+    if isinstance(shape, Number):
+        return getattr(construct, shape.name)
+    if isinstance(shape, Array):
+        return construct.Array(shape.count, as_construct(shape.element))
+    raw: Any
+    if isinstance(shape, Raw):
+        rest = construct.GreedyBytes
+        raw = rest if shape.prefix is None else construct.Prefixed(as_construct(shape.prefix), rest)
+        if shape.least:
+            least = shape.least
+            raw = construct.ExprValidator(raw, lambda obj, context: len(obj) >= least)
+    else:
+        assert shape.number is not None
+        raw = as_construct(shape.number)
+    read, write = shape.read, shape.write
+    if read is None:
+        return raw
+    return construct.ExprAdapter(raw, lambda obj, context: read(obj), lambda obj, context: write(obj))
+
+
+def _plain(field: Field, shape: Any) -> Any:
+    return shape
+
+
+def _located(field: Field, shape: Any) -> Any:
+    return construct.RawCopy(shape)
+
+
+def fields_of(layout: Layout, wrap: Wrap = _plain) -> Iterator[Any]:
+    """The fields of a layout, in wire order. Interleaved ones are an array of structs, as they lie on the wire."""
+    for run in layout.runs:
+        first = run[0].field
+        if first.interleave is None:
+            yield first.name / wrap(first, as_construct(run[0].shape))
+        else:
+            elements = (each.field.name / wrap(each.field, as_construct(_element(each.shape))) for each in run)
+            yield first.interleave / construct.Array(run[0].count, construct.Struct(*elements))
+
+
+def checked_fields(layout: Layout) -> Iterator[Any]:
+    """The fields of a layout, where one that tells the packet from others is fixed and an optional block may miss."""
+
+    def checked(field: Field, shape: Any) -> Any:
+        if field.name in layout.constants:
+            return construct.Const(layout.constants[field.name], shape)
+        return shape if field.block is None else construct.If(lambda context: context[field.block], shape)
+
+    return fields_of(layout, checked)
+
+
+def packet_schema(layout: Layout) -> Any:
+    """A layout as the schema of one whole packet; `urlink.schema` has what it checks."""
+    known = dict(layout.constants)
+    names = list(layout.header.parts)
+    is_fixed = not layout.has_text and not layout.has_block
+    if is_fixed:
+        known["size"] = layout.size
+    else:
+        names.remove("size")
+    head = [
+        name / (construct.Const(known[name], number) if name in known else number)
+        for name, number in ((name, as_construct(layout.header.parts[name])) for name in names)
+    ]
+    fields = checked_fields(layout)
+    if is_fixed:
+        return construct.Struct(*head, *fields)
+    return sized(layout.header, construct.Struct(*head, *fields, construct.Terminated))
+
+
+def sized(header: Header, body: Any) -> Any:
+    """The size that a header begins with, which counts itself, and `body`, which has that many bytes and no more."""
+    return construct.Prefixed(as_construct(header.parts["size"]), body, includelength=True)
+
+
+@cache
+def as_struct(layout: Layout, *, located: bool = False) -> Any:
+    """A layout as one `Struct` of any bytes: the header's parts, the fields, and as `tail` what follows the last one.
+
+    Nothing but the fields has to fit, so that what is damaged or newer than the layout can be looked at.
+
+    Args:
+        located: each field is construct's `RawCopy`, with its bytes and offsets.
+    """
+    header = construct.Struct(*(name / as_construct(number) for name, number in layout.header.parts.items()))
+    wrap = _located if located else _plain
+    rest = construct.RawCopy(construct.GreedyBytes) if located else construct.GreedyBytes
+    return construct.Struct("header" / header, *fields_of(layout, wrap), "tail" / rest)
+
+
+def _element(shape: Shape) -> Shape:
+    assert isinstance(shape, Array), "what is interleaved is an array"
+    return shape.element
