@@ -73,7 +73,7 @@ def _robot_state(version: str | Firmware | None) -> Any:
 
     from linkcore.wire.schema import checked_fields, sized
 
-    fields = {}
+    fields: dict[int, Any] = {}
     for kind, classes in SUB_PACKAGES.items():
         for each in classes:  # of two with the same number, a version sends one
             try:
