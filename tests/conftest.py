@@ -60,7 +60,14 @@ def captures() -> Path:
 
 
 @pytest.fixture(autouse=True)
-def leaves_nothing_that_keeps_the_interpreter() -> Iterator[None]:
+def time_of_the_test(request: pytest.FixtureRequest) -> None:
+    """Simulated, for the test and all of its own fixtures, where it or its module is marked ``simulated_time``."""
+    if request.node.get_closest_marker("simulated_time") and not request.node.get_closest_marker("real_time"):
+        request.getfixturevalue("simulated_time")
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing_that_keeps_the_interpreter(time_of_the_test: None) -> Iterator[None]:
     """The interpreter joins threads before it exits, so one that a test leaves behind would hang the run at its end."""
     before = set(threading.enumerate())
     yield

@@ -14,6 +14,8 @@ from urlink.errors import NotRunning, SafetyStop
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_state import RobotState
 
+pytestmark = pytest.mark.simulated_time
+
 TEXT = "movej(q)"
 
 

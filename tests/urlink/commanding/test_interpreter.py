@@ -27,6 +27,8 @@ from urlink.interfaces.interpreter.protocol import (
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.statements import MOST
 
+pytestmark = pytest.mark.simulated_time
+
 TIMEOUT = 20.0
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 AWAY = [1.5, *HOME[1:]]
@@ -36,7 +38,7 @@ def movej(q: list[float], speed: float = 3.0) -> str:
     return f"movej({q}, a=20, v={speed})"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "10.12", motion=Still()) as controller:
         yield controller

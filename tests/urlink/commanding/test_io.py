@@ -19,6 +19,8 @@ from urlink.interfaces.enums import AnalogDomain, RobotMode, SafetyMode
 from urlink.interfaces.primary.robot_state import ToolData
 from urlink.interfaces.realtime.packets import RealtimeState
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.fixture
 def robot() -> Iterator[StandIn]:

@@ -23,6 +23,8 @@ from urlink.errors import CompileError, NotRunning, ProgramStopped, SafetyStop, 
 from urlink.interfaces.enums import RobotMode, SafetyMode
 from urlink.urscript.wrapping import StartPlace
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.fixture
 def robot() -> Iterator[StandIn]:

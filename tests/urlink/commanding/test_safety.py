@@ -20,6 +20,8 @@ from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.interfaces.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
 from urlink.interfaces.primary.robot_state import RobotModeData, RobotState
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.fixture
 def robot() -> Iterator[StandIn]:

@@ -9,6 +9,8 @@ import pytest
 from linkcore.errors import LocalError
 from urlink.commanding.section import Section
 
+pytestmark = pytest.mark.simulated_time
+
 
 def is_free(section: Section) -> bool:
     """Another thread would get in at once."""

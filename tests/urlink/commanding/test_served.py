@@ -13,6 +13,8 @@ from linkcore.handle import Phase
 from tests.waiting import until
 from urlink.errors import CompileError, NotConfirmed, NotRunning, ProgramStopped, SafetyStop, ScriptFailed
 
+pytestmark = pytest.mark.simulated_time
+
 FIRMWARES = ("sim://ur5?firmware=1.8", "sim://ur5?firmware=3.4", "sim://ur5e?firmware=5.11")
 
 LONG = "while True:\n  sync()\nend"

@@ -24,6 +24,8 @@ from urlink.interfaces.enums import RobotMode
 from urlink.rtde import InputInUse, brief_claims, client
 from urlink.simulator import Controller
 
+pytestmark = pytest.mark.simulated_time
+
 # -- against a controller that says what the test says -------------------------------------------------
 
 
@@ -231,7 +233,7 @@ def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog:
 # -- against the simulator -----------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "5.11") as controller:
         yield controller

@@ -27,6 +27,8 @@ from urlink.interfaces.primary.robot_state import CartesianInfo, MasterboardData
 from urlink.interfaces.realtime.packets import RealtimeState
 from urlink.urscript.wrapping import StartPlace
 
+pytestmark = pytest.mark.simulated_time
+
 #: Acts on a robot with a timeout; what its states show afterwards, and what they may show before.
 Case = tuple[Callable[[StandIn, float | None], None], dict[str, Any], dict[str, Any]]
 
