@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import math
 import os
+import socket
 import threading
 import time
+import weakref
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, NamedTuple
 
@@ -84,8 +87,19 @@ def run_cancelled(
     Returns:
         Whether it was cancelled before it came to its own end, and what was sent after the block was left.
     """
-    threads, descriptors = set(threading.enumerate()), _descriptors()
+    threads, files = set(threading.enumerate()), _files()
+    made: list[weakref.ref[socket.socket]] = []
     trial = Trial(number)
+    with _collecting(made, threads - {threading.current_thread()}):
+        was_cancelled = _run(work, threads, trial)
+    gc.collect()
+    left = [each for each in (ref() for ref in made) if each is not None and each.fileno() >= 0]
+    assert not left, f"sockets are left: {left}"
+    assert _files() <= files, f"files are left: {_files() - files}"
+    return was_cancelled, [each.data for each in tuple(sent) if each.at > trial.over]
+
+
+def _run(work: Callable[[Trial], Coroutine[Any, Any, None]], threads: set[threading.Thread], trial: Trial) -> bool:
     loop = _Loop(trial.turn)
     try:
         trial.task = task = loop.create_task(work(trial))
@@ -102,21 +116,38 @@ def run_cancelled(
         loop.close()
     until(lambda: set(threading.enumerate()) <= threads, _SOON)
     trial.task = None
-    del loop, task
-    gc.collect()
-    until(lambda: _descriptors() <= descriptors, _SOON)
-    return was_cancelled, [each.data for each in tuple(sent) if each.at > trial.over]
+    return was_cancelled
 
 
 async def _nothing_left() -> None:
     end = time.monotonic() + _SOON
     while (tasks := asyncio.all_tasks() - {asyncio.current_task()}) and time.monotonic() < end:
         await asyncio.sleep(0.001)
-    assert not tasks
+    assert not tasks, [each.get_stack() for each in tasks]
 
 
-def _descriptors() -> set[str]:
-    return set(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else set()
+@contextlib.contextmanager
+def _collecting(made: list[weakref.ref[socket.socket]], others: set[threading.Thread]) -> Iterator[None]:
+    """Collect the sockets that are made, but not by other threads: a controller, or what an earlier test has left."""
+    init = socket.socket.__init__
+
+    def keeping(self: socket.socket, *args: Any, **named: Any) -> None:
+        init(self, *args, **named)
+        if threading.current_thread() not in others:
+            made.append(weakref.ref(self))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "__init__", keeping)
+        yield
+
+
+def _files() -> set[tuple[str, str]]:
+    """Number and name of the files that are open, as far as the system shows them. Sockets are left out."""
+    found = set()
+    for number in os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ():
+        with contextlib.suppress(OSError):  # that of the folder itself is closed again
+            found.add((number, os.readlink(f"/proc/self/fd/{number}")))
+    return {each for each in found if not each[1].startswith("socket:")}
 
 
 def turns(row: int) -> Iterator[int]:

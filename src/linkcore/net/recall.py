@@ -27,7 +27,8 @@ __all__ = ["MAY_STILL", "Recall", "TakeBack"]
 
 #: How the error of a command ends that was sent and not answered.
 MAY_STILL = "it may still be carried out"
-#: Seconds between two attempts, where one fails at once: at first, and at most.
+#: Seconds between two attempts: at first, and at most. It grows where they fail at once. One that lasts longer has met
+#: a peer that hangs; when that goes on, the next attempt is to be under way.
 _PAUSE, _LONGEST = 0.1, 2.0
 #: Seconds between two looks whether it has been taken back.
 _POLL = 0.02
@@ -198,9 +199,12 @@ class Recall:
                 if not self._pending or self._closed.is_set():
                     self._thread = None
                     return
+            began = time.monotonic()
             for name, take_back in tuple(self._pending.items()):
                 self._try(name, take_back)
             if self._pending:
+                if time.monotonic() - began > _PAUSE:
+                    pause = _PAUSE
                 self._closed.wait(pause)
                 pause = min(2.0 * pause, _LONGEST)
 

@@ -1,6 +1,7 @@
-"""A program that moves an arm, or makes a call, in a process of its own: `python -m ... ROW ADDRESS`.
+"""A program that moves an arm, or makes a call, on a computer or in a process of its own: `python -m ... ROW ADDRESS`.
 
-It prints "ready", makes the call when a line comes in, and prints what became of the call; then it waits to be ended.
+It writes "ready", makes the call when a line comes in, waits for its end if that was "wait", and writes what became of
+it. Then it waits to be ended.
 """
 
 from __future__ import annotations
@@ -34,7 +35,6 @@ TEXT = f"movej({GOAL.tolist()}, a=4, v={SLOW})"
 LONG = 8.0
 #: s in which an answer has to come, and s that a motion may take to begin.
 ANSWER = 1.0
-_EXIT = threading.Event()
 
 #: What makes the call; what is to be open around it goes onto the stack, and what has to be done before is done.
 Begin = Callable[[Robot, contextlib.ExitStack], Callable[[], object]]
@@ -107,13 +107,15 @@ def twist(robot: Robot, torque: Any) -> None:
 
 def speed_short(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
     """Called again and again, as a loop does, until one fails."""
+    is_over = threading.Event()
+    block.callback(is_over.set)
 
     def call() -> urlink.Motion:
         return robot.motion.speed_joints(TURN, duration=0.5)
 
     def go_on(motion: urlink.Motion) -> None:
         with contextlib.suppress(urlink.LinkError):
-            while not _EXIT.wait(0.1) and not isinstance(motion.error, urlink.RemoteError):
+            while not is_over.wait(0.1) and not isinstance(motion.error, urlink.RemoteError):
                 motion = call()
 
     def begin() -> urlink.Motion:
@@ -206,23 +208,34 @@ ROWS: dict[str, Begin] = {
 }
 
 
-def main(name: str, address: str) -> None:
+def program(name: str, address: str, read: Callable[[], str], write: Callable[[str], object]) -> None:
+    """The program.
+
+    Args:
+        name: of the row.
+        address: of the controller.
+        read: waits for a line, or for the end.
+        write: writes one.
+    """
     with contextlib.ExitStack() as block:
         robot = block.enter_context(urlink.connect(address, timeout=ANSWER))
         robot.motion.stop(wait=10)
         call = ROWS[name](robot, block)
         robot.realtime.wait(5)
-        print("ready", flush=True)
-        sys.stdin.readline()
+        write("ready")
+        waits = read() == "wait"
         try:
             result = call()
-            if sys.stdin.readline().strip() == "wait" and isinstance(result, urlink.Handle):
+            if waits and isinstance(result, urlink.Handle):
                 result.wait(10)
-            print("made", flush=True)
+            write("made")
         except urlink.LinkError as error:
-            print(f"{type(error).__name__}: {' '.join(str(error).split())}", flush=True)
-        sys.stdin.read()
-        _EXIT.set()
+            write(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        read()
+
+
+def main(name: str, address: str) -> None:
+    program(name, address, lambda: sys.stdin.readline().strip(), partial(print, flush=True))
 
 
 if __name__ == "__main__":

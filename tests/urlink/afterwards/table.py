@@ -15,7 +15,7 @@ from pathlib import Path
 from linkcore.wire.version import Since
 from urlink.firmware import Firmware
 
-__all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cells", "drawn", "page"]
+__all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cells", "drawn", "firmwares", "page"]
 
 #: firmware -> arm
 FIRMWARES = {"3.15": "ur5", "5.11": "ur5e", "10.12": "ur5e"}
@@ -33,7 +33,7 @@ _PAGE = Path(__file__).resolve().parents[3] / "docs" / "reliability.md"
 _BETWEEN = re.compile(r"(?<=<!-- afterwards -->\n\n).*?(?=\n<!-- the end of it -->)", re.DOTALL)
 
 
-_ALWAYS = Since("1.6")
+_ALWAYS, _X = Since("1.6"), Since("10.7")
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class Row:
         title: as the page has it.
         led: it is led over a link, so that the robot brakes when this computer is gone.
         called: what becomes of it if it is called while the controller is suspended.
+        by_api: the same on PolyScope X, where that is something else.
         within: s of the robot's time in which it comes to rest, where it brakes.
         lasts: it is under way for some time.
         since: the firmware that has it.
@@ -52,14 +53,15 @@ class Row:
     title: str
     led: bool = False
     called: str = NOT
+    by_api: str = ""
     within: float = 1.5
     lasts: bool = True
     since: Since = _ALWAYS
 
-    def becomes(self, column: str) -> str:
+    def becomes(self, column: str, firmware: str) -> str:
         """What is in its cell; empty where there is no such case."""
         if column == CALLED:
-            return self.called
+            return self.by_api if self.by_api and Firmware.parse(firmware) in _X else self.called
         if not self.lasts:
             return ""
         if column == "reboot":
@@ -92,7 +94,8 @@ ROWS = {
     "torque": Row("`torque`", led=True, since=Since("5.23/10.11")),
     "script": Row("`robot.script.run`"),
     "interpreter": Row("`interpreter.execute`", called=BACK, since=_E),
-    "dashboard_play": Row("`robot.dashboard.play`, also by the Robot API", called=BACK),
+    # The Robot API is asked first whether the program is paused.
+    "dashboard_play": Row("`robot.dashboard.play`, also by the Robot API", called=BACK, by_api=NOT),
     "gripper": Row("`robot.gripper.move`, `set`", called=BACK, lasts=False),
     "urx": Row("`urlink.compat.urx`: `movej`"),
     "ur_rtde": Row("`urlink.compat`: `moveJ`", since=_REGISTERS),
@@ -104,12 +107,17 @@ ROWS = {
 }
 
 
+def firmwares(name: str) -> list[str]:
+    """Those that have this row."""
+    return [each for each in FIRMWARES if Firmware.parse(each) in ROWS[name].since]
+
+
 def cells() -> Iterator[tuple[str, str, str]]:
     """(firmware, row, column) of each case."""
     for name, row in ROWS.items():
         for column in COLUMNS:
-            for firmware in FIRMWARES:
-                if Firmware.parse(firmware) in row.since and row.becomes(column):
+            for firmware in firmwares(name):
+                if row.becomes(column, firmware):
                     yield firmware, name, column
 
 
@@ -117,10 +125,11 @@ def drawn() -> str:
     """The table as Markdown."""
     heads = ("under way, and then:", *UNDER_WAY, "controller suspended, and then called")
     lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
-    for row in ROWS.values():
-        having = [firmware for firmware in FIRMWARES if Firmware.parse(firmware) in row.since]
+    for name, row in ROWS.items():
+        having = firmwares(name)
         title = row.title if len(having) == len(FIRMWARES) else f"{row.title} ({', '.join(having)})"
-        what = [row.becomes(column) or "-" for column in COLUMNS]
+        each = [dict.fromkeys(row.becomes(column, firmware) or "-" for firmware in having) for column in COLUMNS]
+        what = map(" or ".join, each)
         lines.append(f"| {' | '.join((title, *what))} |")
     return "\n".join(lines) + "\n"
 

@@ -122,7 +122,7 @@ COMMANDS: dict[str, Use] = {
     "speed_joints": lambda robot: robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.1),
     "speed_linear": lambda robot: robot.motion.speed_linear([0, 0, 0.01, 0, 0, 0], duration=0.1),
     "stop": lambda robot: robot.motion.stop(),
-    "follow": lambda robot: robot.motion.follow(there_and_back(robot)),
+    "follow": lambda robot: robot.motion.follow(there_and_back(robot), watchdog=0.5),
     "script": lambda robot: robot.script.run("sleep(0.05)"),
     "script wait": lambda robot: robot.script.run("sleep(0.05)", wait=True),
     "send_line": lambda robot: robot.script.send_line("set_analog_out(0, 0.1)"),
@@ -181,11 +181,12 @@ def stands(controller: Controller) -> bool:
 def may_follow(name: str, data: bytes) -> bool:
     """What may be sent after a task was over: what stops the arm, and what an RTDE connection begins with.
 
-    The word of a link that stops is all zeros. RTDE packages begin with their size and their type; "U" is a data
-    package, with which a link over RTDE stops.
+    The word of a link that stops is all zeros, and its date of 4 bytes. RTDE packages begin with their size and their
+    type; "U" is a data package, with which a link over RTDE stops.
     """
     types = (b"V", b"v", b"O", b"I", b"S", *([b"U"] if name == OVER_RTDE else []))
-    return b"urlink_stop" in data or not any(data) or data[2:3] in types
+    stops_link = len(data) > 4 and not any(data[:-4])
+    return b"urlink_stop" in data or stops_link or data[2:3] in types
 
 
 @contextlib.asynccontextmanager
