@@ -106,22 +106,18 @@ def test_a_newer_command_waits_for_it_or_is_not_sent(recall: Recall) -> None:
         assert peer.undone == ["play"]
 
 
-def test_a_peer_that_hangs_is_met_at_once_when_it_goes_on() -> None:
+def test_a_peer_that_hangs_is_met_at_once_when_it_goes_on(recall: Recall) -> None:
     """Each attempt waits for its answer; between two of them is a moment, however long the peer has been hanging."""
     attempts: list[tuple[float, float]] = []
 
-    def take_back(is_wanted: Callable[[], bool]) -> None:
+    def take_back(client: Client, is_wanted: Callable[[], bool]) -> None:
         began = time.monotonic()
         time.sleep(1.0)
         attempts.append((began, time.monotonic()))
         raise LinkTimeout("no answer")
 
-    recall = Recall("robot")
-    with contextlib.suppress(LinkTimeout), recall.command("play", TIMEOUT, take_back) as given_up:
-        given_up()
-        raise LinkTimeout("no answer")
+    fail(recall, "play", TakeBack(Client, take_back))
     time.sleep(30.0)
-    recall.close()
     assert len(attempts) > 25
     assert max(late[0] - early[1] for early, late in itertools.pairwise(attempts)) < 0.15
 
