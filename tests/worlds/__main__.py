@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -20,20 +21,26 @@ def outcome(seed: int) -> tuple[int, Outcome]:
     return seed, run(draw(seed))
 
 
-def shrunk(world: World, most: int = 200) -> World:
-    """A smaller world in which something is still wrong."""
+def shrunk(world: World, most: int = 300) -> World:
+    """A smaller, simpler and shorter world in which the same is wrong."""
+    wrong = kind(run(world).faults[0])
     tried = 0
-    while tried < most:
+    is_smaller = True
+    while is_smaller and tried < most:
+        is_smaller = False
         for smaller in world.smaller():
             tried += 1
-            if run(smaller).faults:
-                world = smaller
+            if any(kind(fault) == wrong for fault in run(smaller).faults):
+                world, is_smaller = smaller, True
                 break
             if tried >= most:
                 break
-        else:
-            break
     return world
+
+
+def kind(fault: str) -> str:
+    """What is wrong, without numbers and names."""
+    return re.sub(r"\w*\d[\w.]*", "#", fault.splitlines()[0])
 
 
 def show(world: World, result: Outcome) -> None:

@@ -1,49 +1,159 @@
 """Worlds as a seed draws them: a controller, its clients and what they do, and what happens to cables and computers.
 
-A world is data, so that one in which something went wrong can be made smaller, and printed.
+A world is data, so that one in which something went wrong can be made smaller, printed, and pasted into a test.
 """
 
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from urlink.firmware import RELEASES
 
-#: What a client asks for; `asked.BEGIN` has a function for each.
-ASKED = (
+T = TypeVar("T", "World", "Client", "Ask", "Event")
+
+#: Motions that end by themselves, motions that last as long as a block, and calls that move nothing.
+MOTIONS = (
     "move_joints",
     "move_linear",
+    "move_circular",
     "path",
+    "taught",
     "speed_joints",
     "speed_linear",
+    "speed_held",
+    "speed_held_rtde",
+    "stop",
+    "until_contact",
     "follow",
     "follow_rtde",
+    "follow_low_bandwidth",
+    "script",
+    "statements",
+)
+BLOCKS = (
     "servo",
     "servo_rtde",
+    "servo_filtered",
     "jog",
+    "jog_rtde",
     "force_mode",
-    "script",
-    "output",
+    "force_mode_rtde",
+    "torque",
+    "torque_rtde",
+    "freedrive",
+    "freedrive_rtde",
+    "teach",
+    "interpreter",
 )
+CALLS = (
+    "output",
+    "analog_output",
+    "slider",
+    "payload",
+    "tcp",
+    "zero_force_sensor",
+    "popup",
+    "secondary_script",
+    "line",
+    "gripper",
+    "registers",
+    "inputs",
+    "outputs",
+    "who_holds",
+    "subscribe",
+    "iterate",
+    "wait_state",
+    "enable",
+    "wait_until_clear",
+    "cancel_current",
+    "close",
+    "load",
+    "play",
+    "pause",
+    "stop_program",
+    "power_off",
+    "start",
+    "unlock",
+    "dashboard_popup",
+    "program_state",
+)
+#: What a client of each kind asks for; `asked` has a function for each.
+ASKED = {
+    "threads": MOTIONS + BLOCKS + CALLS,
+    "asyncio": MOTIONS + BLOCKS + CALLS,
+    "rtde": ("registers", "inputs", "outputs", "outputs", "who_holds"),
+    "dashboard": (
+        "load",
+        "play",
+        "play",
+        "pause",
+        "stop_program",
+        "power_off",
+        "start",
+        "unlock",
+        "dashboard_popup",
+        "program_state",
+    ),
+    "ur_rtde": ("moveJ", "moveL", "servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "stopJ", "sendScript"),
+    "urx": ("movej", "movel", "movejs", "speedj", "translate", "stopj", "getj"),
+    "foreign": (
+        "script",
+        "line",
+        "partial",
+        "garbage",
+        "silence",
+        "many",
+        "rtde_frame",
+        "rtde_partial",
+        "rtde_claim",
+        "dashboard_line",
+        "dashboard_flood",
+    ),
+}
 #: How it goes on after that.
 THEN = ("wait", "wait_briefly", "cancel", "leave", "interrupt", "forget")
-#: What happens beside the clients: at the pendant, to the network, to computers.
-HAPPENS = (
+#: What happens beside the clients: at the pendant and to the arm, to the network and to computers.
+AT_THE_ROBOT = (
     "protective_stop",
     "emergency_stop",
+    "power_off",
+    "reboot",
     "pendant_stop",
     "pendant_pause",
+    "pendant_play",
+    "pendant_jog",
     "slider",
+    "local_control",
+    "teach_button",
+    "push",
+    "stall",
+    "cut_port",
+    "split",
+    "garbage",
+    "rtde_late",
+    "rtde_stale",
+)
+HAPPENS = (
+    *AT_THE_ROBOT,
     "cut",
     "deaf",
     "mute",
     "reset",
+    "refused",
+    "slow",
     "suspend_client",
     "suspend_robot",
     "kill_client",
+    "power_client",
     "hold_client",
 )
+
+_KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", "urx", "foreign", "foreign")
+_STOPS = ("protective_stop", "emergency_stop", "pendant_stop", "pendant_pause")
+_CABLES = ("cut", "deaf", "mute", "reset", "suspend_client", "suspend_robot", "hold_client")
 
 
 @dataclass(frozen=True)
@@ -54,8 +164,9 @@ class Ask:
         what: of `ASKED`.
         then: of `THEN`.
         after: seconds before it is asked for.
-        size: 0 to 1: how far, how fast.
+        size: 0 to 1: how far, how fast, which one.
         patience: seconds until `then` is done, where it is not done at once.
+        thread: number of the client's thread, or task, that asks.
     """
 
     what: str
@@ -63,14 +174,26 @@ class Ask:
     after: float
     size: float
     patience: float
+    thread: int = 0
 
 
 @dataclass(frozen=True)
 class Client:
-    """A program on a computer of its own, which asks for one thing after the other."""
+    """A program on a computer of its own, whose threads ask for one thing after the other.
+
+    Attributes:
+        asks: those of all threads.
+        drift: seconds by which its clock is fast in one.
+        kind: of `ASKED`.
+        policy: as `require_enable` of `urlink.connect`.
+        start: where its programs find their permission: in the "register" or in "flags".
+    """
 
     asks: tuple[Ask, ...]
     drift: float
+    kind: str = "threads"
+    policy: str = "never"
+    start: str = "register"
 
 
 @dataclass(frozen=True)
@@ -79,10 +202,11 @@ class Event:
 
     Attributes:
         what: of `HAPPENS`.
-        at: seconds after the clients have begun.
+        at: seconds after the ask `ask` of the client, or after the clients have begun.
         lasts: seconds until it is undone, where it can be.
         client: number of the client that it concerns.
         size: 0 to 1.
+        ask: number of an ask of that client; None for the beginning.
     """
 
     what: str
@@ -90,6 +214,7 @@ class Event:
     lasts: float
     client: int
     size: float
+    ask: int | None = None
 
 
 @dataclass(frozen=True)
@@ -103,54 +228,109 @@ class World:
     clients: tuple[Client, ...]
     events: tuple[Event, ...]
 
-    def smaller(self) -> list[World]:
-        """The same with one client, one event or one thing asked for less."""
-        found = []
-        if len(self.clients) > 1:
-            for number in range(len(self.clients)):
-                events = tuple(
-                    replace(event, client=event.client - (event.client > number))
-                    for event in self.events
-                    if event.client != number
-                )
-                rest = self.clients[:number] + self.clients[number + 1 :]
-                found.append(replace(self, clients=rest, events=events))
-        found += [
-            replace(self, events=self.events[:number] + self.events[number + 1 :]) for number in range(len(self.events))
-        ]
+    def smaller(self) -> Iterator[World]:
+        """The same with one client, event or ask less, and then with simpler and shorter ones."""
+        for number in range(len(self.clients) if len(self.clients) > 1 else 0):
+            events = tuple(
+                replace(event, client=event.client - (event.client > number))
+                for event in self.events
+                if event.client != number
+            )
+            yield replace(self, clients=self.clients[:number] + self.clients[number + 1 :], events=events)
+        for number in range(len(self.events)):
+            yield replace(self, events=self.events[:number] + self.events[number + 1 :])
         for number, client in enumerate(self.clients):
             for place in range(len(client.asks)):
                 fewer = replace(client, asks=client.asks[:place] + client.asks[place + 1 :])
-                found.append(replace(self, clients=(*self.clients[:number], fewer, *self.clients[number + 1 :])))
-        return found
+                events = tuple(_without(event, number, place) for event in self.events)
+                yield replace(self._with(number, fewer), events=events)
+        for number, client in enumerate(self.clients):
+            yield from (self._with(number, simpler) for simpler in _simpler(client, _SIMPLE_CLIENT))
+            for place, ask in enumerate(client.asks):
+                for simpler in _simpler(ask, _SIMPLE_ASK):
+                    asks = (*client.asks[:place], simpler, *client.asks[place + 1 :])
+                    yield self._with(number, replace(client, asks=asks))
+        for number, event in enumerate(self.events):
+            for shorter in _simpler(event, _SIMPLE_EVENT):
+                yield replace(self, events=(*self.events[:number], shorter, *self.events[number + 1 :]))
+        yield from _simpler(self, _SIMPLE_WORLD)
+
+    def _with(self, number: int, client: Client) -> World:
+        return replace(self, clients=(*self.clients[:number], client, *self.clients[number + 1 :]))
+
+
+#: The simplest value of each field that has one.
+_SIMPLE_CLIENT: Mapping[str, object] = {"drift": 0.0, "kind": "threads", "policy": "never", "start": "register"}
+_SIMPLE_ASK: Mapping[str, object] = {"after": 0.0, "patience": 0.0, "size": 1.0, "thread": 0, "then": "wait"}
+_SIMPLE_EVENT: Mapping[str, object] = {"at": 0.0, "lasts": 0.0, "size": 1.0}
+_SIMPLE_WORLD: Mapping[str, object] = {"latency": 1e-4, "jitter": 0.0, "firmware": "5.10"}
+
+
+def _simpler(thing: T, simple: Mapping[str, object]) -> Iterator[T]:
+    """The same with one field at its simplest value, or rounded."""
+    for name, simplest in simple.items():
+        value = getattr(thing, name)
+        is_kept = name == "kind" and not {ask.what for ask in getattr(thing, "asks", ())} <= set(ASKED["threads"])
+        if value == simplest or is_kept:
+            continue
+        yield _changed(thing, name, simplest)
+        if isinstance(value, float) and value != round(value, 2):
+            yield _changed(thing, name, round(value, 2))
+
+
+def _changed(thing: T, name: str, value: object) -> T:
+    change: dict[str, Any] = {name: value}
+    return replace(thing, **change)
+
+
+def _without(event: Event, client: int, place: int) -> Event:
+    """The event after that ask of that client is gone."""
+    if event.client != client or event.ask is None or event.ask < place:
+        return event
+    return replace(event, ask=None if event.ask == place else event.ask - 1)
 
 
 def draw(seed: int) -> World:
-    """The world of a seed."""
+    """The world of a seed: a few kinds of asks and of events, which come again and again."""
     chance = random.Random(seed)
+    clients = tuple(_client(chance) for _ in range(chance.choice((1, 1, 2, 2, 3))))
+    menu: Sequence[str] = chance.choice((_STOPS, _CABLES, HAPPENS, HAPPENS, chance.sample(HAPPENS, 3)))
+    events = tuple(_event(chance, menu, clients) for _ in range(chance.choice((0, 1, 1, 2, 3, 4))))
+    firmwares = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
+    latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4, 2e-3))
+    return World(seed, chance.choice(firmwares), latency, jitter, clients, events)
 
-    def ask() -> Ask:
-        return Ask(
-            chance.choice(ASKED),
-            chance.choice(THEN),
-            chance.choice((0.0, 0.0, 0.01, 0.3)) * chance.random(),
-            chance.random(),
-            chance.choice((0.002, 0.05, 0.5)) * chance.random(),
-        )
 
-    clients = tuple(
-        Client(tuple(ask() for _ in range(chance.randint(1, 5))), chance.uniform(-1e-4, 1e-4))
-        for _ in range(chance.choice((1, 1, 2, 3)))
+def _client(chance: random.Random) -> Client:
+    kind = chance.choice(_KINDS)
+    menu = ASKED[kind]
+    if kind in ("threads", "asyncio"):
+        # Calls move nothing, so there are fewer of them.
+        menu = tuple(chance.choice(chance.choice((MOTIONS, MOTIONS, BLOCKS, CALLS))) for _ in range(4))
+    threads = chance.choice((1, 1, 2, 3)) if kind in ("threads", "asyncio") else 1
+    asks = tuple(_ask(chance, menu, threads) for _ in range(chance.randint(1, 4) + threads - 1))
+    policy = chance.choice(("never",) * 6 + ("on_startup", "always"))
+    return Client(asks, chance.uniform(-1e-4, 1e-4), kind, policy, chance.choice(("register",) * 6 + ("flags",)))
+
+
+def _ask(chance: random.Random, menu: tuple[str, ...], threads: int) -> Ask:
+    return Ask(
+        chance.choice(menu),
+        chance.choice(THEN),
+        chance.choice((0.0, 0.0, 0.01, 0.3)) * chance.random(),
+        chance.random(),
+        chance.choice((0.002, 0.05, 0.5)) * chance.random(),
+        chance.randrange(threads),
     )
-    events = tuple(
-        Event(
-            chance.choice(HAPPENS),
-            chance.choice((0.2, 0.5, 2.0)) * chance.random(),
-            chance.choice((0.02, 0.3, 1.5, 6.0)) * chance.random(),
-            chance.randrange(len(clients)),
-            chance.random(),
-        )
-        for _ in range(chance.choice((0, 1, 1, 2, 4)))
+
+
+def _event(chance: random.Random, menu: Sequence[str], clients: tuple[Client, ...]) -> Event:
+    client = chance.randrange(len(clients))
+    return Event(
+        chance.choice(menu),
+        chance.choice((0.005, 0.05, 0.3, 1.0)) * chance.random(),
+        chance.choice((0.02, 0.3, 1.0, 3.0)) * chance.random(),
+        client,
+        chance.random(),
+        chance.choice((None, *range(len(clients[client].asks)))),
     )
-    firmware = chance.choice([str(row.since) for row in RELEASES])
-    return World(seed, firmware, chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4, 2e-3)), clients, events)

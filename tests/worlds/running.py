@@ -2,28 +2,48 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import itertools
+import logging
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import urlink
-from linkcore.errors import LinkError
+from linkcore.errors import LinkError, RemoteError
+from linkcore.handle import Handle
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
+from urlink.compat.rtde_control import RTDEControlInterface
+from urlink.compat.urx import Robot as UrxRobot
 from urlink.simulator import Controller, Still
 
-from .asked import BEGIN
-from .drawn import Ask, Client, Event, World
+from .asked import BLOCK, CALL, DURING, MOTION, PENDANT_PROGRAM, UR_RTDE, URX
+from .drawn import AT_THE_ROBOT, Ask, Client, Event, World
+from .foreign import RAW
+from .happening import at_the_robot, elsewhere
 from .watch import BRAKING, Outcome, Watch
 
-__all__ = ["Outcome", "run"]
+__all__ = ["Outcome", "Run", "run"]
 
+HOST = "192.168.0.100"
 #: s: how much longer than its time-out a call may take.
 LATE = 1.5
+#: s in which a motion has begun or has not, whatever happens, and in which what was given up has come to its end.
+BEGUN, ENDED = 20.0, 30.0
+#: s for which `then` waits for a motion, and for a block, which does not end by itself.
+WAIT, WAIT_IN_BLOCK = 20.0, 0.5
 #: s of simulated time for everything.
-LIMIT = 300.0
+LIMIT = 400.0
+#: Calls after which the arm may move with no handle that could tell when it ends.
+_LASTING = ("line",)
+_NO_END = {"servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "speedj"}
+
+
+class Interrupted(Exception):
+    """Raised by the program itself, in a block."""
 
 
 class Run:
@@ -32,16 +52,25 @@ class Run:
     def __init__(self, world: World, sim: Simulation, outcome: Outcome) -> None:
         self.world = world
         self.sim = sim
-        self.outcome = outcome
-        self.robot = sim.computer("robot", "192.168.0.100")
+        self.robot = sim.computer("robot", HOST)
         arm = "UR5e" if urlink.firmware.Firmware.parse(world.firmware).is_e_series else "UR5"
+        pick = "def pick():\n  movej([0.2, -1.57, 1.4, -1.57, -1.57, 0.0], v=0.5)\n  sleep(0.2)\nend\n"
         with sim.on(self.robot):
             self.controller = Controller(
-                arm, world.firmware, host="192.168.0.100", ports="standard", motion=Still(), seed=world.seed
+                arm,
+                world.firmware,
+                host=HOST,
+                ports="standard",
+                motion=Still(),
+                seed=world.seed,
+                files={PENDANT_PROGRAM: pick},
             ).start()
         self.watch = Watch(sim, self.controller, outcome)
         self.computers: list[Computer] = []
         self.gone: set[int] = set()
+        #: by client, the numbers of those of its asks for which the arm may move
+        self.owners: list[set[int]] = [set() for _ in world.clients]
+        self._numbers = itertools.count()
         #: those who press what is at the pendant
         self.hands: list[threading.Thread] = []
 
@@ -55,9 +84,8 @@ class Run:
                 threads.append(
                     threading.Thread(target=self._client, args=(number, client), name=f"client {number}", daemon=True)
                 )
-        with self.sim.on(self.robot):
-            for event in self.world.events:
-                self._plan(event)
+        for number in range(len(threads)):
+            self._happen(number, None)
         for number, thread in enumerate(threads):
             with self.sim.on(self.computers[number]):
                 thread.start()
@@ -80,129 +108,392 @@ class Run:
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
 
+    # -- who wants the arm to move -------------------------------------------------------------------------
+
+    def begin(self, client: int) -> int:
+        """A client asks for something that may move the arm; its number."""
+        owner = next(self._numbers)
+        self.owners[client].add(owner)
+        self.watch.begin(owner)
+        return owner
+
+    def end(self, client: int, owner: int, error: BaseException | None) -> None:
+        """The client knows that it is over."""
+        self.owners[client].discard(owner)
+        self.watch.end(owner, error)
+
+    def leave(self, client: int) -> None:
+        """A client is gone: what it has asked for may come to its end."""
+        self.gone.add(client)
+        self.watch.gone(-1)
+        for owner in self.owners[client]:
+            self.watch.gone(owner)
+
     # -- clients -----------------------------------------------------------------------------------------
 
     def _client(self, number: int, client: Client) -> None:
+        kinds: dict[str, Callable[[int, Client], None]] = {
+            "asyncio": lambda number, client: asyncio.run(self._tasks(number, client)),
+            "ur_rtde": self._ur_rtde,
+            "urx": self._urx,
+            "foreign": self._foreign,
+        }
         try:
-            with urlink.connect("192.168.0.100", timeout=3.0) as robot:
-                counted: list[int] = [0]
-                subscription = robot.realtime.subscribe(lambda state: _count(counted), policy=urlink.drop_oldest(8))
-                for ask in client.asks:
-                    time.sleep(ask.after)
-                    self._ask(number, robot, ask)
-                subscription.close()
+            kinds.get(client.kind, self._threads)(number, client)
         except LinkError as error:
             self.watch.note(f"client {number}: {_brief(error)}")
         except Exception as error:
             self.watch.fault(f"client {number}: {type(error).__name__}\n{traceback.format_exc()}")
 
-    def _ask(self, number: int, robot: urlink.Robot, ask: Ask) -> None:
-        watch = self.watch
-        watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
-        watch.begin(number)
+    def _options(self, client: Client) -> dict[str, Any]:
+        options: dict[str, Any] = {"timeout": 3.0, "require_enable": client.policy}
+        return {**options, "start_register": None} if client.start == "flags" else options
+
+    def _threads(self, number: int, client: Client) -> None:
+        with urlink.connect(HOST, **self._options(client)) as robot:
+            subscription = None
+            if client.kind == "threads":
+                subscription = robot.realtime.subscribe(lambda state: None, policy=urlink.drop_oldest(8))
+            kept: dict[int, Handle] = {}
+
+            def asks(which: int) -> None:
+                for place, ask in enumerate(client.asks):
+                    if ask.thread == which:
+                        time.sleep(ask.after)
+                        self._happen(number, place)
+                        self._ask(number, client, robot, ask, kept)
+
+            others = [
+                threading.Thread(target=asks, args=(which,), name=f"client {number} thread {which}", daemon=True)
+                for which in {ask.thread for ask in client.asks} - {0}
+            ]
+            for other in others:
+                other.start()
+            asks(0)
+            for other in others:
+                other.join()
+            if subscription is not None:
+                subscription.close()
+        self._all_over(number, kept)
+
+    def _forget(self, number: int, owner: int, motion: Handle, kept: dict[int, Handle]) -> None:
+        """Nobody waits for it; it is over when it is."""
+        kept[owner] = motion
+        motion.add_done_callback(lambda handle: self.end(number, owner, handle.error))
+
+    def _all_over(self, number: int, kept: dict[int, Handle]) -> None:
+        """The robot was closed: whatever was left running is over."""
+        for owner, handle in kept.items():
+            if not handle.done:
+                self.watch.fault(f"client {number}: {handle.name} is not over, and the robot was closed")
+            self.end(number, owner, handle.error)
+
+    def _ask(self, number: int, client: Client, robot: urlink.Robot, ask: Ask, kept: dict[int, Handle]) -> None:
         error: BaseException | None = None
+        owner = None
+        self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
         try:
-            with contextlib.ExitStack() as block:
-                motion = BEGIN[ask.what](robot, ask, block)
-                if motion is not None:
-                    error = self._then(motion, ask)
+            if client.policy != "never" and ask.size > 0.3:
+                robot.safety.enable()
+            if ask.what in CALL:
+                if ask.what in _LASTING:
+                    self.begin(number)
+                CALL[ask.what](robot, ask)
+            else:
+                owner = self.begin(number)
+                if ask.what in MOTION:
+                    with self._in_time(number, ask, "has begun", BEGUN):
+                        motion = MOTION[ask.what](robot, ask)
+                    if ask.then == "forget":
+                        self._forget(number, owner, motion, kept)
+                        owner = None
+                    else:
+                        error = self._then(number, motion, ask)
+                else:
+                    error = self._block(number, robot, ask)
+        except Interrupted:
+            pass
         except LinkError as raised:
             error = raised
         finally:
-            watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
-            watch.end(number, error)
+            self.watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
+            if owner is not None:
+                self.end(number, owner, error)
 
-    def _then(self, motion: Any, ask: Ask) -> BaseException | None:
-        begun = time.monotonic()
-        limit = 60.0
+    def _block(self, number: int, robot: urlink.Robot, ask: Ask) -> BaseException | None:
+        """A motion that lasts as long as a block; what its handle reports in the end."""
+        block = BLOCK[ask.what](robot, ask)
+        try:
+            with block as entered:
+                DURING[ask.what](robot, entered, ask)
+                handle = _handle(entered)
+                assert handle is not None
+                if ask.then == "cancel":
+                    handle.cancel()
+                elif ask.then == "wait":
+                    handle.wait(WAIT_IN_BLOCK)
+                elif ask.then == "interrupt":
+                    raise Interrupted
+                else:
+                    time.sleep(ask.patience)
+        except LinkError as error:
+            if isinstance(block, Handle) and not block.done:
+                return self._given_up(number, block, ask) or error
+            return error
+        return None
+
+    def _then(self, number: int, motion: Handle, ask: Ask) -> BaseException | None:
         try:
             if ask.then == "wait":
-                motion.wait(30.0)
+                with self._in_time(number, ask, "waits", WAIT):
+                    motion.wait(WAIT)
             elif ask.then == "wait_briefly":
-                limit = ask.patience
-                motion.wait(ask.patience)
+                with self._in_time(number, ask, "waits", ask.patience):
+                    motion.wait(ask.patience)
             elif ask.then == "cancel":
                 time.sleep(ask.patience)
                 motion.cancel()
-                motion.wait(10.0)
-            elif ask.then == "leave":
-                limit = 10.0 + ask.patience
-                with motion:
-                    time.sleep(ask.patience)
+                with self._in_time(number, ask, "waits", WAIT):
+                    motion.wait(WAIT)
             else:
-                time.sleep(ask.patience)
+                with contextlib.suppress(Interrupted), motion:
+                    time.sleep(ask.patience)
+                    if ask.then == "interrupt":
+                        raise Interrupted
         except LinkError as error:
-            if time.monotonic() - begun > limit + LATE:
-                self.watch.fault(f"{ask.what}: {ask.then} took {time.monotonic() - begun:.2f} s")
             if motion.done:
                 return error
-        # What the handle says in the end.
+        return self._given_up(number, motion, ask)
+
+    def _given_up(self, number: int, motion: Handle, ask: Ask) -> BaseException | None:
+        """End it, if it is not over; what its handle reports."""
         if not motion.done:
             with contextlib.suppress(LinkError):
                 motion.cancel()
+            with contextlib.suppress(LinkError), self._in_time(number, ask, "ends", ENDED):
+                motion.wait(ENDED)
+            if not motion.done:
+                self.watch.fault(f"{ask.what} has not ended {ENDED:g} s after it was cancelled")
+        return motion.error
+
+    @contextlib.contextmanager
+    def _in_time(self, number: int, ask: Ask, what: str, limit: float) -> Iterator[None]:
+        begun = self.sim.now
+        try:
+            yield
+        finally:
+            took = self.sim.now - begun
+            stood = sum(
+                event.lasts
+                for event in self.world.events
+                if event.client == number and event.what in ("suspend_client", "hold_client")
+            )
+            if took > limit + stood + LATE:
+                self.watch.fault(f"{ask.what}: {what} {took:.2f} s, longer than {limit:g} s")
+
+    # -- clients with tasks --------------------------------------------------------------------------------
+
+    async def _tasks(self, number: int, client: Client) -> None:
+        kept: dict[int, Handle] = {}
+        async with urlink.connect_async(HOST, **self._options(client)) as robot:
+            states = await robot.realtime.subscribe(lambda state: None)
+
+            async def asks(which: int) -> None:
+                for place, ask in enumerate(client.asks):
+                    if ask.thread == which:
+                        await asyncio.sleep(ask.after)
+                        self._happen(number, place)
+                        await self._ask_async(number, client, robot, ask, kept)
+
+            await asyncio.gather(*(asks(which) for which in sorted({ask.thread for ask in client.asks})))
+            states.close()
+        self._all_over(number, kept)
+
+    async def _ask_async(self, number: int, client: Client, robot: Any, ask: Ask, kept: dict[int, Handle]) -> None:
+        self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}, in a task")
+        owner = None if ask.what in CALL and ask.what not in _LASTING else self.begin(number)
+        error: BaseException | None = None
+        begin = CALL.get(ask.what) or MOTION.get(ask.what) or BLOCK[ask.what]
+        call = None
+        try:
+            if client.policy != "never" and ask.size > 0.3:
+                await robot.safety.enable()
+            if ask.what == "close":
+                await robot.close()
+                return
+            if ask.what == "iterate":
+                await robot.primary.wait(ask.patience)
+                return
+            call = robot.call(begin, robot._robot, ask)
+            if owner is not None and ask.then == "forget" and ask.what in MOTION:
+                self._forget(number, owner, await call.begun(), kept)
+                owner = None
+                return
+            await self._then_async(robot, call, ask)
+        except (asyncio.CancelledError, asyncio.TimeoutError, Interrupted):
+            pass
+        except LinkError as raised:
+            error = raised
+        finally:
+            if call is not None and owner is not None:
+                error = await self._ended(call, ask) or error
+            self.watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
+            if owner is not None and ask.what not in _LASTING:
+                self.end(number, owner, error)
+
+    async def _then_async(self, robot: Any, call: Any, ask: Ask) -> None:
+        async def whole() -> None:
+            if ask.what in BLOCK:
+                async with call as entered:
+                    await robot.call(DURING[ask.what], robot._robot, entered, ask)
+                    if ask.then == "interrupt":
+                        raise Interrupted
+                    await asyncio.sleep(ask.patience)
+            elif ask.then == "leave" and ask.what in MOTION:
+                async with call:
+                    await asyncio.sleep(ask.patience)
+            elif ask.then == "interrupt":
+                await call.begun()
+            else:
+                await call
+
+        if ask.then in ("wait_briefly", "cancel"):
+            task = asyncio.ensure_future(whole())
+            if ask.then == "wait_briefly":
+                await asyncio.wait_for(task, ask.patience)
+                return
+            if ask.size > 0.5:
+                await asyncio.sleep(ask.patience)
+            else:
+                for _ in range(int(40 * ask.size)):
+                    await asyncio.sleep(0)
+            task.cancel()
+            await task
+        else:
+            await asyncio.wait_for(whole(), WAIT)
+
+    async def _ended(self, call: Any, ask: Ask) -> BaseException | None:
+        """Wait until what a call has begun is over, and return what its handle reports."""
+        call.cancel()
+        submitted, until = call._submitted, self.sim.now + ENDED
+        while not submitted.done() and self.sim.now < until:
+            await asyncio.sleep(0.01)
+        if not submitted.done():
+            self.watch.fault(f"the call of {ask.what} has not ended {ENDED:g} s after it was cancelled")
+        if not submitted.done() or submitted.cancelled() or submitted.exception() is not None:
+            return submitted.exception() if submitted.done() and not submitted.cancelled() else None
+        handle = _handle(submitted.result())
+        # A block that was not entered has begun nothing, so that nothing ends.
+        if handle is None or not getattr(handle, "_is_entered", True):
+            return None
+        while not handle.done and self.sim.now < until:
+            await asyncio.sleep(0.01)
+        if not handle.done:
+            self.watch.fault(f"{ask.what} has not ended {ENDED:g} s after its task was")
+        return handle.error
+
+    # -- clients that are not `urlink.connect` ---------------------------------------------------------------
+
+    def _ur_rtde(self, number: int, client: Client) -> None:
+        with RTDEControlInterface(HOST) as robot:
+            self._compatible(number, client, robot, UR_RTDE)
+        self._all_end(number)
+
+    def _urx(self, number: int, client: Client) -> None:
+        with UrxRobot(HOST) as robot:
+            self._compatible(number, client, robot, URX)
+        self._all_end(number)
+
+    def _compatible(
+        self, number: int, client: Client, robot: Any, calls: dict[str, Callable[[Any, Ask, bool], object]]
+    ) -> None:
+        for place, ask in enumerate(client.asks):
+            time.sleep(ask.after)
+            self._happen(number, place)
+            self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
+            owner, lasts = self.begin(number), ask.then in ("forget", "cancel")
+            error: BaseException | None = None
             try:
-                motion.wait(20.0)
-            except LinkError as error:
-                return error
-        return getattr(motion, "error", None)
+                if calls[ask.what](robot, ask, lasts) is False:
+                    error = RemoteError("it returned False: the arm may still move")
+            except LinkError as raised:
+                error = raised
+            self.watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
+            if not lasts and ask.what not in _NO_END:
+                self.end(number, owner, error)
+            if lasts:
+                time.sleep(ask.patience)
+
+    def _all_end(self, number: int) -> None:
+        """The client has disconnected, which ends what it began."""
+        for owner in sorted(self.owners[number]):
+            self.end(number, owner, RemoteError("the arm may still move"))
+
+    def _foreign(self, number: int, client: Client) -> None:
+        for place, ask in enumerate(client.asks):
+            time.sleep(ask.after)
+            self._happen(number, place)
+            self.watch.note(f"client {number}, a foreign one: {ask.what} ({ask.size:.2f})")
+            try:
+                RAW[ask.what](HOST, ask)
+            except OSError as error:
+                self.watch.note(f"client {number}: {ask.what}: {error}")
 
     # -- events ------------------------------------------------------------------------------------------
 
+    def _happen(self, client: int, ask: int | None) -> None:
+        """Plan what is to happen after an ask, or after the beginning."""
+        for event in self.world.events:
+            if event.client == client and event.ask == ask:
+                self._plan(event)
+
     def _plan(self, event: Event) -> None:
-        sim, network, robot = self.sim, self.sim.network, self.robot
+        def hand() -> None:
+            time.sleep(event.at)
+            self.watch.note(f"{event.what} ({event.size:.2f}) for {event.lasts:.3f} s")
+            at_the_robot(event, self.controller, self.watch, next(self._numbers))
 
         def happen() -> None:
             self.watch.note(f"{event.what} ({event.size:.2f}), client {event.client}, for {event.lasts:.3f} s")
             client = self.computers[event.client]
-            undo: Callable[[], object] | None = None
-            if event.what == "cut":
-                network.cut(client, robot)
-                undo = lambda: network.mend(client, robot)  # noqa: E731
-            elif event.what in ("deaf", "mute"):
-                route = network.route(robot, client) if event.what == "deaf" else network.route(client, robot)
-                route.is_silent = True
-                undo = lambda: network.mend(client, robot)  # noqa: E731
-            elif event.what == "reset":
-                network.reset(client, robot)
-            elif event.what in ("suspend_client", "hold_client"):
-                client.suspend()
-                undo = lambda: None if event.client in self.gone else client.resume()  # noqa: E731
-            elif event.what == "suspend_robot":
-                robot.suspend()
-                undo = robot.resume
-            elif event.what == "kill_client":
-                self.gone.add(event.client)
-                client.kill()
-                self.watch.gone(event.client)
+            undo = elsewhere(event, self.sim.network, client, self.robot)
+            if event.what in ("kill_client", "power_client"):
+                self.leave(event.client)
             if undo is not None:
-                sim.at(sim.now + event.lasts, undo)
+                self.sim.at(self.sim.now + event.lasts, lambda: event.client in self.gone or undo())
 
-        def at_the_pendant() -> None:
-            time.sleep(event.at)
-            self.watch.note(f"{event.what} ({event.size:.2f})")
-            controller = self.controller
-            if event.what == "slider":
-                controller.call(lambda: setattr(controller, "speed_fraction", event.size))
-            elif event.what == "pendant_stop":
-                controller.call(controller.pendant.stop)
-            elif event.what == "pendant_pause":
-                controller.call(controller.pendant.pause)
-                time.sleep(event.lasts)
-                controller.call(controller.pendant.play)
-            else:
-                getattr(controller.faults, event.what)()
-                time.sleep(event.lasts)
-                controller.faults.clear()
-
-        if event.what in ("protective_stop", "emergency_stop", "pendant_stop", "pendant_pause", "slider"):
-            self.hands.append(threading.Thread(target=at_the_pendant, daemon=True, name=event.what))
-            self.hands[-1].start()
+        if event.what in AT_THE_ROBOT:
+            with self.sim.on(self.sim.here):
+                self.hands.append(threading.Thread(target=hand, daemon=True, name=event.what))
+                self.hands[-1].start()
         else:
-            sim.at(event.at, happen)
+            self.sim.at(self.sim.now + event.at, happen)
 
 
-def _count(counted: list[int]) -> None:
-    counted[0] += 1
+class _Errors(logging.Handler):
+    """Exceptions that nobody expected: in threads, and those that are logged with a traceback."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        #: None at the end, when those threads are ended that a killed computer has left
+        self.fault: Callable[[str], object] | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.exc_info and self.fault is not None:
+            self.fault(f"logged: {self.format(record)}")
+
+    def uncaught(self, args: threading.ExceptHookArgs) -> None:
+        if not issubclass(args.exc_type, SystemExit) and self.fault is not None:
+            text = "".join(traceback.format_exception(args.exc_type, args.exc_value, args.exc_traceback))
+            self.fault(f"uncaught in {args.thread and args.thread.name}: {args.exc_value!r}\n{text}")
+
+
+def _handle(entered: Any) -> Handle | None:
+    """The handle of what was begun; that of teaching is its freedrive; None if it is no motion."""
+    if isinstance(entered, Handle):
+        return entered
+    freedrive: Handle | None = getattr(entered, "freedrive", None)
+    return freedrive
 
 
 def _brief(error: BaseException) -> str:
@@ -212,12 +503,22 @@ def _brief(error: BaseException) -> str:
 def run(world: World) -> Outcome:
     """Run a world; the same world gives the same outcome."""
     outcome = Outcome()
-    with simulated_time(world.seed, latency=world.latency, jitter=world.jitter, limit=LIMIT) as sim:
-        try:
-            whole = Run(world, sim, outcome)
-            with whole.watch.watching():
-                whole.everything()
-        except (Deadlock, TimeLimit) as error:
-            outcome.faults.append(f"{type(error).__name__}: {error}")
-        outcome.trace, outcome.steps, outcome.simulated = sim.trace, sim.steps, sim.now
+    errors = _Errors()
+    root, hook = logging.getLogger(), threading.excepthook
+    root.addHandler(errors)
+    try:
+        with simulated_time(world.seed, latency=world.latency, jitter=world.jitter, limit=LIMIT) as sim:
+            try:
+                whole = Run(world, sim, outcome)
+                errors.fault = whole.watch.fault
+                threading.excepthook = errors.uncaught
+                with whole.watch.watching():
+                    whole.everything()
+            except (Deadlock, TimeLimit) as error:
+                outcome.faults.append(f"{type(error).__name__}: {error}")
+            errors.fault = None
+            outcome.trace, outcome.steps, outcome.simulated = sim.trace, sim.steps, sim.now
+    finally:
+        threading.excepthook = hook
+        root.removeHandler(errors)
     return outcome

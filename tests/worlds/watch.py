@@ -24,6 +24,8 @@ __all__ = ["BRAKING", "Outcome", "Watch"]
 
 #: rad/s above which the arm moves.
 MOVES = 0.01
+#: Programs that have an owner of their own: the one that is saved at the pendant, and those of foreign clients.
+_OWNED = ("pick", "foreign")
 
 
 @dataclass
@@ -111,6 +113,8 @@ class Watch:
         controller, observed = self._controller, self.observed
         setpoint = controller.arm.setpoint
         q, qd = np.array(setpoint.q), np.array(setpoint.qd)
+        if controller.program_name in _OWNED:
+            self._until = self._sim.now + BRAKING
         speed, before = float(np.max(np.abs(qd))), float(np.max(np.abs(self._qd)))
         period = 1.0 / controller.firmware.rate
         if np.max(np.abs(q - self._q)) > 1.2 * period * 3.5:  # rad/s: above each joint's limit of 3.34

@@ -436,6 +436,8 @@ class Sockets:
         ends = End(self.network, computer, 0), End(self.network, computer, 0)
         for one, other in (ends, ends[::-1]):
             one.peer, one.is_connected = other, True
+            # Of the process and not of the network: an event loop whose own pair were broken would never wait again.
+            computer.ends.pop(one)
         here, there = (Socket(self, _socket.AF_UNIX, _socket.SOCK_STREAM, 0, end) for end in ends)
         return here, there
 

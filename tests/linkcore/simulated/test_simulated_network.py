@@ -351,3 +351,27 @@ def test_what_comes_is_the_beginning_of_what_was_sent(
         thread.join(1000.0)
         assert bytes(came) == sent
         link.close()
+
+
+def test_an_event_loop_whose_computer_lost_its_power_ends_with_the_simulation() -> None:
+    ended: list[BaseException] = []
+
+    async def waits_again() -> None:
+        try:
+            await asyncio.sleep(100.0)
+        finally:
+            await asyncio.sleep(1.0)
+
+    def program() -> None:
+        try:
+            asyncio.run(waits_again())
+        except BaseException as error:
+            ended.append(error)
+
+    with simulated_time(1) as sim:
+        robot = sim.computer("robot", "192.168.0.2")
+        with sim.on(robot):
+            threading.Thread(target=program, daemon=True).start()
+        time.sleep(1.0)
+        robot.power_off()
+    assert [type(error).__name__ for error in ended] == ["Ended"]

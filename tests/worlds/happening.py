@@ -1,0 +1,133 @@
+"""What happens in a world beside its clients: to the arm, to its pendant, to cables and to computers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from linkcore.simulated import Computer
+from linkcore.simulated.network import Listener, Network
+from urlink.simulator import Controller, Demonstration, Still
+
+from .asked import PENDANT_PROGRAM
+from .drawn import Event
+from .watch import Watch
+
+__all__ = ["at_the_robot", "elsewhere"]
+
+_PORTS = (None, "realtime", "primary", "secondary", "rtde")
+
+
+def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int) -> None:
+    """What a person, the arm or the controller does; returns when it is undone. In a thread of its own."""
+    faults, pendant, call = controller.faults, controller.pendant, controller.call
+    port = _PORTS[int(event.size * len(_PORTS)) % len(_PORTS)]
+    what = event.what
+    if what in ("protective_stop", "emergency_stop", "power_off"):
+        getattr(faults, what)()
+        time.sleep(event.lasts)
+        faults.clear()
+        if what != "protective_stop":
+            faults.power_on()
+    elif what == "reboot":
+        faults.reboot(downtime=event.lasts)
+    elif what == "pendant_stop":
+        call(pendant.stop)
+    elif what == "pendant_pause":
+        call(pendant.pause)
+        time.sleep(event.lasts)
+        call(pendant.play)
+    elif what == "pendant_play":
+        call(lambda: (pendant.load(PENDANT_PROGRAM), pendant.play()))
+    elif what == "pendant_jog":
+        watch.begin(number)
+        controller.follow(Demonstration())
+        time.sleep(event.lasts)
+        controller.follow(Still())
+        watch.end(number, None)
+    elif what == "slider":
+        call(lambda: setattr(controller, "speed_fraction", event.size))
+    elif what in ("local_control", "teach_button"):
+        name, value = ("remote_control", False) if what == "local_control" else ("teach_button", True)
+        call(lambda: setattr(controller, name, value))
+        time.sleep(event.lasts)
+        call(lambda: setattr(controller, name, not value))
+    elif what == "push":
+        controller.push([40.0 * event.size, 0, -20.0 * event.size, 0, 0, 0])
+        time.sleep(event.lasts)
+        controller.push([0.0] * 6)
+    elif what == "stall":
+        faults.stall(event.lasts, port)
+    elif what == "cut_port":
+        faults.cut(port)
+    elif what == "garbage":
+        faults.garbage(1 + int(2000 * event.size), port, inside=event.lasts > 1.0)
+    else:
+        if what == "split":
+            faults.split([1, 7, 1 + int(1500 * event.size)], port)
+        elif what == "rtde_late":
+            faults.rtde_late_data(0.3 * event.size)
+        else:
+            faults.rtde_stale_inputs(event.lasts)
+        time.sleep(event.lasts)
+        faults.heal()
+
+
+def elsewhere(event: Event, network: Network, client: Computer, robot: Computer) -> Callable[[], object] | None:
+    """What happens to the computer of a client, to that of the robot, or between them; how to undo it."""
+    there, back = network.route(client, robot), network.route(robot, client)
+    what = event.what
+    if what == "cut":
+        network.cut(client, robot)
+    elif what == "deaf":
+        back.is_silent = True
+    elif what == "mute":
+        there.is_silent = True
+    elif what == "reset":
+        network.reset(client, robot)
+        return None
+    elif what == "refused":
+        return _refused(robot)
+    elif what == "slow":
+        return _slow(event, network, client, robot)
+    elif what in ("suspend_client", "hold_client"):
+        client.suspend()
+        return client.resume
+    elif what == "suspend_robot":
+        robot.suspend()
+        return robot.resume
+    elif what == "kill_client":
+        client.kill()
+        return None
+    elif what == "power_client":
+        client.power_off()
+        return None
+    return lambda: network.mend(client, robot)
+
+
+def _refused(robot: Computer) -> Callable[[], object]:
+    """Nobody listens on the robot's ports."""
+    kept: dict[int, Listener] = dict(robot.listeners)
+    robot.listeners.clear()
+
+    def undo() -> None:
+        for port, listener in kept.items():
+            if getattr(listener.owner, "_listener", None) is listener:
+                robot.listeners.setdefault(port, listener)
+
+    return undo
+
+
+def _slow(event: Event, network: Network, client: Computer, robot: Computer) -> Callable[[], object]:
+    """A way of little bandwidth and more latency."""
+    routes = network.route(client, robot), network.route(robot, client)
+    before = [(route.latency, route.bandwidth) for route in routes]
+    for route in routes:
+        route.latency += 0.1 * event.size
+        route.bandwidth = 5e3 + 5e4 * event.size
+
+    def undo() -> None:
+        for route, (latency, bandwidth) in zip(routes, before, strict=True):
+            route.latency, route.bandwidth = latency, bandwidth
+
+    return undo
