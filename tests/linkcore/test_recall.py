@@ -230,3 +230,24 @@ def test_an_attempt_that_waits_is_broken_off_by_the_last_close() -> None:
     until(lambda: recall._thread is None)
     assert Recall.is_owed(key)
     recall.drop()
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.simulated_time(seed=seed)) for seed in range(10)]
+)
+def test_two_threads_that_use_a_peer_first_at_the_same_time_get_the_same_one(seed: int) -> None:
+    """In simulated time, where a thread that waited for a real lock of another one would wait for ever."""
+    found: list[Recall] = []
+
+    def use(user: object) -> None:
+        recall = Recall.of(f"peer {seed}", "peer", user)
+        found.append(recall)
+        time.sleep(1.0)
+        recall.close(user)
+
+    threads = [threading.Thread(target=use, args=(Client(),)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(TIMEOUT)
+    assert found[0] is found[1]

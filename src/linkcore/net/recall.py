@@ -88,11 +88,12 @@ class Recall:
             if recall is None:
                 recall = _known[peer] = cls(name)
                 recall._users = weakref.WeakSet()
-            with recall._lock:
-                assert recall._users is not None
-                recall._users.add(user)
-                recall._closed.clear()
-                recall._start()
+        # Without the lock of the module, which is a real one in simulated time too: others must not wait for it.
+        with recall._lock:
+            assert recall._users is not None
+            recall._users.add(user)
+            recall._closed.clear()
+            recall._start()
         return recall
 
     @staticmethod
