@@ -1,5 +1,7 @@
 """Runs worlds: ``python -m tests.worlds --seeds 300 --jobs 2``; ``--seed 17`` for one, with its log.
 
+``--traces`` prints the checksum of each run: equal in every process, on every version of Python.
+
 ``--planted NAME --seeds 10000`` puts a defect of `planted` back, and searches for the first seed that shows it.
 """
 
@@ -58,6 +60,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="run this one, and print what happens")
     parser.add_argument("--shrink", action="store_true", help="make a world in which something is wrong smaller")
     parser.add_argument("--until", action="store_true", help="end with the first fault, and make its world smaller")
+    parser.add_argument("--traces", action="store_true", help="print a checksum of all that happened in each world")
     parser.add_argument("--planted", metavar="NAME", choices=NAMES, help=f"with a defect: {', '.join(NAMES)}")
     given = parser.parse_args()
     if given.planted is not None:
@@ -80,6 +83,8 @@ def main() -> int:
                 done += 1
                 simulated += result.simulated
                 moved += result.moved
+                if given.traces:
+                    print(f"{seed} {result.trace:08x}", flush=True)
                 if result.faults:
                     failed += 1
                     print(f"python -m tests.worlds --seed {seed}    # {result.faults[0].splitlines()[0]}", flush=True)

@@ -59,6 +59,7 @@ class Computer:
         name, address: how it is called.
         rate: seconds of its clock for one of the simulation; 1.0001 is 100 ppm fast.
         is_on: whether it has power: without, it takes and sends no packet, and has forgotten its connections.
+        is_in_c: whether a function in C holds the interpreter's lock of its program.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Computer:
     offset: float = 1000.0
     is_running: bool = True
     is_on: bool = True
+    is_in_c: bool = False
     held: list[Task] = field(default_factory=list)
     listeners: dict[int, Listener] = field(default_factory=dict)
     ends: dict[End, None] = field(default_factory=dict)
@@ -80,6 +82,20 @@ class Computer:
     def resume(self) -> None:
         """Let its process go on."""
         self.scheduler.resume(self)
+
+    def hold(self) -> None:
+        """Have a function in C hold the interpreter's lock: no thread of its program executes Python until `release`.
+
+        Unlike one that is suspended, a `recv` that waits completes in the kernel: it returns what came first, although
+        later, and the next one what came after that.
+        """
+        self.is_in_c = True
+        self.suspend()
+
+    def release(self) -> None:
+        """The function in C returns."""
+        self.is_in_c = False
+        self.resume()
 
     def kill(self) -> None:
         """End its process; the kernel closes its sockets, as each was set to be closed."""
@@ -167,8 +183,6 @@ class End:
         self._oldest = 0.0
         self._retransmit = _RETRANSMIT[0]
         self._is_retransmitting = False
-        # To the peer, and from it.
-        self._ways: tuple[Route, Route] | None = None
         computer.ends[self] = None
 
     # -- the program's side ------------------------------------------------------------------------------

@@ -88,6 +88,9 @@ class Socket(Pollable):
         self._end = end
         #: None, -1 while it connects, or the outcome
         self._connecting: int | None = None
+        # How much a `recv` that waits asks for, and what the kernel has given it while it could not return.
+        self._asked = 0
+        self._given = b""
         if end is not None:
             end.owner = self
 
@@ -228,10 +231,17 @@ class Socket(Pollable):
             if flags & _socket.MSG_DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
             timeout = self._timeout
-            if timeout is None and self._receive_timeout:
-                self._wait(_IN, self._receive_timeout, BlockingIOError)
-            else:
-                self._wait(_IN, timeout)
+            self._asked = 0 if flags & _socket.MSG_PEEK else size
+            try:
+                if timeout is None and self._receive_timeout:
+                    self._wait(_IN, self._receive_timeout, BlockingIOError)
+                else:
+                    self._wait(_IN, timeout)
+            finally:
+                self._asked = 0
+            if self._given:
+                data, self._given = self._given, b""
+                return data
         if end.received:
             if flags & _socket.MSG_PEEK:
                 return bytes(end.received[:size])
@@ -332,7 +342,7 @@ class Socket(Pollable):
             return _HUP | _OUT
         if self._connecting == -1:
             return 0
-        found = _IN if end.received else 0
+        found = _IN if end.received or self._given else 0
         if end.error:
             found |= _ERR | _HUP | _IN | _OUT
         if not end.is_open:
@@ -342,6 +352,11 @@ class Socket(Pollable):
         if end.is_ended or self._is_shut_for_reading:
             found |= _IN | _select.POLLRDHUP
         return found
+
+    def changed(self) -> None:
+        super().changed()
+        if self._asked and self._end is not None and self._end.received and self._computer.is_in_c and not self._given:
+            self._given = self._end.take(self._asked)
 
     def _wait(self, mask: int, timeout: float | None, late: type[OSError] = TimeoutError) -> None:
         """Wait for one of these events, or for the end of the socket."""

@@ -50,7 +50,7 @@ _KEPT = (
 _BEFORE = ("asyncio", "concurrent.futures.thread", "multiprocessing.process", "numpy.random")
 
 #: What can happen to a computer, and how it is written.
-_OF_COMPUTERS = ("suspend", "resume", "kill", "power_off", "power_on")
+_OF_COMPUTERS = ("suspend", "resume", "hold", "release", "kill", "power_off", "power_on")
 _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 
 #: Modules of others in which nothing was to be replaced, with the number of names that they had: looking through all
@@ -131,7 +131,8 @@ class Simulation:
         Each is `NAME=COMPUTER@SECONDS`, in seconds since the block began. Of the cable between that computer and the
         one of the block: `cut` (every packet is lost), `cut_to` and `cut_from` (in one direction), `mend`, `reset`
         (every connection is reset at both ends). Of the computer: `suspend` and `resume` (its program; its kernel goes
-        on), `kill` (its program), `power_off`, `power_on`.
+        on), `hold` and `release` (a function in C holds the interpreter's lock of its program), `kill` (its program),
+        `power_off`, `power_on`.
 
         Raises:
             BadValue: no such fault, no such computer, or no such time.

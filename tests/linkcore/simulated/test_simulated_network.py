@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import select
 import selectors
 import socket
 import struct
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -49,6 +51,11 @@ def serve(sim: Simulation, computer: Computer, talk: Callable[[socket.socket], o
         thread = threading.Thread(target=run)
         thread.start()
     return thread
+
+
+def unacknowledged(link: socket.socket) -> int:
+    (count,) = struct.unpack("i", fcntl.ioctl(link, termios.TIOCOUTQ, bytes(4)))
+    return int(count)
 
 
 def echo(link: socket.socket) -> None:
@@ -294,6 +301,60 @@ def test_a_selector_reports_what_is_there_until_it_is_taken(sim: Simulation, rob
         with pytest.raises(OSError, match="Bad file descriptor"):
             selector.register(9999, selectors.EVENT_READ)
     assert sim.open_sockets == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "end", "returned"), [("hold", "release", [b"a", b"bc"]), ("suspend", "resume", [b"abc"])]
+)
+def test_a_computer_whose_threads_stand_still(
+    sim: Simulation, robot: Computer, fault: str, end: str, returned: list[bytes]
+) -> None:
+    """Its kernel acknowledges; where the interpreter's lock is held, a `recv` that waits has what came first."""
+    came: list[bytes] = []
+    ticks: list[float] = []
+
+    def take(link: socket.socket) -> None:
+        while data := link.recv(4096):
+            came.append(data)
+            ticks.append(sim.now)
+
+    thread = serve(sim, robot, take)
+    with socket.create_connection(("robot", PORT)) as link:
+        begun = sim.now
+        time.sleep(0.1)
+        sim.schedule(f"{fault}=robot@{begun + 0.2:.3f}", f"{end}=robot@{begun + 1.0:.3f}")
+        time.sleep(0.2)
+        for byte in (b"a", b"b", b"c"):
+            link.send(byte)
+            time.sleep(0.1)
+        assert came == []
+        assert unacknowledged(link) == 0
+        time.sleep(1.0)
+        assert came == returned
+        assert ticks[0] == pytest.approx(begun + 1.0, abs=1e-3)
+        link.send(b"d")
+    thread.join()
+    assert came == [*returned, b"d"]
+
+
+def test_a_time_out_that_passes_while_the_interpreters_lock_is_held(sim: Simulation, robot: Computer) -> None:
+    outcome: list[str] = []
+
+    def take(link: socket.socket) -> None:
+        link.settimeout(0.5)
+        with contextlib.suppress(TimeoutError):
+            outcome.append(link.recv(10).decode())
+        outcome.append(f"late at {sim.now:.2f}")
+        outcome.append(link.recv(10).decode())
+
+    thread = serve(sim, robot, take)
+    with socket.create_connection(("robot", PORT)) as link:
+        sim.at(sim.now + 0.1, robot.hold)
+        sim.at(sim.now + 2.0, robot.release)
+        time.sleep(1.0)
+        link.send(b"after")
+        thread.join()
+    assert outcome == ["late at 2.00", "after"]
 
 
 def test_streams_of_asyncio(sim: Simulation, robot: Computer) -> None:
