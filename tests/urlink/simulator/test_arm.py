@@ -16,6 +16,7 @@ from urlink.simulator import Controller
 from urlink.simulator.robot import arm as simulated
 from urlink.simulator.robot.sensors import Sample, Sensors
 from urlink.simulator.robot.sources import HOME, Demonstration, Setpoint, Still
+from urlink.simulator.rtde_variables import robot_current
 
 ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 
@@ -331,3 +332,10 @@ def test_sensors_of_an_arm_that_stands_follow_what_changes() -> None:
         )
         for name in Sample.__slots__:
             assert getattr(used, name) == getattr(new, name), name
+
+
+def test_currents_are_added_in_the_same_way_on_every_python() -> None:
+    """From 3.12 on `sum` of floats carries the rounding errors along; the packets would differ in their last bits."""
+    state = Controller("UR5e", "5.11")._state
+    state.arm.sample.I_actual = [1e16, 1.0, -1.0, 1.0, 1.0, 1.0]
+    assert robot_current(state) == 0.3 + 0.1 * 1e16

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import add
 
 import numpy as np
 
@@ -314,7 +315,8 @@ def _inertia(model: Model) -> list[float]:
     """kg m² that each joint accelerates, coarsely: all links after it at half its reach in an L-shaped posture."""
     lengths = [abs(a) + abs(d) for a, d in zip(model.dh_a.tolist(), model.dh_d.tolist(), strict=True)]
     masses = model.link_masses.tolist()
-    return [sum(masses[i:]) * (0.5 * sum(lengths[i:])) ** 2 / 2.0 for i in range(6)]
+    # Not `sum`, which rounds in another way from Python 3.12 on: the same run sends the same bytes everywhere.
+    return [reduce(add, masses[i:]) * (0.5 * reduce(add, lengths[i:])) ** 2 / 2.0 for i in range(6)]
 
 
 @lru_cache(maxsize=64)

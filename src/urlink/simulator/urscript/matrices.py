@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 from linkcore.wire.version import Since
@@ -86,7 +87,13 @@ def _product(a: Any, b: Any, charge: Charge) -> Any:
         raise Fault(f"List too long: {elements} elements")
     charge(elements * len(right))
     columns = list(zip(*right, strict=True))
-    made = tuple([tuple([checked(sum(map(operator.mul, row, column))) for column in columns]) for row in left])
+    # Not `sum`, which rounds in another way from Python 3.12 on.
+    made = tuple(
+        [
+            tuple([checked(reduce(operator.add, map(operator.mul, row, column), 0)) for column in columns])
+            for row in left
+        ]
+    )
     if not is_matrix(a):
         return made[0]
     return made if is_matrix(b) else tuple([row[0] for row in made])
