@@ -13,9 +13,10 @@ import pytest
 
 import urlink
 from tests.cancelling import Sent, Trial, run_cancelled, sends, turns
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
-from urlink.simulator import Controller
+from urlink.simulator import Controller, Still
 
 __all__ = ["sends"]
 
@@ -28,11 +29,9 @@ SLOW = 10.0
 Use = Callable[[Any], Awaitable[object]]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
-    with Controller("UR5e", "5.25") as controller:
-        with urlink.connect(controller.address) as robot:
-            robot.motion.move_joints(READY, speed=3.0, acceleration=30.0, wait=True)
+    with Controller("UR5e", "5.25", motion=Still(READY)) as controller:
         yield controller
 
 
