@@ -48,6 +48,7 @@ from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import Row
 from tests.rhdlink import recorded
 from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 
 
@@ -202,6 +203,7 @@ def test_a_server_that_grants_less_is_taken_at_its_word() -> None:
             rhdlink.connect(server.address, access="w")
 
 
+@pytest.mark.real_time
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["late_first_sync64", "late_first_sync_orig2014"])
 def test_a_late_first_sync_is_in_step(name: str) -> None:
@@ -848,6 +850,7 @@ def test_a_kept_value_that_the_robot_no_longer_has_is_counted(caplog: pytest.Log
     assert "lost what was set of 'speedr', which the robot no longer has" in caplog.text
 
 
+@pytest.mark.real_time
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
 def test_a_forked_child_neither_syncs_nor_ends_its_parent_s_connection() -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:

@@ -131,7 +131,7 @@ class DatabaseModel(RuleBasedStateMachine):
             assert set(flags.nonzero()[0].tolist()) == model
 
 
-DatabaseModel.TestCase.settings = settings(max_examples=40, stateful_step_count=25)
+DatabaseModel.TestCase.settings = settings(stateful_step_count=25)
 TestDatabase = pytest.mark.property(DatabaseModel.TestCase)
 
 

@@ -22,6 +22,7 @@ from rhdlink.variables.database import Database
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
 from tests.rhdlink.raw_client import RawClient
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 
 
@@ -277,6 +278,7 @@ def test_11_an_index_equal_to_the_length_reaches_no_neighbour(robot: Robot) -> N
         witness(host, 1)
 
 
+@pytest.mark.real_time
 def test_12_the_port_is_free_again_at_once_and_of_this_machine_only(robot: Robot, own_port: int) -> None:
     with Host([robot], period=0.002, port=own_port):
         client = RawClient(own_port)

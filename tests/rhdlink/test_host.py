@@ -28,6 +28,7 @@ from rhdlink.host.schedule import Schedule
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
 from tests.rhdlink.raw_client import RawClient
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 
 
@@ -859,6 +860,7 @@ def test_an_address_that_is_taken_or_is_none() -> None:
         Host(port=0, address="no.such.host.invalid").start()
 
 
+@pytest.mark.real_time
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
 def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
     with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as client:

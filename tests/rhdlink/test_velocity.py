@@ -12,6 +12,7 @@ from linkcore.errors import BadValue
 from rhdlink.host.host import Host
 from rhdlink.plugins.velocity import Twist, VelocityBridge
 from tests.rhdlink.raw_client import RawClient
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 
 
