@@ -458,19 +458,11 @@ class Observed:
 
     # -- at the end --------------------------------------------------------------------------------------
 
-    def check_ends(self, is_quiet: bool, has_others: bool) -> None:
-        """Each end of a handle agrees with what the controller did.
-
-        Args:
-            is_quiet: nothing has happened beside the clients.
-            has_others: there is more than one client.
-        """
+    def check_ends(self) -> None:
+        """Each end of a handle agrees with what the controller did."""
         for name, sent in self.programs.items():
-            phase, error = sent.life.phase, sent.error
+            phase = sent.life.phase
             if sent.computer.is_running and not sent.life.is_over:
                 self._fault(f"{name} is {phase.value} after the end of its client")
             if phase is Phase.DONE and not (sent.is_finished or sent.is_linked or sent.wrapped.is_secondary):
                 self._fault(f"{name} is done, and the controller has not come to its end")
-            wrong = ("NotRunning", "SafetyStop") if has_others else ("NotRunning", "SafetyStop", "InputInUse")
-            if is_quiet and error is not None and type(error).__name__ in wrong:
-                self._fault(f"{name}: {type(error).__name__} in a world in which nothing happens: {error}")

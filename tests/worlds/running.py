@@ -66,7 +66,7 @@ class Run:
                 seed=world.seed,
                 files={PENDANT_PROGRAM: pick},
             ).start()
-        self.watch = Watch(sim, self.controller, outcome)
+        self.watch = Watch(sim, self.controller, outcome, is_quiet=_is_quiet(world))
         self.computers: list[Computer] = []
         self.gone: set[int] = set()
         #: by client, the numbers of those of its asks for which the arm may move
@@ -105,7 +105,7 @@ class Run:
         ]
         if left and not self.gone:
             self.watch.fault(f"threads are left: {left}")
-        self.watch.observed.check_ends(not self.world.events, len(self.world.clients) > 1)
+        self.watch.observed.check_ends()
         if not self.gone and self.sim.open_sockets:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
 
@@ -160,7 +160,7 @@ class Run:
             def asks(which: int) -> None:
                 for place, ask in enumerate(client.asks):
                     if ask.thread == which:
-                        time.sleep(ask.after)
+                        _rest(robot, ask, ask.after)
                         self._happen(number, place)
                         self._ask(number, client, robot, ask, kept)
 
@@ -209,7 +209,7 @@ class Run:
                         self._forget(number, owner, motion, kept)
                         owner = None
                     else:
-                        error = self._then(number, motion, ask)
+                        error = self._then(number, robot, motion, ask)
                 else:
                     error = self._block(number, robot, ask)
         except Interrupted:
@@ -217,7 +217,7 @@ class Run:
         except LinkError as raised:
             error = raised
         finally:
-            self.watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
+            self.watch.told(number, ask.what, error)
             if owner is not None:
                 self.end(number, owner, error)
 
@@ -236,14 +236,14 @@ class Run:
                 elif ask.then == "interrupt":
                     raise Interrupted
                 else:
-                    time.sleep(ask.patience)
+                    _rest(robot, ask)
         except LinkError as error:
             if isinstance(block, Handle) and not block.done:
                 return self._given_up(number, block, ask) or error
             return error
         return None
 
-    def _then(self, number: int, motion: Handle, ask: Ask) -> BaseException | None:
+    def _then(self, number: int, robot: urlink.Robot, motion: Handle, ask: Ask) -> BaseException | None:
         try:
             if ask.then == "wait":
                 with self._in_time(number, ask, "waits", WAIT):
@@ -252,7 +252,7 @@ class Run:
                 with self._in_time(number, ask, "waits", ask.patience):
                     motion.wait(ask.patience)
             elif ask.then == "cancel":
-                time.sleep(ask.patience)
+                _rest(robot, ask)
                 motion.cancel()
                 with self._in_time(number, ask, "waits", WAIT):
                     motion.wait(WAIT)
@@ -338,7 +338,7 @@ class Run:
         finally:
             if call is not None and owner is not None:
                 error = await self._ended(call, ask) or error
-            self.watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
+            self.watch.told(number, ask.what, error)
             if owner is not None and ask.what not in _LASTING:
                 self.end(number, owner, error)
 
@@ -419,7 +419,7 @@ class Run:
                     error = RemoteError("it returned False: the arm may still move")
             except LinkError as raised:
                 error = raised
-            self.watch.note(f"client {number}: {ask.what} ended: {'well' if error is None else _brief(error)}")
+            self.watch.told(number, ask.what, error)
             if not lasts and ask.what not in _NO_END:
                 self.end(number, owner, error)
             if lasts:
@@ -495,6 +495,20 @@ def _handle(entered: Any) -> Handle | None:
         return entered
     freedrive: Handle | None = getattr(entered, "freedrive", None)
     return freedrive
+
+
+def _is_quiet(world: World) -> bool:
+    """Nothing happens beside clients that only move the arm: nothing may be said to have stopped it."""
+    moves = {*MOTION, *BLOCK}
+    return not world.events and all(ask.what in moves for client in world.clients for ask in client.asks)
+
+
+def _rest(robot: urlink.Robot, ask: Ask, seconds: float | None = None) -> None:
+    """Let time pass; half of the asks go on when a state comes, as a loop does: in the same moment as other threads."""
+    time.sleep(ask.patience if seconds is None else seconds)
+    if ask.size > 0.5:
+        with contextlib.suppress(LinkError):
+            robot.realtime.wait(0.1)
 
 
 def _brief(error: BaseException) -> str:

@@ -51,11 +51,17 @@ class Outcome:
 class Watch:
     """Looks at the arm in every cycle.
 
+    Args:
+        sim, controller: of the world.
+        outcome: where it is written.
+        is_quiet: no stop can come, and the robot cannot go away.
+
     Attributes:
         observed: programs and handles of the world.
     """
 
-    def __init__(self, sim: Simulation, controller: Controller, outcome: Outcome) -> None:
+    def __init__(self, sim: Simulation, controller: Controller, outcome: Outcome, *, is_quiet: bool) -> None:
+        self._is_quiet = is_quiet
         self._sim = sim
         self._controller = controller
         self._outcome = outcome
@@ -103,6 +109,13 @@ class Watch:
             self._until = max(self._until, self._sim.now + BRAKING)
             if error is not None and ADMITS.search(str(error)):
                 self._is_admitted = True
+
+    def told(self, client: int, what: str, error: BaseException | None) -> None:
+        """A client has been told how something ended that it asked for."""
+        said = "well" if error is None else f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        self.note(f"client {client}: {what} ended: {said}")
+        if self._is_quiet and type(error).__name__ in ("NotRunning", "SafetyStop"):
+            self._once(f"{what} ended with {said}, in a world in which nothing happens")
 
     def gone(self, client: int) -> None:
         """A client is killed: what runs on the robot by itself may come to its end."""
