@@ -12,10 +12,11 @@ import re
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from itertools import islice
 
 from .drawn import World, draw
-from .planted import NAMES, planted, worlds
+from .planted import NAMES, SHOWN, planted, worlds
 from .running import Outcome, run
 
 
@@ -61,12 +62,23 @@ def main() -> int:
     parser.add_argument("--shrink", action="store_true", help="make a world in which something is wrong smaller")
     parser.add_argument("--until", action="store_true", help="end with the first fault, and make its world smaller")
     parser.add_argument("--traces", action="store_true", help="print a checksum of all that happened in each world")
+    parser.add_argument("--shown", metavar="NAME", choices=SHOWN, help="run the world in which that defect shows")
     parser.add_argument("--planted", metavar="NAME", choices=NAMES, help=f"with a defect: {', '.join(NAMES)}")
     given = parser.parse_args()
     if given.planted is not None:
         rest = ["--first", str(given.first), "--seeds", str(given.seeds), "--jobs", str(given.jobs), "--until"]
         with planted(given.planted) as root:
-            return worlds(root, rest if given.seed is None else ["--seed", str(given.seed), "--shrink"]).returncode
+            found = worlds(root, rest if given.seed is None else ["--seed", str(given.seed), "--shrink"])
+        print(found.stdout, end="")
+        return found.returncode
+    if given.shown is not None:
+        small, tries = SHOWN[given.shown]
+        for world in (replace(small, seed=seed) for seed in range(tries)):
+            result = run(world)
+            if result.faults:
+                show(world, result)
+                return 1
+        return 0
     if given.seed is not None:
         world = draw(given.seed)
         result = run(world)

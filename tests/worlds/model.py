@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeVar
 
 from linkcore.handle import TRANSITIONS, Event, Phase
 
-__all__ = ["DEFECTS", "ENDS", "INVARIANTS", "Explored", "State", "begin", "explore"]
+__all__ = ["DEFECTS", "ENDS", "INVARIANTS", "Explored", "State", "begin", "explore", "place"]
 
 T = TypeVar("T")
 #: A text is "program", "grant" or "stop", and a report "asks", "finished", "ended", "expired", each with its handle; a
@@ -342,13 +342,24 @@ class Explored:
     Attributes:
         states, steps: how many; states that differ only in what makes no difference count once.
         transitions: of handles: the phases before and after.
+        places: of handles: the `place` before and after a step.
         violated: invariant -> the shortest way to a state in which it does not hold.
     """
 
     states: int = 0
     steps: int = 0
     transitions: set[tuple[str | None, str | None]] = field(default_factory=set)
+    places: set[tuple[tuple[str, str], tuple[str, str]]] = field(default_factory=set)
     violated: dict[str, list[str]] = field(default_factory=dict)
+
+
+def place(state: State, handle: int) -> tuple[str, str]:
+    """Where a handle is: its phase, or "over"; and whether its program is on the controller, and waits or moves."""
+    phase = state.phases[handle] or ""
+    where = "none"
+    if state.program is not None and state.program[0] == handle:
+        where = "waits" if state.program[1] is None else "moves"
+    return phase if phase in ("", *_LIVE) else "over", where
 
 
 def explore(start: State, defect: str | None = None, until: Collection[str] = ()) -> Explored:
@@ -376,6 +387,9 @@ def explore(start: State, defect: str | None = None, until: Collection[str] = ()
             found.steps += 1
             if after.phases != state.phases:
                 found.transitions.update(zip(state.phases, after.phases, strict=True))
+            if after.phases != state.phases or after.program != state.program:
+                for handle in range(len(state.owners)):
+                    found.places.add((place(state, handle), place(after, handle)))
             after = after.essence(defect)
             there = number.setdefault(after, len(states))
             if there == len(states):

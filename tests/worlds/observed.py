@@ -57,12 +57,14 @@ class Sent:
         computer: which sent it.
         wrapped, life: as `Programs.start` was given them.
         is_stop, is_linked: the same.
-        asked: when it was, s.
+        asked: when its text left, s; before that, when it was asked for.
         ended, error: when its handle ended, and by what.
         begun: when the controller began it; None before.
         over: when the controller ended it.
         is_finished: it has reported its own end.
         granted: when the permission that lets it go on came from its client; None without.
+        moved: it has moved the arm.
+        place: the newest of `Observed.places`.
         rests: cycles in which it may go on to brake, counted from the end of its handle.
     """
 
@@ -79,6 +81,8 @@ class Sent:
     is_finished: bool = False
     granted: float | None = None
     rests: int = 0
+    moved: bool = False
+    place: tuple[str, str] = ("", "none")
 
     @property
     def is_admitted(self) -> bool:
@@ -141,13 +145,13 @@ class Observed:
     Attributes:
         programs: by name.
         transitions: of handles: the phases before and after.
-        places: of programs that wait for permission: phase of the handle, and what the controller does with it, one
-            after the other.
+        places: of programs that wait for permission: handle and controller (`model.place`) before and after each step.
     """
 
     def __init__(self, sim: Simulation, controller: Controller, fault: Callable[[str], object]) -> None:
         self.programs: dict[str, Sent] = {}
         self.transitions: set[tuple[str, str]] = set()
+        self.places: set[tuple[tuple[str, str], tuple[str, str]]] = set()
         self._sim = sim
         self._controller = controller
         self._fault = fault
@@ -206,6 +210,7 @@ class Observed:
             is_stop, is_linked = how.get("is_stop", False), how.get("is_linked", False)
             sent = Sent(here(), text, life, is_stop, is_linked, self._sim.now)
             self.programs[text.name] = sent
+            self._step(sent)
             life.on_end(lambda: self._ended(sent))
             start(programs, text, life, **how)
 
@@ -213,6 +218,18 @@ class Observed:
 
     def _ended(self, sent: Sent) -> None:
         sent.ended, sent.error = self._sim.now, sent.life.error
+        self._step(sent)
+
+    def _step(self, sent: Sent) -> None:
+        """Something has become of a program that waits for permission."""
+        if sent.wrapped.permission is None:
+            return
+        phase = "over" if sent.life.is_over else sent.life.phase.value
+        is_there = sent.begun is not None and sent.over is None
+        after = phase, ("moves" if sent.moved else "waits") if is_there else "none"
+        if after != sent.place:
+            self.places.add((sent.place, after))
+            sent.place = after
 
     def _text(self, send: Callable[..., None]) -> Callable[..., None]:
         def wrapped(channel: CommandChannel, text: Any, decide: Callable[[], object]) -> None:
@@ -226,6 +243,9 @@ class Observed:
             send(channel, text, decide)
             if was_begun or not text.is_begun:
                 return
+            for sent in self._of(here()):
+                if sent.wrapped.text == whole:
+                    sent.asked = self._sim.now
             if refusal is not None and (is_permission or whole.startswith("def ")):
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")
             if is_given_up:
@@ -264,6 +284,9 @@ class Observed:
             has_changed = apply(life, event, *rest, **named)
             if has_changed:
                 self.transitions.add((before.value, life.phase.value))
+                for sent in self.programs.values():
+                    if sent.life is life:
+                        self._step(sent)
             elif event is not Event.BEGIN and not life.is_over:
                 self._fault(f"{life.name} is {life.phase.value} after {event.value}")
             return has_changed
@@ -393,6 +416,7 @@ class Observed:
             sent = self.programs.get(script.name)
             if sent is not None:
                 sent.begun = self._sim.now
+                self._step(sent)
             start(script)
 
         return wrapped
@@ -402,6 +426,7 @@ class Observed:
             sent = self.programs.get(program.name)
             if sent is not None:
                 sent.over = self._sim.now
+                self._step(sent)
             ended(program)
 
         return wrapped
@@ -449,6 +474,9 @@ class Observed:
                 return f"which was asked for at {sent.asked:.3f} s, before the stop at {begun:.3f} s was over"
         if is_dead and (sent.is_linked or sent.life.name.startswith("speed")) and sent.rests > braking + _SPEED * rate:
             return "whose client is gone"
+        if is_faster and not sent.moved:
+            sent.moved = True
+            self._step(sent)
         is_gone = is_dead or not sent.computer.is_running
         if sent.ended is None or sent.is_stop or is_gone or sent.is_admitted or sent.rests <= braking:
             return None

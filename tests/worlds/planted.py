@@ -13,15 +13,74 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-__all__ = ["NAMES", "planted", "worlds"]
+from .drawn import Ask, Client, Event, World
+
+__all__ = ["NAMES", "SHOWN", "planted", "worlds"]
 
 ROOT = Path(__file__).resolve().parents[2]
 _PATCHES = Path(__file__).parent / "defects"
 #: The names of the defects.
 NAMES = tuple(sorted(path.stem for path in _PATCHES.glob("*.patch")))
+
+
+def _ask(what: str, then: str = "wait", *, after: float = 0.0, size: float = 1.0, patience: float = 0.0) -> Ask:
+    return Ask(what, then, after, size, patience)
+
+
+def _world(*clients: Client, events: tuple[Event, ...] = (), latency: float = 1e-4, jitter: float = 0.0) -> World:
+    return World(0, "5.11", latency, jitter, clients, events)
+
+
+#: A small world that shows the defect, and with how many seeds in place of its own it is tried: which thread goes first
+#: is the seed's.
+SHOWN: Mapping[str, tuple[World, int]] = {
+    # The permission of the first client comes when the program of the second one waits for its own.
+    "one-permission-for-all": (
+        _world(
+            Client((_ask("move_joints"),), 0.0),
+            Client((_ask("move_joints", after=0.008, size=0.4),), 0.0),
+            latency=0.005,
+            jitter=0.004,
+        ),
+        20,
+    ),
+    # The program's text is lost on the way and sent again, when a stop has come and is over.
+    "held-program-goes-on": (
+        _world(
+            Client((_ask("speed_joints", size=0.1), _ask("script", after=0.2)), 0.0),
+            events=(Event("mute", 0.0, 0.5, 0, 1.0, 1), Event("protective_stop", 0.05, 0.2, 0, 1.0, 1)),
+        ),
+        3,
+    ),
+    # The block is left in the moment in which a state is answered.
+    "word-after-the-last": (_world(Client((_ask("jog", "leave", size=0.6),), 0.0)), 40),
+    "up-before-its-ports": (
+        _world(
+            Client((_ask("wait_state", after=0.5, patience=1.0),), 0.0), events=(Event("reboot", 0.01, 0.3, 0, 1.0),)
+        ),
+        3,
+    ),
+    "speed-outlives-its-program": (
+        _world(Client((_ask("speed_held"),), 0.0), events=(Event("kill_client", 0.02, 0.3, 0, 1.0, 0),)),
+        3,
+    ),
+    # The task is cancelled between two turns of the loop, while a thread prepares the motion.
+    "cancelled-task-moves-the-arm": (
+        _world(Client((_ask("move_joints", "cancel", size=0.5),), 0.0, "asyncio")),
+        20,
+    ),
+    "cancel-brakes-not": (_world(Client((_ask("move_joints", "cancel", size=0.9, patience=0.1),), 0.0)), 3),
+    "interlock-forgets-the-stop": (
+        _world(
+            Client((_ask("wait_state", after=0.1), _ask("move_joints", after=0.2)), 0.0),
+            events=(Event("protective_stop", 0.0, 0.5, 0, 1.0, 0),),
+        ),
+        3,
+    ),
+}
 
 
 @contextlib.contextmanager
@@ -45,6 +104,8 @@ def planted(name: str | None) -> Iterator[Path]:
 
 
 def worlds(root: Path, arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """What ``python -m tests.worlds`` says with the code of that folder; its output is shown as it comes."""
+    """``python -m tests.worlds`` with the code of that folder, and what it prints."""
     env = {**os.environ, "PYTHONPATH": str(root / "src")}
-    return subprocess.run([sys.executable, "-m", "tests.worlds", *arguments], cwd=ROOT, env=env, text=True)
+    return subprocess.run(
+        [sys.executable, "-m", "tests.worlds", *arguments], cwd=ROOT, env=env, text=True, stdout=subprocess.PIPE
+    )

@@ -60,8 +60,14 @@ def test_handles_of_worlds_do_what_those_of_the_model_do(monkeypatch: pytest.Mon
         return has_changed
 
     monkeypatch.setattr(Lifecycle, "_apply", recorded)
+    places: set[tuple[tuple[str, str], tuple[str, str]]] = set()
     for seed in range(10):
-        assert run(draw(seed)).faults == []
+        outcome = run(draw(seed))
+        assert outcome.faults == []
+        places |= outcome.places
+    # Permission: nothing moves that its client has not heard ask, and let go on.
+    assert places <= whole(0, 1).places | whole(0, 0).places
+    assert any(after == ("running", "moves") for _, after in places)
     modelled = whole(0, 1).transitions | whole(0, 0).transitions
     assert seen <= modelled
     assert {after for _, after in seen} == {

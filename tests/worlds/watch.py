@@ -37,6 +37,7 @@ class Outcome:
         trace, steps: of the scheduler.
         moved: seconds for which the arm moved.
         simulated: seconds that passed.
+        places: as `Observed.places`.
         log: what was asked, what happened and what came of it, by its time.
     """
 
@@ -45,6 +46,7 @@ class Outcome:
     steps: int = 0
     moved: float = 0.0
     simulated: float = 0.0
+    places: set[tuple[tuple[str, str], tuple[str, str]]] = field(default_factory=set)
     log: list[str] = field(default_factory=list)
 
 
@@ -90,6 +92,7 @@ class Watch:
         """Observe what the library does, too, for as long as the block lasts."""
         with self.observed.watching(), self._counted.watching():
             yield
+        self._outcome.places = self.observed.places
 
     def note(self, text: str) -> None:
         self._outcome.log.append(f"{self._sim.now:10.6f} {text}")
