@@ -14,14 +14,18 @@ import pytest
 import rhdlink.cli
 import urlink.cli
 
+pytestmark = pytest.mark.real_time  # each is a process
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
+#: s; an example takes one or two on a processor of its own.
+PATIENCE = 200.0
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=50, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
 def output(name: str, *arguments: str) -> str:
@@ -96,7 +100,7 @@ def test_the_notebook_runs_cell_by_cell(tmp_path: Path) -> None:
     """As a kernel would run it, and each cell's last value shows as a notebook would show it."""
     command = [sys.executable, "-W", "error", "-c", NOTEBOOK, str(EXAMPLES / "notebook.ipynb")]
     environment = {**os.environ, "TMPDIR": str(tmp_path), "TEMP": str(tmp_path)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=False, env=environment)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
         "Robot _repr_html_ True",
@@ -149,7 +153,7 @@ def test_examples_of_tests(name: str, passed: int) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"examples/{name}"]
     env = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     done = subprocess.run(
-        command, cwd=EXAMPLES.parent, env=env, capture_output=True, text=True, timeout=50, check=False
+        command, cwd=EXAMPLES.parent, env=env, capture_output=True, text=True, timeout=PATIENCE, check=False
     )
     assert done.returncode == 0, done.stdout
     assert f"{passed} passed" in done.stdout

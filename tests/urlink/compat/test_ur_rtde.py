@@ -21,22 +21,24 @@ from urlink.compat.rtde_io import RTDEIOInterface
 from urlink.compat.rtde_receive import RTDEReceiveInterface
 from urlink.simulator import HOME, Controller, Plane, Still
 
+pytestmark = pytest.mark.simulated_time
+
 NEAR = [0.1, -1.5, 1.5, -1.5, -1.5, 0.1]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         yield controller
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def control(controller: Controller) -> Iterator[RTDEControlInterface]:
     with RTDEControlInterface(controller.address) as control:
         yield control
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def receive(controller: Controller) -> Iterator[RTDEReceiveInterface]:
     with RTDEReceiveInterface(controller.address, 125.0) as receive:
         yield receive

@@ -12,6 +12,8 @@ from urlink import poses
 from urlink.compat import urx
 from urlink.simulator import HOME, Controller, Still
 
+pytestmark = pytest.mark.simulated_time
+
 NEAR = [0.1, -1.5, 1.5, -1.5, -1.5, 0.1]
 
 

@@ -26,7 +26,7 @@ __all__ = ["Lockstep"]
 _SLICE, _HEARD = 0.004, 0.2
 #: s that the client may be without news: none comes while time stands still.
 _FOREVER = 3600.0
-TIMEOUT = 20.0
+TIMEOUT = 120.0
 #: rad; elbow up, tool down.
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 

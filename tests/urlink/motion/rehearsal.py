@@ -27,7 +27,7 @@ from urlink.urscript.wrapping import finish_marker, start_marker
 from urlink.vectors import FloatArray
 
 _ARM = Arm("UR5e")
-TIMEOUT = 10.0
+TIMEOUT = 60.0
 STOP, FOLLOW, WAIT = 0, 1, 2
 #: rad; far from the limits and from singular postures.
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)

@@ -11,7 +11,7 @@ from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeo
 from tests.waiting import until
 from urlink.motion.reverse import ReverseLink, ReversePort
 
-TIMEOUT = 10.0
+TIMEOUT = 60.0
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from urlink.motion.reverse import ReverseLink
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 
-TIMEOUT = 30.0
+TIMEOUT = 120.0
 
 #: (arm, firmware, options): each generation, and all ways to follow.
 WAYS: list[tuple[str, str, dict[str, Any]]] = [

@@ -25,7 +25,7 @@ from urlink.motion.teaching import Triggers
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 
-TIMEOUT = 30.0
+TIMEOUT = 120.0
 SIX = st.tuples(*[st.floats(-10, 10)] * 6)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from urlink.simulator import Controller
 
-TIMEOUT = 30.0
+TIMEOUT = 120.0
 
 
 class Link:

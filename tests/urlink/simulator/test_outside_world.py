@@ -20,7 +20,7 @@ from urlink.simulator import Controller, Still
 from urlink.simulator.urscript.builtins.remote_procedures import parse_answer
 from urlink.simulator.urscript.errors import Fault
 
-TIMEOUT = 20.0
+TIMEOUT = 120.0
 Run = Callable[[str], tuple[str, ...]]
 
 

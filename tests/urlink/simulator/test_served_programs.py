@@ -20,6 +20,8 @@ from urlink.simulator.programs.loader import BUDGET, LEAST, LONG, MOST_WAITING
 from urlink.simulator.robot.sources import Still
 from urlink.simulator.urscript import Script, compile_script
 
+pytestmark = pytest.mark.simulated_time
+
 Connect = Callable[[Controller, str], Any]
 
 TURN = "def turn():\n  movej([0.2, -1.57, 1.57, -1.57, -1.57, 0], a=4, v=2)\nend\n"

@@ -1,0 +1,32 @@
+"""The marks that decide whether a test of this project, with all of its own fixtures, is in simulated time."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+pytestmark = pytest.mark.simulated_time
+
+
+@pytest.fixture
+def begun() -> float:
+    return time.monotonic()
+
+
+def test_fixtures_and_test_go_by_the_same_clock(begun: float) -> None:
+    waited = threading.Event()
+    thread = threading.Thread(target=lambda: (time.sleep(7200.0), waited.set()))
+    thread.start()
+    assert waited.wait(7300.0)
+    thread.join()
+    # As in a simulated block: seconds from its beginning, and no time that passes by itself.
+    assert begun < 1.0
+    assert 7200.0 <= time.monotonic() - begun < 7201.0
+
+
+@pytest.mark.real_time
+def test_what_is_marked_has_the_clock_of_the_operating_system(begun: float) -> None:
+    assert begun <= time.monotonic() < begun + 600.0
+    assert type(threading.Lock()).__module__ == "_thread"
