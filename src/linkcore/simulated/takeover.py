@@ -298,7 +298,7 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
     names: dict[str, int] = {}
     for name, module in list(sys.modules.items()):
         if not isinstance(module, ModuleType):
-            continue
+            continue  # type: ignore[unreachable]  # sys.modules takes any object
         names[name] = len(vars(module))
         if name.startswith(_KEPT) or _without.get(name) == names[name]:
             continue
