@@ -19,6 +19,8 @@ from urlink.motion.reverse import ReverseLink
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 
+pytestmark = pytest.mark.simulated_time
+
 TIMEOUT = 120.0
 
 #: (arm, firmware, options): each generation, and all ways to follow.

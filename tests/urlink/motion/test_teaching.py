@@ -25,6 +25,8 @@ from urlink.motion.teaching import Triggers
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 
+pytestmark = pytest.mark.simulated_time
+
 TIMEOUT = 120.0
 SIX = st.tuples(*[st.floats(-10, 10)] * 6)
 

@@ -18,6 +18,8 @@ from urlink.motion.motions import LinkName
 from urlink.robot import Robot
 from urlink.simulator import Controller, Plane, Still
 
+pytestmark = pytest.mark.simulated_time
+
 TIMEOUT = 120.0
 #: Seconds that words may stay away: the machine that runs this may be busy with other things.
 WATCHDOG = 2.0
