@@ -12,12 +12,13 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue, LocalError
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.simulator import Controller
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller() -> Iterator[Controller]:
     with Controller("UR5e", "5.11") as controller:
         yield controller

@@ -12,6 +12,7 @@ import pytest
 
 import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, WrongPeer
+from tests.simulated import in_simulated_time as in_simulated_time
 from urlink import RobotState, VersionMessage
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify

@@ -15,6 +15,7 @@ import pytest
 
 import urlink
 from linkcore.streaming.statistics import StreamStatistics
+from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import (
     Backoff,
