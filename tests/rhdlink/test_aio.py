@@ -18,6 +18,8 @@ from tests.cancelling import Sent, Trial, run_cancelled, sends
 from tests.rhdlink.scripted import Peer, ScriptedServer, nothing_more_after_greeting
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 __all__ = ["sends"]
 
 

@@ -22,6 +22,8 @@ from rhdlink.wire.messages import Row
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 TIMEOUT = 5.0
 INACTIVITY = 10.0
 #: Words of a variable that is in every reply: some 60 replies fill the buffers of the kernel.

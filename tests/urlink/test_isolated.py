@@ -19,7 +19,10 @@ from tests.waiting import until
 from urlink import BadValue, Robot
 from urlink.simulator import Controller
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there")
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -26,6 +26,8 @@ from linkcore.streaming.policy import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import AT_ONCE, BAD, Count, CountProtocol, counts
 
+pytestmark = pytest.mark.real_time
+
 #: Seconds within which everything has to have happened; on a busy machine too.
 SOON = 20.0
 

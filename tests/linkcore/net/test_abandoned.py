@@ -23,6 +23,8 @@ from linkcore.net import transport as module
 from linkcore.net.transport import TcpTransport
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 #: Seconds that a test waits for what must come at once.
 TIMEOUT = 10.0
 BLOCK = b"movej" * 1000

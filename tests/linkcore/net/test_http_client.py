@@ -15,6 +15,8 @@ from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
 from tests.served import OneAfterAnother
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 TIMEOUT = 10.0
 Say = Callable[[HttpRequest], Iterator[bytes]]
 

@@ -14,6 +14,8 @@ import pytest
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, local_address
 
+pytestmark = pytest.mark.real_time
+
 TIMEOUT = 10.0
 
 

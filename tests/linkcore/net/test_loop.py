@@ -20,6 +20,8 @@ from linkcore.errors import BadAddress, BadValue, LinkTimeout
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 TIMEOUT = 10.0
 
 

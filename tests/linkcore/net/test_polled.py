@@ -15,6 +15,8 @@ import pytest
 from linkcore.net.polled import PolledConnection
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 MOST = 1 << 16
 
 

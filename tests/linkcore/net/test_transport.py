@@ -19,6 +19,8 @@ import linkcore.net.transport
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from linkcore.net.transport import TcpTransport
 
+pytestmark = pytest.mark.real_time
+
 #: Seconds that a test waits for what must come at once.
 TIMEOUT = 10.0
 

@@ -14,6 +14,8 @@ from linkcore.errors import BadValue
 
 from .conftest import Run, Spawn
 
+pytestmark = pytest.mark.real_time
+
 CONFIG = """\
 <rhd>
   <scheduler> <period value="{period}"/> <type value="usleep"/> </scheduler>

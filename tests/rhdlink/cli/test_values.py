@@ -14,6 +14,8 @@ from tests.waiting import until
 
 from .conftest import Run, Spawn
 
+pytestmark = pytest.mark.real_time
+
 
 def test_vars(run: Run, address: str) -> None:
     status, out, err = run("vars", address)

@@ -17,6 +17,8 @@ from rhdlink.smrcl.robot_link import ClientLink
 from rhdlink.world import World
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 SCRIPT = "fwd 0.3\nturn -90\nturnr 0.2 60\nfwd -0.1 @v -0.2\n"
 #: Goes on until somebody ends it.
 ENDLESS = 'drive\nlabel "on"\nwait 1\ngoto "on"\n'

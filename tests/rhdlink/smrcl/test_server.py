@@ -17,6 +17,8 @@ from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World
 from tests.waiting import until
 
+pytestmark = pytest.mark.real_time
+
 SECONDS = 20.0
 
 

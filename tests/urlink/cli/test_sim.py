@@ -13,6 +13,8 @@ from urlink import SafetyMode
 
 from .conftest import Run
 
+pytestmark = pytest.mark.real_time
+
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
