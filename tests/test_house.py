@@ -31,7 +31,7 @@ AWAITED = {
     "linkcore.aio.loop_connection",
     "linkcore.aio.workers",
     "linkcore.aio.packets",
-    "urlink.aio.calls",
+    "urlink.aio.awaited",
     "urlink.aio.async_robot",
     "rhdlink.aio",
 }

@@ -14,18 +14,23 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import AsyncIterator, Generator
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+import inspect
+import os
+from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypedDict, TypeVar, overload
 
 from linkcore.aio.workers import Workers
 from linkcore.errors import Closed
-from linkcore.event_loop import finished, running_loop
+from linkcore.event_loop import Opening, finished, running_loop
 
-from .client import Variables
+from .client import Access, Variables
 from .client import connect as connect_here
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing_extensions import Self, Unpack
+
+    from .replica import Unsent
+    from .wire.decoder import Limits
 
 __all__ = ["AsyncRobot", "connect", "connect_async"]
 
@@ -38,6 +43,8 @@ class AsyncRobot(Generic[R]):
     Attributes:
         variables: the robot itself, with its properties. They change with `sync` and only with it.
     """
+
+    __slots__ = ("_is_closed", "_thread", "variables")
 
     def __init__(self, variables: R, thread: Workers) -> None:
         self.variables = variables
@@ -67,11 +74,11 @@ class AsyncRobot(Generic[R]):
             await self.sync(timeout)
             yield self.variables
 
-    async def close(self) -> None:
-        """Close the connection. Idempotent."""
+    async def close(self, timeout: float = 2.0) -> None:
+        """Close the connection, within `timeout` seconds; see `Variables.close`. Idempotent."""
         self._is_closed = True
         # Not in the robot's own thread, which may be in a sync that this is to end.
-        closing = asyncio.get_running_loop().run_in_executor(None, self.variables.close)
+        closing = asyncio.get_running_loop().run_in_executor(None, self.variables.close, timeout)
         try:
             await finished(closing)
         finally:
@@ -87,45 +94,31 @@ class AsyncRobot(Generic[R]):
         return f"<{type(self).__name__} of {self.variables!r}>"
 
 
-class _Connecting(Generic[R]):
-    """The result of `connect_async`: to be awaited, or entered by ``async with``."""
+class _Options(TypedDict, total=False):
+    """The arguments of `rhdlink.connect` beside the address and the class; see there."""
 
-    def __init__(self, address: str, variables: type[R], options: dict[str, Any]) -> None:
-        self._arguments = address, variables, options
-        self._robot: AsyncRobot[R] | None = None
-
-    async def _connect(self) -> AsyncRobot[R]:
-        address, variables, options = self._arguments
-        running_loop("connect_async")
-        thread = Workers(f"rhdlink {address}", 1)
-        try:
-            robot = await thread.make(lambda: connect_here(address, variables, **options), Variables.close)
-        except BaseException:
-            thread.close()
-            raise
-        return AsyncRobot(robot, thread)
-
-    def __await__(self) -> Generator[Any, None, AsyncRobot[R]]:
-        return self._connect().__await__()
-
-    async def __aenter__(self) -> AsyncRobot[R]:
-        self._robot = await self._connect()
-        return self._robot
-
-    async def __aexit__(self, *exc: object) -> None:
-        if self._robot is not None:
-            await self._robot.close()
+    access: Access
+    fallback: Literal["r"] | None
+    timeout: float
+    unsent: Unsent
+    width: int | None
+    limits: Limits | None
+    record: str | os.PathLike[str] | None
 
 
 @overload
-def connect_async(address: str, **options: Any) -> _Connecting[Variables]: ...
+def connect_async(
+    address: str, variables: None = None, **options: Unpack[_Options]
+) -> Opening[AsyncRobot[Variables]]: ...
 
 
 @overload
-def connect_async(address: str, variables: type[R], **options: Any) -> _Connecting[R]: ...
+def connect_async(address: str, variables: type[R], **options: Unpack[_Options]) -> Opening[AsyncRobot[R]]: ...
 
 
-def connect_async(address: str, variables: type[Variables] = Variables, **options: Any) -> _Connecting[Any]:
+def connect_async(
+    address: str, variables: type[Variables] | None = None, **options: Unpack[_Options]
+) -> Opening[AsyncRobot[Any]]:
     """Connect to a robot, to be entered or awaited.
 
     ``async with rhdlink.connect_async(...) as robot``, or ``robot = await rhdlink.connect_async(...)``.
@@ -136,9 +129,22 @@ def connect_async(address: str, variables: type[Variables] = Variables, **option
         options: the other arguments of `rhdlink.connect`.
 
     Raises:
+        TypeError: at once, for an argument that `rhdlink.connect` does not have.
         as `rhdlink.connect`, when it is awaited or entered.
     """
-    return _Connecting(address, variables, options)
+    inspect.signature(connect_here).bind(address, variables, **options)
+    return Opening(functools.partial(_connected, address, variables, options))
+
+
+async def _connected(address: str, variables: Any, options: _Options) -> AsyncRobot[Any]:
+    running_loop("connect_async")
+    thread = Workers(f"rhdlink {address}", 1)
+    try:
+        robot = await thread.make(lambda: connect_here(address, variables, **options), Variables.close)
+    except BaseException:
+        thread.close()
+        raise
+    return AsyncRobot(robot, thread)
 
 
 #: The name that it had first.

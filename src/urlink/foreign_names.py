@@ -120,6 +120,8 @@ def own_name(name: str) -> str | None:
 class AnswersForeignNames:
     """What a user holds: an attribute that it does not have is an error that names what does it here."""
 
+    __slots__ = ()
+
     if not TYPE_CHECKING:  # type checkers must not take it for an object with any attribute
 
         def __getattr__(self, name: str) -> object:

@@ -235,15 +235,15 @@ SURFACES = {
 
 #: The same of a robot for programs that use asyncio.
 ASYNC_SURFACES = {
-    "robot": """address call close controller dashboard firmware freedrive identify identity io kinematics model motion
-        popup primary realtime record registers rtde safety script secondary set_payload set_speed_slider set_tcp teach
-        zero_force_sensor""",
-    "robot.realtime": "close connection failure iterate latest name of start stats stream subscribe wait wait_until",
-    "robot.realtime.of(urlink.RealtimeState)": "iterate latest subscribe wait wait_until",
+    "robot": """address call close controller dashboard firmware freedrive gripper identify identity interpreter io
+        kinematics model motion popup primary realtime record registers rtde safety script secondary set_payload
+        set_speed_slider set_tcp teach zero_force_sensor""",
+    "robot.realtime": """close connection description failure history iterate join latest name of plot start stats stream
+        subscribe wait wait_until""",
+    "robot.realtime.of(urlink.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",
     "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
         speed_linear stop torque until_contact""",
-    "robot.script.run('sync()')": "begun cancel",
 }
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
 from ..streaming.events import ConnectionState
-from ..streaming.feed import Feed
+from ..streaming.feed import Feed, check_deadline
+from ..streaming.history import History
 from ..streaming.policy import Policy, check_lifespan, drop_oldest, latest
 from ..streaming.statistics import StreamStatistics
 from ..streaming.stream import Stream
@@ -24,6 +26,9 @@ K = TypeVar("K")
 #: Packets that may wait for a consumer that has to look at every one.
 _LAGGARD = 1024
 
+#: Seconds that a live plot's window has for its events; the loop waits for them.
+_EVENTS = 1e-3
+
 
 class AsyncFeed(Generic[T]):
     """The packets of one class on a stream: iterate, wait for the next, look at the newest, be called back.
@@ -33,6 +38,8 @@ class AsyncFeed(Generic[T]):
     Args:
         feed: the same for threads; it knows what is to be said of it.
     """
+
+    __slots__ = ("_feed", "_kind", "_loop_connection", "_owner")
 
     def __init__(self, feed: Feed[T], owner: object) -> None:
         assert isinstance(feed._connection, LoopConnection)
@@ -125,20 +132,67 @@ class AsyncFeed(Generic[T]):
     def __aiter__(self) -> Packets[T]:
         return self.iterate()
 
-    async def subscribe(self, callback: Callable[[T], object]) -> Subscription:
+    async def subscribe(
+        self,
+        callback: Callable[[T], object],
+        *,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+    ) -> Subscription:
         """Call `callback` with each packet, in order, in the thread of the loop, until closed.
 
         It has to be quick and must not wait: until it returns, the loop does nothing else. Calls of more than 0.5 ms
         are counted in `AsyncStream.stats`. What it raises is logged and counted, and it is called again.
 
+        Args:
+            callback: gets each packet.
+            deadline, on_deadline: as for `Feed.subscribe`; `on_deadline` is called in the thread of the loop too.
+
         Raises:
-            BadValue: nothing that can be called.
+            BadValue: an argument is not what it should be.
             RemoteError: the first connection could not be made.
             Closed: the stream was closed.
         """
         check_callable(callback, "callback")
+        deadline = check_deadline(deadline, on_deadline)
+        connection = self._loop_connection
+        await connection.connected()
+        late = None if on_deadline is None else lambda age: connection.call(lambda: on_deadline(age))
+        return connection.subscribe_inline(self._kind, callback, deadline=deadline, on_deadline=late, owner=self._owner)
+
+    async def history(self, seconds: float) -> History:
+        """As `Feed.history`: ``with await robot.realtime.history(5) as history:``.
+
+        Raises:
+            BadValue, RemoteError, Closed: as `Feed.history`.
+        """
         await self._loop_connection.connected()
-        return self._loop_connection.subscribe_inline(self._kind, callback, owner=self._owner)
+        return self._feed.history(seconds)
+
+    async def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
+        """As `Feed.plot`. The loop does nothing else while a picture is drawn, which takes tens of milliseconds.
+
+        Raises:
+            BadValue, LocalError, LinkTimeout, RemoteError, Closed: as `Feed.plot`.
+        """
+        from ..plotting import LivePlot  # imported here: importing the library stays cheap
+
+        seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
+        period = check_seconds(period, "period", positive=True, finite=True)
+        live = LivePlot()
+        end = time.monotonic() + seconds
+        try:
+            with await self.history(window) as history:
+                for picture in self._feed._pictures(history, fields, end):
+                    if picture is None:
+                        await self.wait(max(end - time.monotonic(), 0.0))
+                    else:
+                        live.update(picture, _EVENTS)
+                        await asyncio.sleep(period)
+                if not len(history):
+                    raise self._feed._why_nothing(seconds)
+        finally:
+            live.close()
 
     def __repr__(self) -> str:
         return f"<AsyncFeed of {self._kind.__name__} from {self._loop_connection.name}>"
@@ -153,6 +207,8 @@ class AsyncStream(AsyncFeed[T]):
     Attributes:
         stream: the same for other threads, over the connection that the loop reads.
     """
+
+    __slots__ = ("stream",)
 
     def __init__(self, stream: Stream[T]) -> None:
         super().__init__(stream, None)
@@ -195,12 +251,36 @@ class AsyncStream(AsyncFeed[T]):
         """
         return AsyncFeed(self.stream.of(kind), self)
 
-    async def subscribe(self, callback: Callable[[Any], object], kind: type | None = None) -> Subscription:
+    async def subscribe(
+        self,
+        callback: Callable[[Any], object],
+        kind: type | None = None,
+        *,
+        deadline: float | None = None,
+        on_deadline: Callable[[float], object] | None = None,
+    ) -> Subscription:
         """As `AsyncFeed.subscribe`; with `kind`, to packets of that class."""
         if kind is None:
-            return await super().subscribe(callback)
+            return await super().subscribe(callback, deadline=deadline, on_deadline=on_deadline)
         feed: AsyncFeed[Any] = self.of(kind)
-        return await feed.subscribe(callback)
+        return await feed.subscribe(callback, deadline=deadline, on_deadline=on_deadline)
+
+    async def description(self) -> dict[str, Any]:
+        """As `Stream.description`.
+
+        Raises:
+            RemoteError, Closed: as `start`.
+        """
+        await self.start()
+        return self.stream.description()
+
+    async def join(self, timeout: float | None = None) -> bool:
+        """Wait until the stream is over: closed, or given up; False when time is up. At once where nothing has started.
+
+        Raises:
+            BadValue: `timeout` is no number of seconds.
+        """
+        return await self._loop_connection.joined(None if timeout is None else check_seconds(timeout, "timeout"))
 
     async def close(self) -> None:
         """Disconnect and end every iterator and subscription. Idempotent.

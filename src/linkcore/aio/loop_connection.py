@@ -126,6 +126,10 @@ class LoopConnection(Connection):
             await asyncio.wait({task})
         self.state = ConnectionState.CLOSED
 
+    async def joined(self, timeout: float | None) -> bool:
+        """Wait until nothing will come any more, as `join`, for tasks of the loop; False when time is up."""
+        return self._task is None or await within(timeout, self._task)
+
     def abandon(self) -> None:
         """End everything without waiting for anything."""
         self._stop()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from ..arguments import check_callable, check_seconds
 from ..errors import BadValue, Closed, LinkTimeout
@@ -15,12 +15,30 @@ from .history import History
 from .policy import Policy, block, check_lifespan, check_policy, drop_oldest, latest
 from .subscription import Subscription
 
-__all__ = ["Feed"]
+if TYPE_CHECKING:
+    from ..plotting import Plot
+
+__all__ = ["Feed", "check_deadline"]
 
 T = TypeVar("T")
 
 #: Packets that may wait for a consumer that has to look at every one.
 _LAGGARD = 1024
+
+
+def check_deadline(deadline: float | None, on_deadline: Callable[[float], object] | None) -> float | None:
+    """The deadline of a subscription, s.
+
+    Raises:
+        BadValue: it is no positive number of seconds, or `on_deadline` cannot be called or has no deadline.
+    """
+    if deadline is not None:
+        deadline = check_seconds(deadline, "deadline", positive=True)
+    if on_deadline is not None:
+        check_callable(on_deadline, "on_deadline")
+        if deadline is None:
+            raise BadValue("on_deadline was given without a deadline")
+    return deadline
 
 
 class Feed(Generic[T]):
@@ -189,12 +207,7 @@ class Feed(Generic[T]):
             Closed: the stream was closed.
         """
         check_callable(callback, "callback")
-        if deadline is not None:
-            deadline = check_seconds(deadline, "deadline", positive=True)
-        if on_deadline is not None:
-            check_callable(on_deadline, "on_deadline")
-            if deadline is None:
-                raise BadValue("on_deadline was given without a deadline")
+        deadline = check_deadline(deadline, on_deadline)
         lifespan = check_lifespan(lifespan)
         connection, kind, owner = self._connection, self._kind, self._owner
         if inline:
@@ -244,28 +257,37 @@ class Feed(Generic[T]):
             LinkTimeout: nothing came within `seconds`.
             RemoteError, LocalError, Closed: as `subscribe`.
         """
-        from ..plotting import Curves, LivePlot, Plot  # imported here: importing the library stays cheap
+        from ..plotting import LivePlot  # imported here: importing the library stays cheap
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
-        units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
         live = LivePlot()
         end = time.monotonic() + seconds
         try:
             with self.history(window) as history:
-                while time.monotonic() < end:
-                    states = history.array(*fields)
-                    now = time.monotonic()  # after the last state has been received
-                    if len(states):
-                        when = states["received"] - now
-                        curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
-                        live.update(Plot(curves, self._connection.name), period)
+                for picture in self._pictures(history, fields, end):
+                    if picture is None:
+                        self.wait(max(end - time.monotonic(), 0.0))
                     else:
-                        self.wait(max(end - now, 0.0))
+                        live.update(picture, period)
                 if not len(history):
                     raise self._why_nothing(seconds)
         finally:
             live.close()
+
+    def _pictures(self, history: History, fields: Sequence[str], end: float) -> Iterator[Plot | None]:
+        """What is to be shown next, until `end`, monotonic s; None where nothing has come yet."""
+        from ..plotting import Curves, Plot
+
+        units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
+        while time.monotonic() < end:
+            states = history.array(*fields)
+            if len(states):
+                when = states["received"] - time.monotonic()  # after the last state has been received
+                curves = [Curves(name, units.get(name, ""), when, states[name]) for name in fields]
+                yield Plot(curves, self._connection.name)
+            else:
+                yield None
 
     def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:
         """The policy; of those who do not say: events are kept, states are replaced by newer ones."""

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import inspect
 import os
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
 from linkcore.aio.workers import Workers
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, unraised
-from linkcore.event_loop import finished, running_loop
+from linkcore.event_loop import Opening, finished, running_loop
 from linkcore.net.awaited import AwaitedTcp
-from linkcore.recording.recorder import Recorder
 
 from .. import robot as threaded
 from ..address import RecordingAddress, RobotAddress, SimulatorAddress
@@ -25,38 +25,71 @@ from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
 from ..services import refusal_hint
 from ..source import networked
+from .awaited import Block, Part, awaited, block
 from .awaited_rtde import AwaitedRtde
-from .calls import Awaited, Call, given, taken
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+    from linkcore.recording.recorder import Recorder
+
+    from ..commanding.interpreter import Interpreter
     from ..kinematics import Arm
+    from ..motion.teaching import Teaching
     from ..simulator import Controller
+    from .parts import (
+        AsyncDashboard,
+        AsyncGripper,
+        AsyncInterpreter,
+        AsyncIO,
+        AsyncMotions,
+        AsyncRegisters,
+        AsyncRtde,
+        AsyncSafety,
+        AsyncScripts,
+        AsyncTeaching,
+    )
 
 __all__ = ["AsyncRobot", "connect_async"]
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 #: Calls of one robot that can run at the same time.
 _CALLS = 16
 
 
-class AsyncRobot:
+def _teaching(teaching: Teaching, workers: Workers) -> AsyncTeaching:
+    from .parts import AsyncTeaching
+
+    return AsyncTeaching(teaching, workers)
+
+
+def _interpreter(interpreter: Interpreter, workers: Workers) -> AsyncInterpreter:
+    from .parts import AsyncInterpreter
+
+    return AsyncInterpreter(interpreter, workers)
+
+
+class AsyncRobot(Part[threaded.Robot]):
     """A robot: its streams, and what it is. Made by `connect_async`; an asynchronous context manager, which closes it.
 
-    The event loop reads the streams. `motion`, `io`, `safety`, `script`, `dashboard`, `rtde` and `registers` are those
-    of `Robot`, with methods that are awaited; see `Call`. Their calls run in threads of the robot, which are started
-    when they are needed.
+    It has the names of `Robot`, and they do the same. What may wait for the robot is awaited, a block is entered with
+    ``async with``, and properties are read as they are. The event loop reads the streams; calls that wait are made in
+    threads of the robot, which are started when they are needed.
+
+    A task that is cancelled, or times out, while it awaits a call gives it up: what has not been sent is not sent, and
+    what it has begun is cancelled, so a moving arm brakes. `asyncio.shield` prevents this.
 
     Attributes:
         address: the address that was connected to.
     """
 
+    __slots__ = ("_ending", "_streams", "address")
+
     def __init__(self, robot: threaded.Robot, workers: Workers) -> None:
+        super().__init__(robot, workers)
         self.address = robot.address
-        self._robot = robot
-        self._workers = workers
         self._streams: dict[str, AsyncStream[Any]] = {}
         self._ending: asyncio.Task[None] | None = None
 
@@ -80,13 +113,13 @@ class AsyncRobot:
     def _stream(self, name: str) -> AsyncStream[Any]:
         known = self._streams.get(name)
         if known is None:
-            known = self._streams[name] = AsyncStream(getattr(self._robot, name))
+            known = self._streams[name] = AsyncStream(getattr(self._part, name))
         return known
 
     @property
     def identity(self) -> Identity:
         """The last known identity of the controller; `identify` reads it again."""
-        return self._robot._who.last
+        return self._part._who.last
 
     async def identify(self) -> Identity:
         """The identity of the controller, read again after a reconnect.
@@ -94,7 +127,7 @@ class AsyncRobot:
         Raises:
             RemoteError: the controller did not answer.
         """
-        return await self.call(lambda: self._robot.identity)
+        return await self.call(lambda: self._part.identity)
 
     @property
     def firmware(self) -> Firmware:
@@ -114,110 +147,110 @@ class AsyncRobot:
     @property
     def controller(self) -> Controller:
         """The simulator behind ``sim://``; see `Robot.controller`."""
-        return self._robot.controller
+        return self._part.controller
 
     def record(
         self, path: str | os.PathLike[str], interfaces: Sequence[str | AsyncStream[Any]] = ("realtime", "primary")
-    ) -> Call[Recorder]:
+    ) -> Block[Recorder]:
         """Record streams into a new file: ``async with robot.record("run.urlog"):``. A thread of its own writes it.
 
         See `Robot.record`.
         """
-        return self.call(self._robot.record, path, [taken(each) for each in interfaces])
+        streams: Any = [each.stream if isinstance(each, AsyncStream) else each for each in interfaces]
+        return Block(self._workers, lambda: self._part.record(path, streams), lambda recorder, workers: recorder)
 
     # -- commands ------------------------------------------------------------------------------------
 
     @property
-    def motion(self) -> Awaited:
-        """Moves the arm; see `Robot.motion`."""
-        return self._awaited("motion")
+    def motion(self) -> AsyncMotions:
+        """Moves the arm; see `Robot.motion`. What begins a motion has to be given `wait`."""
+        from .parts import AsyncMotions
+
+        return AsyncMotions(self._part.motion, self._workers)
 
     @property
-    def io(self) -> Awaited:
+    def io(self) -> AsyncIO:
         """Inputs and outputs; see `Robot.io`."""
-        return self._awaited("io")
+        from .parts import AsyncIO
+
+        return AsyncIO(self._part.io, self._workers)
 
     @property
-    def safety(self) -> Awaited:
+    def safety(self) -> AsyncSafety:
         """The interlock between motions and the arm; see `Robot.safety`."""
-        return self._awaited("safety")
+        from .parts import AsyncSafety
+
+        return AsyncSafety(self._part.safety, self._workers)
 
     @property
-    def script(self) -> Awaited:
+    def script(self) -> AsyncScripts:
         """Sends programs and lines of URScript; see `Robot.script`."""
-        return self._awaited("script")
+        from .parts import AsyncScripts
+
+        return AsyncScripts(self._part.script, self._workers)
 
     @property
-    def dashboard(self) -> Awaited:
+    def dashboard(self) -> AsyncDashboard:
         """Power, brakes, installed programs, and unlocking after a protective stop; see `Robot.dashboard`."""
-        return self._awaited("dashboard")
+        from .parts import AsyncDashboard
+
+        return AsyncDashboard(self._part.dashboard, self._workers)
 
     @property
-    def rtde(self) -> Awaited:
+    def gripper(self) -> AsyncGripper:
+        """A Robotiq gripper; see `Robot.gripper`. Nothing of it is interlocked."""
+        from .parts import AsyncGripper
+
+        return AsyncGripper(self._part.gripper, self._workers)
+
+    @property
+    def rtde(self) -> AsyncRtde:
         """Variables of the controller by name; `outputs` gives an `AsyncStream`. See `Robot.rtde`."""
-        return self._awaited("rtde")
+        from .parts import AsyncRtde
+
+        return AsyncRtde(self._part.rtde, self._workers)
 
     @property
-    def registers(self) -> Awaited:
+    def registers(self) -> AsyncRegisters:
         """General-purpose registers by number; see `Robot.registers`."""
-        return self._awaited("registers")
+        from .parts import AsyncRegisters
 
-    def _awaited(self, name: str) -> Awaited:
-        return Awaited(lambda: getattr(self._robot, name), self._workers)
+        return AsyncRegisters(self._part.registers, self._workers)
 
-    def set_payload(self, *arguments: Any, **options: Any) -> Call[None]:
-        """As `Robot.set_payload`."""
-        return self.call(self._robot.set_payload, *arguments, **options)
+    set_payload = awaited(threaded.Robot.set_payload)
+    set_tcp = awaited(threaded.Robot.set_tcp)
+    set_speed_slider = awaited(threaded.Robot.set_speed_slider)
+    zero_force_sensor = awaited(threaded.Robot.zero_force_sensor)
+    popup = awaited(threaded.Robot.popup)
+    freedrive = block(threaded.Robot.freedrive)
+    teach = block(threaded.Robot.teach, _teaching)
+    interpreter = block(threaded.Robot.interpreter, _interpreter)
 
-    def set_tcp(self, *arguments: Any, **options: Any) -> Call[None]:
-        """As `Robot.set_tcp`."""
-        return self.call(self._robot.set_tcp, *arguments, **options)
-
-    def set_speed_slider(self, *arguments: Any, **options: Any) -> Call[None]:
-        """As `Robot.set_speed_slider`."""
-        return self.call(self._robot.set_speed_slider, *arguments, **options)
-
-    def freedrive(self, *arguments: Any, **options: Any) -> Call[Any]:
-        """As `Robot.freedrive`: ``async with robot.freedrive():``."""
-        return self.call(self._robot.freedrive, *arguments, **options)
-
-    def teach(self, *arguments: Any, **options: Any) -> Call[Any]:
-        """As `Robot.teach`: ``async with robot.teach() as teaching:``."""
-        return self.call(self._robot.teach, *arguments, **options)
-
-    def zero_force_sensor(self) -> Call[None]:
-        """As `Robot.zero_force_sensor`."""
-        return self.call(self._robot.zero_force_sensor)
-
-    def popup(self, *arguments: Any, **options: Any) -> Call[None]:
-        """As `Robot.popup`."""
-        return self.call(self._robot.popup, *arguments, **options)
-
-    def call(self, function: Callable[..., T], *arguments: Any, **options: Any) -> Call[T]:
+    async def call(self, function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
         """Call a function that blocks, in a thread of the robot.
 
         Raises:
             Closed: the robot was closed.
             LocalError: the system has no thread left.
         """
-        return Call(self._workers, lambda: given(function(*arguments, **options)))
+        return await self._workers.make(lambda: function(*arguments, **options))
 
     # -- its end -------------------------------------------------------------------------------------
 
-    async def close(self) -> None:
-        """End motions, close every stream, and the simulator if there is one, in two seconds. Idempotent.
+    async def close(self, timeout: float = 2.0) -> None:
+        """End motions, close every stream, and the simulator if there is one; in `timeout` seconds. Idempotent.
 
         A task that is cancelled meanwhile ends when this is done.
         """
         if self._ending is None:
-            self._ending = asyncio.create_task(self._close())
+            self._ending = asyncio.create_task(self._close(timeout))
         await finished(self._ending)
 
-    async def _close(self) -> None:
-        robot, workers = self._robot, self._workers
+    async def _close(self, timeout: float) -> None:
+        robot, workers = self._part, self._workers
         try:
             if workers.is_used or robot._controller is not None:
-                await asyncio.wrap_future(workers.submit(robot.close))
+                await asyncio.wrap_future(workers.submit(lambda: robot.close(timeout)))
             else:
                 await asyncio.gather(*(stream.close() for stream in self._streams.values()))
                 robot.close(0.0)
@@ -231,67 +264,68 @@ class AsyncRobot:
         await self.close()
 
     def __repr__(self) -> str:
-        return f"<AsyncRobot{repr(self._robot).removeprefix('<Robot')}"
+        return f"<AsyncRobot{repr(self._part).removeprefix('<Robot')}"
 
 
-class _Connecting:
-    """The result of `connect_async`: to be awaited, or entered with ``async with``."""
-
-    def __init__(self, address: str | os.PathLike[str], options: dict[str, Any]) -> None:
-        arguments = inspect.signature(threaded.connect).bind(address, **options)
-        arguments.apply_defaults()
-        self._wanted = threaded.check(**arguments.arguments)
-        self._robot: AsyncRobot | None = None
-
-    async def _connect(self) -> AsyncRobot:
-        wanted, place = self._wanted, self._wanted.place
-        if wanted.isolate:
-            raise LocalError("isolate=True is for urlink.connect: the event loop reads by itself")
-        if isinstance(place, RecordingAddress):
-            raise LocalError(f"{wanted.address} is a recording, which urlink.connect plays, and no event loop")
-        loop = running_loop("connect_async")
-        workers = Workers(wanted.address, _CALLS)
-        controller = robot = None
-        try:
-            if isinstance(place, SimulatorAddress):
-                simulated = partial(threaded.simulated, place)
-                made: tuple[Controller, RobotAddress] = await workers.make(simulated, lambda made: made[0].close())
-                controller, place = made
-            known = await _identified(place, wanted)
-            source = networked(
-                place,
-                timeout=wanted.timeout,
-                read_only=wanted.read_only,
-                backoff=wanted.backoff,
-                silence=wanted.silence,
-                tcp=AwaitedTcp,
-                known=known,
-            )._replace(connection=partial(LoopConnection, loop=loop), rtde=AwaitedRtde)
-            robot = threaded.assemble(wanted, place, source, controller, known)
-            if threaded.owes(robot, place):
-                await workers.make(partial(threaded.take_back, robot, wanted.timeout))
-            return AsyncRobot(robot, workers)
-        except BaseException:
-            if robot is not None:
-                workers.submit(robot.close)
-            elif controller is not None:
-                workers.submit(controller.close)
-            workers.close()
-            raise
-
-    def __await__(self) -> Generator[Any, None, AsyncRobot]:
-        return self._connect().__await__()
-
-    async def __aenter__(self) -> AsyncRobot:
-        self._robot = await self._connect()
-        return self._robot
-
-    async def __aexit__(self, *exc: object) -> None:
-        if self._robot is not None:
-            await self._robot.close()
+async def _connected(wanted: threaded.Wanted) -> AsyncRobot:
+    place = wanted.place
+    if wanted.isolate:
+        raise LocalError("isolate=True is for urlink.connect: the event loop reads by itself")
+    if isinstance(place, RecordingAddress):
+        raise LocalError(f"{wanted.address} is a recording, which urlink.connect plays, and no event loop")
+    loop = running_loop("connect_async")
+    workers = Workers(wanted.address, _CALLS)
+    controller = robot = None
+    try:
+        if isinstance(place, SimulatorAddress):
+            simulated = partial(threaded.simulated, place)
+            made: tuple[Controller, RobotAddress] = await workers.make(simulated, lambda made: made[0].close())
+            controller, place = made
+        known = await _identified(place, wanted)
+        source = networked(
+            place,
+            timeout=wanted.timeout,
+            read_only=wanted.read_only,
+            backoff=wanted.backoff,
+            silence=wanted.silence,
+            tcp=AwaitedTcp,
+            known=known,
+        )._replace(connection=partial(LoopConnection, loop=loop), rtde=AwaitedRtde)
+        robot = threaded.assemble(wanted, place, source, controller, known)
+        if threaded.owes(robot, place):
+            await workers.make(partial(threaded.take_back, robot, wanted.timeout))
+        return AsyncRobot(robot, workers)
+    except BaseException:
+        if robot is not None:
+            workers.submit(robot.close)
+        elif controller is not None:
+            workers.submit(controller.close)
+        workers.close()
+        raise
 
 
-def connect_async(address: str | os.PathLike[str], **options: Any) -> _Connecting:
+def _with_arguments_of(
+    connect: Callable[P, threaded.Robot],
+) -> Callable[[Callable[..., Opening[AsyncRobot]]], Callable[P, Opening[AsyncRobot]]]:
+    """The function takes these arguments, and no others; they are checked when it is called."""
+
+    def taking(function: Callable[..., Opening[AsyncRobot]]) -> Callable[P, Opening[AsyncRobot]]:
+        signature = inspect.signature(connect)
+
+        @functools.wraps(function)
+        def checked(*arguments: P.args, **options: P.kwargs) -> Opening[AsyncRobot]:
+            bound = signature.bind(*arguments, **options)
+            bound.apply_defaults()
+            return function(**bound.arguments)
+
+        checked.__signature__ = signature.replace(return_annotation="Opening[AsyncRobot]")  # type: ignore[attr-defined]
+        return checked
+
+    return taking
+
+
+@_with_arguments_of(threaded.connect)
+def connect_async(**options: Any) -> Opening[AsyncRobot]:
     """Connect to a robot or to the simulator; the result is entered or awaited.
 
     ``async with urlink.connect_async(...) as robot``, or ``robot = await urlink.connect_async(...)``.
@@ -306,7 +340,7 @@ def connect_async(address: str | os.PathLike[str], **options: Any) -> _Connectin
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: there is no controller at the address; raised when it is
             awaited or entered.
     """
-    return _Connecting(address, options)
+    return Opening(partial(_connected, threaded.check(**options)))
 
 
 async def _identified(place: RobotAddress, wanted: threaded.Wanted) -> Identity:

@@ -53,7 +53,8 @@ class Section:
         if not self.may_wait:
             raise LocalError(
                 "this thread reads a stream of the robot (a callback that was subscribed with inline=True runs in it), "
-                "so what is waited for could not be heard; wait in another thread, or use add_done_callback"
+                "so what is waited for could not be received; await it in asyncio, wait in another thread, or use "
+                "add_done_callback"
             )
 
     @contextlib.contextmanager

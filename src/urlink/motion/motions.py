@@ -203,7 +203,13 @@ class Motions(AnswersForeignNames):
         return _waited(motion, seconds)
 
     def speed_joints(
-        self, qd: Numbers, acceleration: float = 1.4, *, duration: float = 0.5, link: LinkName = "reverse"
+        self,
+        qd: Numbers,
+        acceleration: float = 1.4,
+        *,
+        duration: float = 0.5,
+        link: LinkName = "reverse",
+        wait: bool | float = False,
     ) -> Motion:
         """Move the joints at a speed, and brake after `duration`.
 
@@ -220,13 +226,22 @@ class Motions(AnswersForeignNames):
             acceleration: rad/s², for changes of speed and for braking.
             duration: seconds until it brakes.
             link: see `follow`; has no effect up to 0.5 s.
+            wait: see `Motions`.
         """
+        seconds = check_wait(wait)
         arm = self._context.who.identity.arm
         speeds, hardest = check_joint_speeds(qd, "qd", arm), _joint_acceleration(arm, acceleration)
-        return self._speed("speed_joints", programs.speed_joints, speeds, hardest, duration, link)
+        motion = self._speed("speed_joints", programs.speed_joints, speeds, hardest, duration, link)
+        return _waited(motion, seconds)
 
     def speed_linear(
-        self, xd: Numbers, acceleration: float = 1.2, *, duration: float = 0.5, link: LinkName = "reverse"
+        self,
+        xd: Numbers,
+        acceleration: float = 1.2,
+        *,
+        duration: float = 0.5,
+        link: LinkName = "reverse",
+        wait: bool | float = False,
     ) -> Motion:
         """Move the tool at a speed in the base frame, and brake after `duration`; see `speed_joints`.
 
@@ -235,9 +250,12 @@ class Motions(AnswersForeignNames):
             acceleration: m/s².
             duration: seconds until it brakes.
             link: see `follow`; has no effect up to 0.5 s.
+            wait: see `Motions`.
         """
+        seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
-        return self._speed("speed_linear", programs.speed_linear, speeds, hardest, duration, link)
+        motion = self._speed("speed_linear", programs.speed_linear, speeds, hardest, duration, link)
+        return _waited(motion, seconds)
 
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
         """Brake all joints, at `acceleration` in rad/s². Done when the arm stands still.

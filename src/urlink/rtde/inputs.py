@@ -126,7 +126,7 @@ class Inputs:
         """It was closed, or its connection has been given up for good."""
         return self._connection.is_over
 
-    def send(self, **values: Any) -> None:
+    def send(self, /, **values: Any) -> None:
         """Write variables, all of them in one package, so in the same control cycle.
 
         Bits of digital outputs are given as a mapping of those to be set, ``standard_digital_output={0: True, 3:

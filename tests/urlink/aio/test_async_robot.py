@@ -73,9 +73,9 @@ def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: 
     async def command() -> None:
         async with urlink.connect_async(controller.address) as robot:
             begin = (await robot.realtime.wait()).q_actual
-            motion = robot.motion.move_joints(begin + 0.05, speed=1.0)
-            handle = await motion.begun()
-            assert await motion is handle
+            handle = await robot.motion.move_joints(begin + 0.05, speed=1.0, wait=False)
+            assert not handle.done
+            await handle
             assert handle.phase is urlink.Phase.DONE
             assert np.allclose((await robot.realtime.wait()).q_actual, begin + 0.05, atol=1e-3)
             await robot.io.set_digital_out(2, True)
@@ -88,7 +88,7 @@ def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: 
             async with robot.record(tmp_path / "run.urlog", ["realtime"]):
                 await robot.realtime.wait()
             with pytest.raises(urlink.BadValue):
-                await robot.motion.move_joints([1, 2, 3])
+                await robot.motion.move_joints([1, 2, 3], wait=True)
             assert threading.active_count() < 12
 
     run(command())
@@ -100,17 +100,19 @@ def test_who_gives_up_a_motion_stops_the_arm(controller: Controller) -> None:
     async def give_up() -> None:
         async with urlink.connect_async(controller.address) as robot:
             begin = (await robot.realtime.wait()).q_actual
-            motion = robot.motion.move_joints(begin - 0.5, speed=0.1)
-            handle = await motion.begun()
+            motion = asyncio.create_task(robot.motion.move_joints(begin - 0.5, speed=0.1, wait=True))
             await robot.realtime.wait_until(lambda state: bool(np.any(np.abs(state.qd_actual) > 0.05)))
+            handle = robot.motion.current
+            assert handle is not None
             with pytest.raises(asyncio.TimeoutError):
                 await asyncio.wait_for(motion, 0.01)
             await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
             assert handle.phase is urlink.Phase.CANCELLED
             # Given up before it is sent, it is not sent.
-            never = robot.motion.move_joints(begin)
+            never = asyncio.create_task(robot.motion.move_joints(begin, wait=True))
+            await asyncio.sleep(0)
             never.cancel()
-            with pytest.raises((asyncio.CancelledError, urlink.Cancelled)):
+            with pytest.raises(asyncio.CancelledError):
                 await never
             await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
 
@@ -145,15 +147,14 @@ def test_a_stop_does_not_stand_behind_what_waits(controller: Controller) -> None
         async with urlink.connect_async(controller.address) as robot:
             waiting = asyncio.create_task(_awaited(robot.io.wait_digital_in(5, timeout=SOON)))
             begin = (await robot.realtime.wait()).q_actual
-            motion = robot.motion.move_joints(begin + 0.5, speed=0.1)
-            await motion.begun()
-            await robot.motion.stop()
+            motion = await robot.motion.move_joints(begin + 0.5, speed=0.1, wait=False)
+            await robot.motion.stop(wait=True)
             with pytest.raises(urlink.Cancelled):
                 await motion
             assert not waiting.done()
             controller.faults.protective_stop()
             with pytest.raises(SafetyStop):
-                await robot.motion.move_joints(begin)
+                await robot.motion.move_joints(begin, wait=True)
             waiting.cancel()
             controller.faults.clear()
             # A thread that waits for the input is left; it ends with the robot.
@@ -168,10 +169,11 @@ def test_a_loop_that_was_held_up_can_still_stop_the_arm(controller: Controller, 
     async def hold_up() -> None:
         async with urlink.connect_async(controller.address, stale_after=0.3) as robot:
             begin = (await robot.realtime.wait()).q_actual
-            motion = robot.motion.move_joints(begin + 0.5, speed=0.1)
-            handle = await motion.begun()
-            waiting = asyncio.create_task(_awaited(handle if is_handle else motion))
+            moving = robot.motion.move_joints(begin + 0.5, speed=0.1, wait=not is_handle)
+            waiting = asyncio.create_task(_awaited(await moving if is_handle else moving))
             await robot.realtime.wait_until(lambda state: bool(np.any(np.abs(state.qd_actual) > 0.05)))
+            handle = robot.motion.current
+            assert handle is not None
             waiting.cancel()
             time.sleep(0.6)  # in which the loop reads nothing
             await asyncio.wait({waiting})
@@ -207,7 +209,7 @@ def test_nobody_there_and_what_cannot_be_is_an_error(tmp_path: Path) -> None:
         with pytest.raises(urlink.BadValue):
             urlink.connect_async("sim://", timeout=-1)
         with pytest.raises(TypeError, match="tiemout"):
-            urlink.connect_async("sim://", tiemout=1)
+            urlink.connect_async("sim://", tiemout=1)  # type: ignore[call-arg]
         with pytest.raises(LocalError, match="is a recording"):
             await urlink.connect_async(tmp_path / "run.urlog")
         # One that takes the connection and says nothing, and one that is being made.
@@ -238,7 +240,7 @@ def test_it_needs_a_loop_of_asyncio(controller: Controller) -> None:
     async def command_elsewhere() -> None:
         async with urlink.connect_async(controller.address) as robot:
             with pytest.raises(LocalError, match="needs a running asyncio event loop"):
-                await asyncio.to_thread(lambda: robot.motion.stop())
+                await asyncio.to_thread(lambda: robot.motion.stop().send(None))
 
     run(command_elsewhere())
 

@@ -105,24 +105,39 @@ def there_and_back(robot: Any) -> urlink.Trajectory:
     return urlink.Trajectory.from_arrays(time=[0, 0.1, 0.2], q=[here, [*here[:5], here[5] + 0.01], here])
 
 
-async def begun_first(robot: Any) -> None:
-    handle = await robot.motion.move_joints(q(robot), **FAST).begun()
-    await handle
+async def handle(robot: Any) -> None:
+    motion = await robot.motion.move_joints(q(robot), **FAST, wait=False)
+    await motion
+
+
+async def stopped(robot: Any) -> None:
+    await (await robot.motion.stop())
+
+
+async def gripped(robot: Any) -> None:
+    await robot.gripper.activate()
+    await robot.gripper.close()
+
+
+async def plotted(robot: Any) -> None:
+    with await robot.realtime.history(1.0) as history:
+        await robot.realtime.wait()
+        assert len(history)
 
 
 COMMANDS: dict[str, Use] = {
-    "move_joints": lambda robot: robot.motion.move_joints(q(robot), **FAST),
+    "move_joints": lambda robot: robot.motion.move_joints(q(robot), **FAST, wait=False),
     "move_joints wait": lambda robot: robot.motion.move_joints(q(robot), wait=True, **FAST),
-    "its handle": begun_first,
-    "move_linear": lambda robot: robot.motion.move_linear(pose(robot), **FAST),
-    "move_circular": lambda robot: robot.motion.move_circular(*arc(robot), **FAST),
-    "path": lambda robot: robot.motion.path([Linear(pose(robot)), Joint(q(robot))], speed=0.5),
-    "path of an arc": lambda robot: robot.motion.path([Circular(*arc(robot))], speed=0.5),
-    "speed_joints": lambda robot: robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.1),
-    "speed_linear": lambda robot: robot.motion.speed_linear([0, 0, 0.01, 0, 0, 0], duration=0.1),
-    "stop": lambda robot: robot.motion.stop(),
-    "follow": lambda robot: robot.motion.follow(there_and_back(robot), watchdog=0.5),
-    "script": lambda robot: robot.script.run("sleep(0.05)"),
+    "its handle": handle,
+    "move_linear": lambda robot: robot.motion.move_linear(pose(robot), **FAST, wait=True),
+    "move_circular": lambda robot: robot.motion.move_circular(*arc(robot), **FAST, wait=True),
+    "path": lambda robot: robot.motion.path([Linear(pose(robot)), Joint(q(robot))], speed=0.5, wait=True),
+    "path of an arc": lambda robot: robot.motion.path([Circular(*arc(robot))], speed=0.5, wait=True),
+    "speed_joints": lambda robot: robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.1, wait=True),
+    "speed_linear": lambda robot: robot.motion.speed_linear([0, 0, 0.01, 0, 0, 0], duration=0.1, wait=True),
+    "stop": stopped,
+    "follow": lambda robot: robot.motion.follow(there_and_back(robot), watchdog=0.5, wait=True),
+    "script": lambda robot: robot.script.run("sleep(0.05)", wait=False),
     "script wait": lambda robot: robot.script.run("sleep(0.05)", wait=True),
     "send_line": lambda robot: robot.script.send_line("set_analog_out(0, 0.1)"),
     "set_digital_out": lambda robot: robot.io.set_digital_out(1, True),
@@ -134,6 +149,8 @@ COMMANDS: dict[str, Use] = {
     "dashboard": lambda robot: robot.dashboard.robot_mode(),
     "register": lambda robot: robot.registers.write_integer(25, 1),
     "wait_enabled": lambda robot: robot.safety.wait_enabled(5),
+    "gripper": gripped,
+    "history": plotted,
     "call": lambda robot: robot.call(time.sleep, 0.01),
 }
 
@@ -156,6 +173,21 @@ def left_soon(block: Callable[[Any], Any]) -> Use:
     return use
 
 
+async def moved(robot: Any) -> None:
+    with await robot.motion.move_joints(q(robot), speed=0.1, wait=False):
+        await robot.realtime.wait()
+
+
+async def interpreted(robot: Any) -> None:
+    async with robot.interpreter() as interpreter:
+        await interpreter.execute("sleep(0.05)", wait=True)
+
+
+async def written(robot: Any) -> None:
+    async with robot.rtde.inputs("input_int_register_24") as inputs:
+        await inputs.send(input_int_register_24=1)
+
+
 OVER_RTDE = "servo over RTDE"
 BLOCKS: dict[str, Use] = {
     "servo": servo,
@@ -167,7 +199,9 @@ BLOCKS: dict[str, Use] = {
     "freedrive": left_soon(lambda robot: robot.freedrive(watchdog=0.5)),
     "teach": left_soon(lambda robot: robot.teach()),
     OVER_RTDE: left_soon(lambda robot: robot.motion.servo(watchdog=0.5, link="rtde")),
-    "a motion": left_soon(lambda robot: robot.motion.move_joints(q(robot), speed=0.1)),
+    "a motion": moved,
+    "interpreter": interpreted,
+    "inputs": written,
 }
 
 USES = {**STREAMS, **COMMANDS, **BLOCKS}
@@ -239,7 +273,7 @@ def test_a_task_that_is_cancelled_while_it_connects_does_not_move_the_arm(
     async def work(trial: Trial) -> None:
         with trial:
             async with urlink.connect_async(controller.address) as robot:
-                await robot.motion.move_joints(READY, speed=0.5)
+                await robot.motion.move_joints(READY, speed=0.5, wait=True)
 
     for number in turns(row):
         if not check(number, controller, sends, work):

@@ -111,7 +111,7 @@ def test_an_awaited_robot_yields_too(made: Callable[[str], Made]) -> None:
                 while abs(force(controller) - 10.0) > 0.5:
                     await asyncio.sleep(0.01)
             async with robot.teach(watchdog=WATCHDOG) as teaching:
-                await robot.call(teaching.record)
+                await teaching.record()
             assert len(teaching.taught) == 1
 
     asyncio.run(asyncio.wait_for(press_softly(), TIMEOUT))

@@ -268,7 +268,7 @@ class Gripper:
             raise GripperFault(f"the controller serves a gripper at {self._name}, but none is connected to it")
         return value
 
-    def set(self, **values: int) -> None:
+    def set(self, /, **values: int) -> None:
         """Set its variables by name, such as ``set(ATR=1, ADR=0)``, all at once; for what has no method here."""
         self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
 

@@ -1,0 +1,159 @@
+"""How a method that blocks becomes one that is awaited: same name, same arguments, same result, and their types.
+
+Commands use the same interlock, channel and state machines as those of `urlink.connect`, which block until the robot
+has answered. So each call is made in a thread of the robot, while the event loop goes on reading the streams.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import Callable, Coroutine, Generator
+from contextlib import AbstractContextManager
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
+
+from linkcore.aio.workers import Workers
+from linkcore.errors import BadValue
+from linkcore.event_loop import running_loop
+from linkcore.handle import Handle
+
+from ..foreign_names import AnswersForeignNames
+
+__all__ = ["Block", "Part", "awaited", "block", "motion"]
+
+B = TypeVar("B")
+C = TypeVar("C", bound=AbstractContextManager[Any])
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Part(AnswersForeignNames, Generic[B]):
+    """A robot, or a part of one such as `robot.motion`, with methods that are awaited.
+
+    An attribute that is no method is read at once. One that would have to wait, because its stream is not open yet,
+    raises `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
+
+    Args:
+        part: the same of a robot of `urlink.connect`.
+        workers: the threads that make the calls.
+    """
+
+    __slots__ = ("_part", "_workers")
+
+    def __init__(self, part: B, workers: Workers) -> None:
+        self._part = part
+        self._workers = workers
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self._part!r}>"
+
+
+def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """The method of a `Part` that makes this call in a thread of the robot.
+
+    A task that is cancelled while it awaits this gives the call up: what has not been sent is not sent, and what it has
+    begun on the robot is cancelled. A call that waits goes on waiting in its thread, to its own timeout.
+    """
+
+    @functools.wraps(method)
+    async def call(part: Part[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
+        running_loop("a command of a robot of connect_async")
+        return await part._workers.make(lambda: method(part._part, *arguments, **options), _end)
+
+    return call
+
+
+def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """As `awaited`, for what begins to move the arm and returns its handle: `wait` has to be given.
+
+    `await` before such a name reads as if it waited for the arm, and did so in the first releases. Without `wait` it
+    would now go on at once, while the arm moves; so that is refused.
+    """
+    call = awaited(method)
+
+    @functools.wraps(method)
+    async def decided(part: Part[Any], /, *arguments: P.args, **options: P.kwargs) -> T:
+        if "wait" not in options:
+            raise BadValue(
+                f"{method.__name__}() was awaited without `wait`; nothing was sent. Pass wait=True to go on once the "
+                "arm has arrived, or wait=False to go on once it was sent, with its handle, which can be awaited"
+            )
+        return await call(part, *arguments, **options)
+
+    return decided
+
+
+class Block(Generic[T]):
+    """``async with robot.motion.servo() as servo``: entered and always left in a thread of the robot; or awaited.
+
+    Awaited, it is what the same call of `urlink.connect` returns without a ``with``.
+
+    Args:
+        workers: the threads.
+        make: the call that returns what can be entered.
+        given: converts that for programs that use asyncio.
+    """
+
+    __slots__ = ("_entered", "_given", "_make", "_workers")
+
+    def __init__(self, workers: Workers, make: Callable[[], C], given: Callable[[C, Workers], T]) -> None:
+        self._workers = workers
+        self._make: Callable[[], Any] = make
+        self._given: Callable[[Any, Workers], T] = given
+        self._entered: Any = None
+
+    def __await__(self) -> Generator[Any, None, T]:
+        return self._made().__await__()
+
+    async def _made(self) -> T:
+        running_loop("a command of a robot of connect_async")
+        return self._given(await self._workers.make(self._make, _end), self._workers)
+
+    async def __aenter__(self) -> T:
+        def enter() -> Any:
+            made = self._make()
+            made.__enter__()
+            return made
+
+        running_loop("a block of a robot of connect_async")
+        self._entered = await self._workers.make(enter, _leave)
+        return self._given(self._entered, self._workers)
+
+    async def __aexit__(self, *exc: object) -> None:
+        leaving = asyncio.wrap_future(self._workers.submit(functools.partial(self._entered.__exit__, *exc)))
+        try:
+            await asyncio.wait({leaving})
+        except asyncio.CancelledError:
+            if isinstance(self._entered, Handle):  # it waits for its program, for as long as that takes
+                self._workers.submit(self._entered.cancel)
+            await asyncio.wait({leaving})
+            raise
+        leaving.result()
+
+
+@overload
+def block(method: Callable[Concatenate[Any, P], C]) -> Callable[Concatenate[Any, P], Block[C]]: ...
+@overload
+def block(
+    method: Callable[Concatenate[Any, P], C], given: Callable[[C, Workers], T]
+) -> Callable[Concatenate[Any, P], Block[T]]: ...
+def block(method: Callable[..., Any], given: Callable[..., Any] = lambda made, workers: made) -> Any:
+    """The method of a `Part` whose result is entered with ``async with``."""
+
+    @functools.wraps(method)
+    def call(part: Part[Any], /, *arguments: Any, **options: Any) -> Block[Any]:
+        return Block(part._workers, lambda: method(part._part, *arguments, **options), given)
+
+    return call
+
+
+def _leave(made: AbstractContextManager[Any]) -> None:
+    made.__exit__(asyncio.CancelledError, None, None)
+
+
+def _end(value: Any) -> None:
+    """End what a call has made that was given up."""
+    if isinstance(value, Handle):
+        _leave(value)
+    elif hasattr(value, "close"):  # a stream, a recorder, inputs
+        value.close()

@@ -1,0 +1,391 @@
+"""The parts of an `AsyncRobot`. Each method is the one of the blocking class that stands behind its name, awaited.
+
+Imported when the first part is used: a program that only reads states never imports what commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import TYPE_CHECKING, Any, TypeVar, overload
+
+from linkcore.aio.async_stream import AsyncStream
+from linkcore.errors import LinkError
+from linkcore.handle import Motion, Phase
+from linkcore.streaming.events import ConnectionState
+
+from ..commanding.interlock import Policy
+from ..commanding.interpreter import Interpreter, InterpreterState
+from ..commanding.io import IO
+from ..commanding.safety import Safety
+from ..commanding.scripts import Scripts
+from ..firmware import Firmware
+from ..interfaces.dashboard.client import Dashboard
+from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
+from ..interfaces.gripper.client import Gripper
+from ..interfaces.rtde.recipes import Outputs, Recipe
+from ..motion import Freedrive, Motions, Taught, Teaching
+from ..rtde import Inputs, OutputStream, Registers, Rtde
+from .awaited import Block, Part, awaited, block, motion
+
+if TYPE_CHECKING:
+    from ..rtde.client import Missing
+    from ..rtde.names import AnyOutputs, OutputName
+
+__all__ = [
+    "AsyncDashboard",
+    "AsyncGripper",
+    "AsyncIO",
+    "AsyncInputs",
+    "AsyncInterpreter",
+    "AsyncMotions",
+    "AsyncOutputStream",
+    "AsyncRegisters",
+    "AsyncRtde",
+    "AsyncSafety",
+    "AsyncScripts",
+    "AsyncTeaching",
+]
+
+T = TypeVar("T", bound=Outputs)
+
+
+class AsyncMotions(Part[Motions]):
+    """As `Motions`, awaited. What begins a motion has to be given `wait`, but for `stop`, which nothing delays."""
+
+    __slots__ = ()
+
+    move_joints = motion(Motions.move_joints)
+    move_linear = motion(Motions.move_linear)
+    move_circular = motion(Motions.move_circular)
+    path = motion(Motions.path)
+    speed_joints = motion(Motions.speed_joints)
+    speed_linear = motion(Motions.speed_linear)
+    follow = motion(Motions.follow)
+    until_contact = motion(Motions.until_contact)
+    stop = awaited(Motions.stop)
+    servo = block(Motions.servo)
+    jog = block(Motions.jog)
+    force_mode = block(Motions.force_mode)
+    torque = block(Motions.torque)
+
+    @property
+    def current(self) -> Motion | None:
+        return self._part.current
+
+
+class AsyncSafety(Part[Safety]):
+    """As `Safety`, awaited."""
+
+    __slots__ = ()
+
+    enable = awaited(Safety.enable)
+    on_stop = awaited(Safety.on_stop)
+    wait_enabled = awaited(Safety.wait_enabled)
+    wait_for_stop = awaited(Safety.wait_for_stop)
+    wait_until_clear = awaited(Safety.wait_until_clear)
+
+    @property
+    def cause(self) -> str | None:
+        return self._part.cause
+
+    @property
+    def is_enabled(self) -> bool:
+        return self._part.is_enabled
+
+    @property
+    def mode(self) -> SafetyMode | None:
+        return self._part.mode
+
+    @property
+    def policy(self) -> Policy:
+        return self._part.policy
+
+    @policy.setter
+    def policy(self, policy: Policy) -> None:
+        self._part.policy = policy
+
+    @property
+    def refusal(self) -> LinkError | None:
+        return self._part.refusal
+
+    @property
+    def robot_mode(self) -> RobotMode | RobotModeCB2 | None:
+        return self._part.robot_mode
+
+
+class AsyncScripts(Part[Scripts]):
+    """As `Scripts`, awaited. `run` has to be given `wait`."""
+
+    __slots__ = ()
+
+    run = motion(Scripts.run)
+    send_line = awaited(Scripts.send_line)
+
+
+class AsyncIO(Part[IO]):
+    """As `IO`, awaited."""
+
+    __slots__ = ()
+
+    analog_in = awaited(IO.analog_in)
+    analog_out = awaited(IO.analog_out)
+    configurable_digital_in = awaited(IO.configurable_digital_in)
+    configurable_digital_out = awaited(IO.configurable_digital_out)
+    digital_in = awaited(IO.digital_in)
+    digital_out = awaited(IO.digital_out)
+    set_analog_out = awaited(IO.set_analog_out)
+    set_configurable_digital_out = awaited(IO.set_configurable_digital_out)
+    set_digital_out = awaited(IO.set_digital_out)
+    set_flag = awaited(IO.set_flag)
+    set_tool_digital_out = awaited(IO.set_tool_digital_out)
+    set_tool_voltage = awaited(IO.set_tool_voltage)
+    tool_analog_in = awaited(IO.tool_analog_in)
+    tool_digital_in = awaited(IO.tool_digital_in)
+    tool_digital_out = awaited(IO.tool_digital_out)
+    wait_configurable_digital_in = awaited(IO.wait_configurable_digital_in)
+    wait_digital_in = awaited(IO.wait_digital_in)
+    wait_tool_digital_in = awaited(IO.wait_tool_digital_in)
+
+    @property
+    def tool_voltage(self) -> int:
+        return self._part.tool_voltage
+
+
+class AsyncDashboard(Part[Dashboard]):
+    """As `Dashboard`, awaited."""
+
+    __slots__ = ()
+
+    add_to_log = awaited(Dashboard.add_to_log)
+    brake_release = awaited(Dashboard.brake_release)
+    clear_operational_mode = awaited(Dashboard.clear_operational_mode)
+    close = awaited(Dashboard.close)
+    close_popup = awaited(Dashboard.close_popup)
+    close_safety_popup = awaited(Dashboard.close_safety_popup)
+    download_program = awaited(Dashboard.download_program)
+    generate_flight_report = awaited(Dashboard.generate_flight_report)
+    generate_support_file = awaited(Dashboard.generate_support_file)
+    is_in_remote_control = awaited(Dashboard.is_in_remote_control)
+    is_program_saved = awaited(Dashboard.is_program_saved)
+    load = awaited(Dashboard.load)
+    load_installation = awaited(Dashboard.load_installation)
+    loaded_program = awaited(Dashboard.loaded_program)
+    operational_mode = awaited(Dashboard.operational_mode)
+    pause = awaited(Dashboard.pause)
+    play = awaited(Dashboard.play)
+    polyscope_version = awaited(Dashboard.polyscope_version)
+    popup = awaited(Dashboard.popup)
+    power_off = awaited(Dashboard.power_off)
+    power_on = awaited(Dashboard.power_on)
+    program_state = awaited(Dashboard.program_state)
+    programs = awaited(Dashboard.programs)
+    quit = awaited(Dashboard.quit)
+    restart_safety = awaited(Dashboard.restart_safety)
+    robot_mode = awaited(Dashboard.robot_mode)
+    robot_model = awaited(Dashboard.robot_model)
+    running = awaited(Dashboard.running)
+    safety_mode = awaited(Dashboard.safety_mode)
+    safety_status = awaited(Dashboard.safety_status)
+    save_log = awaited(Dashboard.save_log)
+    send = awaited(Dashboard.send)
+    serial_number = awaited(Dashboard.serial_number)
+    set_operational_mode = awaited(Dashboard.set_operational_mode)
+    set_user_role = awaited(Dashboard.set_user_role)
+    shutdown = awaited(Dashboard.shutdown)
+    start = awaited(Dashboard.start)
+    stop = awaited(Dashboard.stop)
+    unlock_protective_stop = awaited(Dashboard.unlock_protective_stop)
+    upload_program = awaited(Dashboard.upload_program)
+    user_role = awaited(Dashboard.user_role)
+    version = awaited(Dashboard.version)
+
+
+class AsyncGripper(Part[Gripper]):
+    """As `Gripper`, awaited."""
+
+    __slots__ = ()
+
+    activate = awaited(Gripper.activate)
+    close = awaited(Gripper.close)
+    deactivate = awaited(Gripper.deactivate)
+    get = awaited(Gripper.get)
+    move = awaited(Gripper.move)
+    object_detected = awaited(Gripper.object_detected)
+    open = awaited(Gripper.open)
+    position = awaited(Gripper.position)
+    position_of = staticmethod(Gripper.position_of)
+    set = awaited(Gripper.set)
+    status = awaited(Gripper.status)
+    stop = awaited(Gripper.stop)
+    wait = awaited(Gripper.wait)
+
+
+class AsyncInterpreter(Part[Interpreter]):
+    """As `Interpreter`, awaited; ``await interpreter`` is the end of its program, as of any handle."""
+
+    __slots__ = ()
+
+    abort = awaited(Interpreter.abort)
+    clear = awaited(Interpreter.clear)
+    end = awaited(Interpreter.end)
+    execute = awaited(Interpreter.execute)
+    skip = awaited(Interpreter.skip)
+    wait = awaited(Interpreter.wait)
+    wait_executed = awaited(Interpreter.wait_executed)
+
+    async def state(self) -> InterpreterState:
+        """`Interpreter.state`: a method here, since the controller is asked."""
+        return await self._workers.make(lambda: self._part.state)
+
+    @property
+    def name(self) -> str:
+        return self._part.name
+
+    @property
+    def phase(self) -> Phase:
+        return self._part.phase
+
+    @property
+    def done(self) -> bool:
+        return self._part.done
+
+    @property
+    def error(self) -> Exception | None:
+        return self._part.error
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        return self._part.texts
+
+    def cancel(self) -> None:
+        """As `Handle.cancel`, which returns at once."""
+        self._part.cancel()
+
+    def add_done_callback(self, callback: Callable[[AsyncInterpreter], object]) -> None:
+        """As `Handle.add_done_callback`: in the robot's thread for callbacks."""
+        self._part.add_done_callback(lambda handle: callback(self))
+
+    def __await__(self) -> Generator[Any, None, None]:
+        return self._part.__await__()
+
+
+class AsyncTeaching(Part[Teaching]):
+    """As `Teaching`, awaited."""
+
+    __slots__ = ()
+
+    record = awaited(Teaching.record)
+
+    @property
+    def taught(self) -> Taught:
+        return self._part.taught
+
+    @property
+    def freedrive(self) -> Freedrive | None:
+        return self._part.freedrive
+
+
+class AsyncRegisters(Part[Registers]):
+    """As `Registers`, awaited."""
+
+    __slots__ = ()
+
+    read_bit = awaited(Registers.read_bit)
+    read_float = awaited(Registers.read_float)
+    read_integer = awaited(Registers.read_integer)
+    write_bit = awaited(Registers.write_bit)
+    write_float = awaited(Registers.write_float)
+    write_integer = awaited(Registers.write_integer)
+
+
+class AsyncInputs(Part[Inputs]):
+    """As `Inputs`, awaited."""
+
+    __slots__ = ()
+
+    close = awaited(Inputs.close)
+    send = awaited(Inputs.send)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self._part.names
+
+    @property
+    def connection(self) -> ConnectionState:
+        return self._part.connection
+
+    @property
+    def is_over(self) -> bool:
+        return self._part.is_over
+
+
+class AsyncOutputStream(AsyncStream[T]):
+    """As `OutputStream`, for programs that use asyncio."""
+
+    __slots__ = ("_outputs",)
+
+    def __init__(self, outputs: OutputStream[T]) -> None:
+        super().__init__(outputs)
+        self._outputs = outputs
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self._outputs.names
+
+    @property
+    def frequency(self) -> float | None:
+        return self._outputs.frequency
+
+    @property
+    def recipe(self) -> Recipe | None:
+        return self._outputs.recipe
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        return self._outputs.left_out
+
+    @property
+    def controller(self) -> Firmware | None:
+        return self._outputs.controller
+
+    @property
+    def is_over(self) -> bool:
+        return self._outputs.is_over
+
+
+class AsyncRtde(Part[Rtde]):
+    """As `Rtde`, awaited."""
+
+    __slots__ = ()
+
+    close = awaited(Rtde.close)
+    inputs = block(Rtde.inputs, AsyncInputs)
+    missing = awaited(Rtde.missing)
+    who_holds = awaited(Rtde.who_holds)
+
+    @overload
+    def outputs(
+        self, kind: type[T], /, *, frequency: float | None = None, missing: Missing = "error"
+    ) -> Block[AsyncOutputStream[T]]: ...
+    @overload
+    def outputs(
+        self, *names: OutputName | str, frequency: float | None = None, missing: Missing = "error"
+    ) -> Block[AsyncOutputStream[AnyOutputs]]: ...
+    def outputs(
+        self, *names: Any, frequency: float | None = None, missing: Missing = "error"
+    ) -> Block[AsyncOutputStream[Any]]:
+        """As `Rtde.outputs`: ``async with robot.rtde.outputs("actual_q") as stream``, or awaited."""
+        rtde = self._part
+
+        def made() -> OutputStream[Any]:
+            return rtde.outputs(*names, frequency=frequency, missing=missing)
+
+        return Block(self._workers, made, lambda stream, workers: AsyncOutputStream(stream))
+
+    async def registers(self, *, lower: bool = False) -> AsyncRegisters:
+        """As `Rtde.registers`."""
+        return AsyncRegisters(self._part.registers(lower=lower), self._workers)
+
+    @property
+    def is_recorded(self) -> bool:
+        return self._part.is_recorded
