@@ -65,6 +65,8 @@ def types(session: nox.Session) -> None:
     session.install("-e", f".{EXTRAS}", *group("types"))
     session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "adapters")))
     if not session.posargs:
+        # What users' own type checkers find: the asyncio face has the types of the blocking one.
+        session.run("pytest", "-q", "tests/urlink/aio/test_surface.py")
         # Finds uses of a standard library newer than the oldest supported Python. Seen from there, the types
         # of a newer numpy are Any, hence the separate run that is milder about Any.
         oldest = ["--python-version=3.10", "--no-warn-return-any", "--no-warn-unused-ignores"]

@@ -28,6 +28,7 @@ AWAITED = {
     "linkcore.handle",
     "linkcore.event_loop",
     "linkcore.net.awaited",
+    "linkcore.aio.async_stream",
     "linkcore.aio.loop_connection",
     "linkcore.aio.workers",
     "linkcore.aio.packets",

@@ -238,8 +238,8 @@ ASYNC_SURFACES = {
     "robot": """address call close controller dashboard firmware freedrive gripper identify identity interpreter io
         kinematics model motion popup primary realtime record registers rtde safety script secondary set_payload
         set_speed_slider set_tcp teach zero_force_sensor""",
-    "robot.realtime": """close connection description failure history iterate join latest name of plot start stats stream
-        subscribe wait wait_until""",
+    "robot.realtime": """close connection description failure history iterate join latest name of plot start
+        stats stream subscribe wait wait_until""",
     "robot.realtime.of(urlink.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",
     "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
@@ -296,8 +296,8 @@ DEFAULTS = {
         "rate=None, target_filter=None, speed=1.05, acceleration=3.0, jerk=30.0, delay=None, watchdog=0.1, "
         "lookahead_time=0.03, gain=300.0, link='reverse'"
     ),
-    "robot.motion.speed_joints": "acceleration=1.4, duration=0.5, link='reverse'",
-    "robot.motion.speed_linear": "acceleration=1.2, duration=0.5, link='reverse'",
+    "robot.motion.speed_joints": "acceleration=1.4, duration=0.5, link='reverse', wait=False",
+    "robot.motion.speed_linear": "acceleration=1.2, duration=0.5, link='reverse', wait=False",
     "robot.motion.stop": "acceleration=2.0, wait=False",
     "robot.motion.torque": "limits=None, friction_compensation=True, watchdog=0.05, link='reverse'",
     "robot.motion.until_contact": ("speed=0.02, acceleration=0.5, distance=0.3, force=None, retract=True, wait=False"),

@@ -266,12 +266,7 @@ class AsyncStream(AsyncFeed[T]):
         return await feed.subscribe(callback, deadline=deadline, on_deadline=on_deadline)
 
     async def description(self) -> dict[str, Any]:
-        """As `Stream.description`.
-
-        Raises:
-            RemoteError, Closed: as `start`.
-        """
-        await self.start()
+        """As `Stream.description`."""
         return self.stream.description()
 
     async def join(self, timeout: float | None = None) -> bool:

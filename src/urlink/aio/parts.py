@@ -328,6 +328,11 @@ class AsyncOutputStream(AsyncStream[T]):
         super().__init__(outputs)
         self._outputs = outputs
 
+    async def description(self) -> dict[str, Any]:
+        """As `OutputStream.description`, which connects."""
+        await self.start()
+        return await super().description()
+
     @property
     def names(self) -> tuple[str, ...]:
         return self._outputs.names

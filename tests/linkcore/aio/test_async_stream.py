@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.aio.loop_connection import LoopConnection
 from linkcore.aio.packets import LoopQueue
-from linkcore.errors import Closed, ConnectFailed, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Closed, ConnectFailed, LinkTimeout, LocalError
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.events import ConnectionEvent, ConnectionState
@@ -123,6 +123,48 @@ async def test_everything_comes_in_order_and_is_counted() -> None:
         assert (stream.stats.received, stream.stats.decoded, stream.stats.failed) == (201, 200, 1)
         assert (packets.stats.offered, packets.stats.delivered, packets.stats.dropped) == (200, 200, 0)
         assert (subscription.stats.offered, subscription.stats.delivered) == (200, 200)
+
+
+@awaited
+async def test_a_deadline_is_missed_in_the_thread_of_the_loop() -> None:
+    async with listening() as peer, stream_to(peer) as stream:
+        late: asyncio.Queue[tuple[float, int]] = asyncio.Queue()
+        thread = threading.get_ident()
+        subscription = await stream.subscribe(
+            lambda packet: None,
+            deadline=0.01,
+            on_deadline=lambda age: late.put_nowait((age, threading.get_ident())),
+        )
+        await peer.accepted()
+        age, where = await late.get()
+        assert (age >= 0.01, where) == (True, thread)
+        subscription.close()
+        with pytest.raises(BadValue, match="without a deadline"):
+            await stream.subscribe(lambda packet: None, on_deadline=print)
+
+
+@awaited
+async def test_join_waits_for_the_end() -> None:
+    async with listening() as peer, stream_to(peer) as stream:
+        assert await stream.join()  # nothing has begun
+        await stream.start()
+        await peer.accepted()
+        assert not await stream.join(0.01)
+        joining = asyncio.create_task(stream.join())
+        await asyncio.sleep(0)
+        assert not joining.done()
+        await stream.close()
+        assert await joining
+        assert await stream.description() == {}
+
+
+@awaited
+async def test_what_is_unknown_is_an_error() -> None:
+    async with listening() as peer, stream_to(peer) as stream:
+        for held in (stream, stream.of(Count)):
+            with pytest.raises(AttributeError):
+                held.lates = None  # type: ignore[attr-defined]
+        await stream.start()
 
 
 @awaited

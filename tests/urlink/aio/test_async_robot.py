@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import urlink
+from linkcore import plotting
 from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import Closed, ConnectFailed, LocalError, SafetyMode, SafetyStop
@@ -94,6 +95,127 @@ def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: 
     run(command())
     with urlink.connect(tmp_path / "run.urlog") as robot:
         assert robot.realtime.wait().q_actual.shape == (6,)
+
+
+def test_what_begins_a_motion_does_so_only_with_wait(controller: Controller) -> None:
+    """The first releases waited for the arm where `await` stood; an arm that moves must not be taken for arrived."""
+
+    async def command() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            q = (await robot.realtime.wait()).q_actual
+            pose = (await robot.realtime.wait()).tool_vector_actual
+            trajectory = urlink.Trajectory.from_arrays(time=[0, 1], q=[q, q + 0.1])
+            motion = robot.motion
+            for begun in (
+                motion.move_joints(q + 0.1),
+                motion.move_linear(pose),
+                motion.move_circular(pose, pose),
+                motion.path([urlink.Joint(q + 0.1)]),
+                motion.speed_joints([0.1] * 6),
+                motion.speed_linear([0.1] * 6),
+                motion.follow(trajectory),
+                motion.until_contact([0, 0, -1, 0, 0, 0]),
+                robot.script.run("movej([0, 0, 0, 0, 0, 0])"),
+            ):
+                with pytest.raises(urlink.BadValue, match=r"without `wait`; nothing was sent\. Pass wait=True"):
+                    await begun
+            assert motion.current is None
+            assert np.array_equal((await robot.realtime.wait()).qd_actual, np.zeros(6))
+            # A stop is sent whatever is given.
+            moving = await motion.speed_joints([0.1] * 6, duration=10.0, wait=False)
+            stop = await motion.stop()
+            await stop
+            assert isinstance(moving.error, urlink.Cancelled)
+            with pytest.raises(LocalError, match="await it in asyncio"):
+                (await motion.stop()).wait()
+            ended = await motion.speed_joints([0.0] * 6, duration=0.1, wait=True)
+            assert ended.done
+
+    run(command())
+
+
+def test_each_part_works_as_the_blocking_one(controller: Controller) -> None:
+    async def use() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            async with robot.interpreter() as interpreter:
+                assert await interpreter.execute("set_digital_out(3, True)", wait=True) > 0
+                assert (await interpreter.state()).last_interpreted >= 1
+                assert not interpreter.done
+            assert interpreter.phase is urlink.Phase.DONE
+            assert await robot.io.digital_out(3)
+            alone = await robot.interpreter()
+            await alone.execute("sleep(60)")
+            alone.cancel()
+            with pytest.raises(urlink.Cancelled):
+                await alone
+            async with robot.rtde.inputs("input_int_register_24") as inputs:
+                await inputs.send(input_int_register_24=7)
+                assert inputs.names == ("input_int_register_24",)
+            registers = await robot.rtde.registers()
+            await registers.write_integer(25, 8)
+            async with robot.teach() as teaching:
+                await teaching.record()
+            assert len(teaching.taught) == 1
+            assert (await robot.gripper.activate()).is_active
+            assert (await robot.gripper.close()).position == await robot.gripper.position() > 0
+            robot.safety.policy = "never"
+            assert robot.safety.policy == "never"
+            outputs = await robot.rtde.outputs("timestamp", frequency=125)
+            assert (outputs.names, outputs.frequency, outputs.is_over) == (("timestamp",), 125, False)
+            assert (await outputs.description())["asked"] == ["timestamp"]
+            assert outputs.recipe is not None
+            await outputs.close()
+            assert outputs.is_over
+
+    run(use())
+
+
+def test_the_last_seconds_of_a_stream_and_a_live_plot(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[tuple[plotting.Plot, float]] = []
+    monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append((plot, pause)))
+
+    async def look() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+            with await robot.realtime.history(5.0) as history:
+                await robot.realtime.wait_until(lambda state: len(history) > 2)
+                assert history.array("q_actual")["q_actual"].shape[1:] == (6,)
+            with pytest.raises(urlink.BadValue, match="no field"):
+                await robot.realtime.plot("nothing", seconds=1.0)
+            plotting_it = asyncio.create_task(robot.realtime.plot("q_actual", seconds=0.3, period=0.05))
+            turns = 0
+            while not plotting_it.done():  # the loop goes on meanwhile
+                await asyncio.sleep(0.001)
+                turns += 1
+            await plotting_it
+            assert turns > 10
+            assert len(drawn[0][0].figure().axes[0].lines) == 6
+            assert all(pause < 0.01 for _, pause in drawn)
+
+    run(look())
+
+
+def test_a_block_of_interpreter_mode_that_is_given_up_stops_the_arm(controller: Controller) -> None:
+    async def use() -> None:
+        async with urlink.connect_async(controller.address) as robot:
+
+            async def wait_long() -> None:
+                async with robot.interpreter() as interpreter:
+                    await interpreter.execute("speedj([0.1, 0, 0, 0, 0, 0], 1.0, 60)")
+                    entered.set()
+                # leaving it waits for the statement
+
+            waiting = asyncio.create_task(wait_long())
+            await entered.wait()
+            await robot.realtime.wait_until(lambda state: bool(np.any(np.abs(state.qd_actual) > 0.05)))
+            began = time.monotonic()
+            waiting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await waiting
+            assert time.monotonic() - began < SOON / 2
+            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
+
+    entered = asyncio.Event()
+    run(use())
 
 
 def test_who_gives_up_a_motion_stops_the_arm(controller: Controller) -> None:
