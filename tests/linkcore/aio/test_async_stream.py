@@ -138,7 +138,9 @@ async def test_a_deadline_is_missed_in_the_thread_of_the_loop() -> None:
         await peer.accepted()
         age, where = await late.get()
         assert (age >= 0.01, where) == (True, thread)
+        threads = threading.active_count()
         subscription.close()
+        await come(lambda: threading.active_count() < threads)
         with pytest.raises(BadValue, match="without a deadline"):
             await stream.subscribe(lambda packet: None, on_deadline=print)
 

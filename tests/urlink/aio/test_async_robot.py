@@ -123,11 +123,11 @@ def test_what_begins_a_motion_does_so_only_with_wait(controller: Controller) -> 
             assert np.array_equal((await robot.realtime.wait()).qd_actual, np.zeros(6))
             # A stop is sent whatever is given.
             moving = await motion.speed_joints([0.1] * 6, duration=10.0, wait=False)
+            with pytest.raises(LocalError, match="await it in asyncio"):
+                moving.wait(cancel=False)
             stop = await motion.stop()
             await stop
             assert isinstance(moving.error, urlink.Cancelled)
-            with pytest.raises(LocalError, match="await it in asyncio"):
-                (await motion.stop()).wait()
             ended = await motion.speed_joints([0.0] * 6, duration=0.1, wait=True)
             assert ended.done
 
