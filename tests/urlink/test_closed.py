@@ -33,9 +33,9 @@ USES: dict[str, Callable[[Any], Any]] = {
     "rtde.who_holds": lambda robot: robot.rtde.who_holds(),
     "registers.write_integer": lambda robot: robot.registers.write_integer(24, 1),
     "registers.read_integer": lambda robot: robot.registers.read_integer(24),
-    "motion.move_joints": lambda robot: robot.motion.move_joints([0.0] * 6),
+    "motion.move_joints": lambda robot: robot.motion.move_joints([0.0] * 6, wait=False),
     "motion.stop": lambda robot: robot.motion.stop(),
-    "script.run": lambda robot: robot.script.run("sync()"),
+    "script.run": lambda robot: robot.script.run("sync()", wait=False),
     "script.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
     "safety.enable": lambda robot: robot.safety.enable(),
     "dashboard.robot_mode": lambda robot: robot.dashboard.robot_mode(),
@@ -43,8 +43,8 @@ USES: dict[str, Callable[[Any], Any]] = {
     "gripper.status": lambda robot: robot.gripper.status(),
     "interpreter": lambda robot: robot.interpreter(),
 }
-#: What the asynchronous robot does not have, or has otherwise.
-NOT_AWAITED = {"freedrive", "gripper.status", "interpreter"}
+#: What the asynchronous robot has otherwise.
+NOT_AWAITED = {"freedrive"}
 
 
 @pytest.fixture(scope="module")

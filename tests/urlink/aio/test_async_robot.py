@@ -142,6 +142,8 @@ def test_each_part_works_as_the_blocking_one(controller: Controller) -> None:
                 assert (await interpreter.state()).last_interpreted >= 1
                 assert not interpreter.done
             assert interpreter.phase is urlink.Phase.DONE
+            boards = robot.primary.of(urlink.MasterboardData)
+            await boards.wait_until(lambda board: bool(board.digital_output_bits & 1 << 3))
             assert await robot.io.digital_out(3)
             alone = await robot.interpreter()
             await alone.execute("sleep(60)")
