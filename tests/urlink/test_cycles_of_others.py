@@ -62,11 +62,11 @@ async def cancelled(robot: urlink.AsyncRobot) -> None:
     moving.cancel()
     with contextlib.suppress(asyncio.CancelledError, LinkError):
         await moving
-    await robot.motion.stop()
+    await robot.motion.stop(wait=True)
 
 
 async def _moved(robot: urlink.AsyncRobot) -> None:
-    await robot.motion.move_joints(HOME + 0.2)
+    await robot.motion.move_joints(HOME + 0.2, wait=True)
 
 
 async def read(robot: urlink.AsyncRobot) -> None:
@@ -84,14 +84,14 @@ AWAITED: dict[str, Callable[[urlink.AsyncRobot], Any]] = {
     "zero_force_sensor": lambda robot: robot.zero_force_sensor(),
     "freedrive": lambda robot: block(robot.freedrive()),
     "teach": lambda robot: block(robot.teach()),
-    "motion.move_joints": lambda robot: robot.motion.move_joints(NEAR),
+    "motion.move_joints": lambda robot: robot.motion.move_joints(NEAR, wait=True),
     "motion.move_joints, cancelled": cancelled,
-    "motion.stop": lambda robot: robot.motion.stop(),
-    "motion.speed_joints": lambda robot: robot.motion.speed_joints(ZEROS, duration=0.02),
+    "motion.stop": lambda robot: robot.motion.stop(wait=True),
+    "motion.speed_joints": lambda robot: robot.motion.speed_joints(ZEROS, duration=0.02, wait=True),
     "motion.servo": lambda robot: block(robot.motion.servo(watchdog=2.0)),
     "motion.jog": lambda robot: block(robot.motion.jog(), lambda jog: jog.move(ZEROS)),
     "motion.force_mode": lambda robot: block(robot.motion.force_mode("base", DOWN[0], DOWN[1], DOWN[2])),
-    "script.run": lambda robot: robot.script.run("sync()"),
+    "script.run": lambda robot: robot.script.run("sync()", wait=True),
     "script.send_line": lambda robot: robot.script.send_line("set_flag(1, True)"),
     "io.set_digital_out": lambda robot: robot.io.set_digital_out(0, next(_dials)),
     "io.set_analog_out": lambda robot: robot.io.set_analog_out(0, 0.5),

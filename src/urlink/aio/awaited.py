@@ -128,7 +128,10 @@ class Block(Generic[T]):
                 self._workers.submit(self._entered.cancel)
             await asyncio.wait({leaving})
             raise
-        leaving.result()
+        try:
+            leaving.result()
+        finally:
+            del leaving  # an error refers to this frame, and the future to the error
 
 
 @overload
