@@ -19,8 +19,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from linkcore.callbacks import CallbackThread
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import TRANSITIONS, Event, Handle, Lifecycle, Motion, Phase
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import interrupted, until
+
+pytestmark = pytest.mark.simulated_time
 
 OVER = (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
 

@@ -14,8 +14,9 @@ import pytest
 
 from linkcore.errors import Closed, ConnectFailed, LinkTimeout
 from linkcore.net.recall import Recall, TakeBack
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 10.0
 

@@ -48,8 +48,9 @@ from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import Row
 from tests.rhdlink import recorded
 from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless, nothing_more_after_greeting, serving
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
 
 
 class Recording:

@@ -22,8 +22,9 @@ from rhdlink.variables.database import Database
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
 from tests.rhdlink.raw_client import RawClient
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
 
 
 class Robot(Plugin):

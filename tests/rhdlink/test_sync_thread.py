@@ -12,8 +12,9 @@ import rhdlink
 from linkcore.errors import BadValue, ConnectionLost, LocalError
 from rhdlink import Backoff, Int32, Read, SyncThread, Update, Variables
 from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
 
 
 class Smr(Variables):

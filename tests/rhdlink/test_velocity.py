@@ -12,8 +12,9 @@ from linkcore.errors import BadValue
 from rhdlink.host.host import Host
 from rhdlink.plugins.velocity import Twist, VelocityBridge
 from tests.rhdlink.raw_client import RawClient
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
+
+pytestmark = pytest.mark.simulated_time
 
 
 def lockstep(bridge: VelocityBridge) -> Host:

@@ -12,10 +12,11 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue, LocalError
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.simulator import Controller
+
+pytestmark = pytest.mark.simulated_time
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ import pytest
 
 import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, WrongPeer
-from tests.simulated import in_simulated_time as in_simulated_time
 from urlink import RobotState, VersionMessage
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify
@@ -20,6 +19,8 @@ from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.models import MODELS
 from urlink.simulator import Controller
 from urlink.simulator.ports.form import package
+
+pytestmark = pytest.mark.simulated_time
 
 #: Seconds that any answer may take beyond the timeout: the machine may be busy.
 MARGIN = 3.0

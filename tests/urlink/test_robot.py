@@ -15,7 +15,6 @@ import pytest
 
 import urlink
 from linkcore.streaming.statistics import StreamStatistics
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import (
     Backoff,
@@ -36,6 +35,8 @@ from urlink.address import RobotAddress
 from urlink.firmware import RELEASES, Firmware, release_of
 from urlink.models import MODELS
 from urlink.simulator import Controller, Demonstration
+
+pytestmark = pytest.mark.simulated_time
 
 QUICK = Backoff(first=0.01, most=0.1)
 

@@ -8,7 +8,6 @@ import pytest
 
 from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, scripted
-from tests.simulated import in_simulated_time as in_simulated_time
 
 
 @pytest.fixture

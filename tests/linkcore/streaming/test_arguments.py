@@ -18,6 +18,8 @@ from linkcore.streaming.stream import Stream
 from linkcore.wire.packet import State
 from tests.linkcore.script import Count, CountProtocol, ScriptedTransport, counts, scripted
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.mark.parametrize("value", [-1, -1e-9, math.nan, "1", b"1", None, [], "soon", True, False])
 def test_what_is_no_number_of_seconds(value: object) -> None:

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from linkcore.errors import BadValue
 from linkcore.streaming.backoff import Backoff
 
+pytestmark = pytest.mark.simulated_time
+
 seconds = st.floats(0, 100)
 factors = st.floats(1, 10)
 shares = st.floats(0, 1)

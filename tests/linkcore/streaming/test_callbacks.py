@@ -16,6 +16,8 @@ from linkcore.streaming.subscription import ThreadedDelivery
 from tests.linkcore.script import Count, ScriptedTransport, counts
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.mark.parametrize("error", [SystemExit(1), KeyboardInterrupt(), GeneratorExit()])
 def test_exit_in_a_callback_is_one_more_error(

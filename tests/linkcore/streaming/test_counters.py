@@ -22,6 +22,8 @@ from linkcore.streaming.subscription import Subscription
 from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     counters, clock = StreamCounters(), time.monotonic

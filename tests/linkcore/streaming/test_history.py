@@ -17,6 +17,8 @@ from tests.linkcore.script import Count, ScriptedTransport, counts
 from tests.waiting import until
 from urlink.interfaces.realtime.packets import RealtimeState
 
+pytestmark = pytest.mark.simulated_time
+
 
 class Nothing:
     """A subscription that nobody calls."""

@@ -17,6 +17,8 @@ from linkcore.streaming.subscription import Subscription
 from tests.linkcore.script import Count, ScriptedTransport, counts
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 def test_is_called_by_the_reader_and_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
     got: list[int] = []

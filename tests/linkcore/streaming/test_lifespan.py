@@ -19,6 +19,8 @@ from linkcore.streaming.policy import Policy, drop_oldest
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 #: Seconds; what is old is older than this by as much again, and what is young is younger however busy the machine is.
 LIFESPAN = 500.0
 

@@ -17,6 +17,8 @@ from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 def let_go(held: list[Any]) -> None:
     held.clear()

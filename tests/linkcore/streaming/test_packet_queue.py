@@ -21,6 +21,8 @@ from linkcore.streaming.packet_queue import PacketQueue
 from linkcore.streaming.policy import Policy, block, drop_oldest, latest
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 policies = st.one_of(
     st.just(latest),
     st.integers(1, 5).map(drop_oldest),

@@ -16,6 +16,8 @@ from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 def test_connects_if_nothing_has_yet(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream._connection.send(b"text\n", 1.0)

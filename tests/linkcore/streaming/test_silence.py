@@ -14,6 +14,8 @@ from linkcore.streaming.silence import SilenceMonitor
 from tests.linkcore.script import ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 def monitor(limit: float | None = 2.0) -> SilenceMonitor:
     silence = SilenceMonitor("script", limit)

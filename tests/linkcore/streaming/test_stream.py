@@ -18,6 +18,8 @@ from linkcore.streaming.stream import Stream
 from tests.linkcore.script import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 @pytest.fixture
 def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:

@@ -14,6 +14,8 @@ from linkcore.streaming.stream import Stream
 from tests.linkcore.script import Count, ScriptedTransport, counts
 from tests.waiting import until
 
+pytestmark = pytest.mark.simulated_time
+
 
 def at_once(call: Callable[[], object]) -> threading.Thread:
     thread = threading.Thread(target=call)

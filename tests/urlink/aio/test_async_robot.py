@@ -14,10 +14,11 @@ import pytest
 
 import urlink
 from linkcore import plotting
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import Closed, ConnectFailed, LocalError, SafetyMode, SafetyStop
 from urlink.simulator import Controller
+
+pytestmark = pytest.mark.simulated_time
 
 SOON = 30.0
 

@@ -13,10 +13,11 @@ import pytest
 
 import urlink
 from tests.cancelling import Sent, Trial, run_cancelled, sends, turns
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.simulator import Controller, Still
+
+pytestmark = pytest.mark.simulated_time
 
 __all__ = ["sends"]
 

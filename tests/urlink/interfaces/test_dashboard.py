@@ -26,7 +26,6 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.urlink.interfaces.dashboard_desk import FIRMWARES, TIMEOUT, Desk, StandIn
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
@@ -34,6 +33,8 @@ from urlink.interfaces.dashboard.commands import COMMANDS, NOT_IN_REMOTE_CONTROL
 from urlink.interfaces.dashboard.protocol import ProgramStatus, SavedProgram
 from urlink.interfaces.enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from urlink.simulator.robot.modes import Power
+
+pytestmark = pytest.mark.simulated_time
 
 #: Short enough for a test that waits for it, and long beside what a reply takes.
 SHORT = 0.3

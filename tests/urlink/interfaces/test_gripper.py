@@ -14,7 +14,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.interfaces.gripper.client import Gripper, GripperFault, ObjectStatus
 from urlink.interfaces.gripper.protocol import (
@@ -27,6 +26,8 @@ from urlink.interfaces.gripper.protocol import (
 )
 from urlink.simulator import Controller
 from urlink.simulator.robot.gripper import SimulatedGripper
+
+pytestmark = pytest.mark.simulated_time
 
 # -- the protocol ----------------------------------------------------------------------------------------
 

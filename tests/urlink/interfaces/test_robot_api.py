@@ -18,7 +18,6 @@ import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LocalError, PacketError
 from linkcore.net.http_client import HttpClient
 from linkcore.wire.http import HttpParser, HttpRequest, HttpResponse
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.client import Dashboard, DashboardRefused
@@ -29,6 +28,8 @@ from urlink.interfaces.enums import ProgramState, RobotMode, SafetyMode
 from urlink.ports import PORTS
 from urlink.simulator import Controller, Still
 from urlink.simulator.robot.modes import Power
+
+pytestmark = pytest.mark.simulated_time
 
 FILES = {"pick": "while True:\n  sync()\nend\n"}
 X14, X12, X11, X7 = Firmware(10, 14), Firmware(10, 12), Firmware(10, 11), Firmware(10, 7)

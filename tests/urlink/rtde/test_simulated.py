@@ -10,9 +10,10 @@ import pytest
 
 import urlink
 from linkcore.errors import BadRecording, BadValue, LocalError
-from tests.simulated import in_simulated_time as in_simulated_time
 from tests.waiting import until
 from urlink.rtde import OUTPUTS, InputInUse, Inputs, NoSuchVariable, Outputs
+
+pytestmark = pytest.mark.simulated_time
 
 
 @pytest.fixture(params=["3.15", "5.4", "5.25"])
