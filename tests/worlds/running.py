@@ -15,7 +15,6 @@ from typing import Any
 import urlink
 from linkcore.errors import LinkError, RemoteError
 from linkcore.handle import Handle
-from linkcore.net import recall
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
 from urlink.compat.rtde_control import RTDEControlInterface
 from urlink.compat.urx import Robot as UrxRobot
@@ -521,9 +520,6 @@ def run(world: World) -> Outcome:
     errors = _Errors()
     root, hook = logging.getLogger(), threading.excepthook
     root.addHandler(errors)
-    # What clients of another world have given up is kept for the life of the process.
-    recall._owed.clear()
-    recall._known.clear()
     try:
         with simulated_time(world.seed, latency=world.latency, jitter=world.jitter, limit=LIMIT) as sim:
             try:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import threading
 import time
 import weakref
@@ -83,10 +84,11 @@ class Recall:
             name: of the peer, for messages.
             user: who uses it, and closes it.
         """
+        key = (os.getpid(), peer)
         with _registry:
-            recall = _known.get(peer)
+            recall = _known.get(key)
             if recall is None:
-                recall = _known[peer] = cls(name)
+                recall = _known[key] = cls(name)
                 recall._users = weakref.WeakSet()
         # Without the lock of the module, which is a real one in simulated time too: others must not wait for it.
         with recall._lock:
@@ -99,7 +101,7 @@ class Recall:
     @staticmethod
     def is_owed(peer: Hashable) -> bool:
         """Something is to be taken back from the peer."""
-        recall = _known.get(peer)
+        recall = _known.get((os.getpid(), peer))
         return recall is not None and bool(recall._pending)
 
     @property
@@ -235,6 +237,6 @@ class Recall:
 
 #: Held while `Recall.of` looks a peer up.
 _registry = threading.RLock()
-#: The peers that are used or owe something, and those that owe something.
-_known: weakref.WeakValueDictionary[Hashable, Recall] = weakref.WeakValueDictionary()
+#: The peers that are used or owe something, by the process, since a forked one owes nothing; those that owe something.
+_known: weakref.WeakValueDictionary[tuple[int, Hashable], Recall] = weakref.WeakValueDictionary()
 _owed: set[Recall] = set()

@@ -7,6 +7,7 @@ given up is still delivered, when the network is back, unless the connection was
 
 from __future__ import annotations
 
+import itertools
 import errno
 from collections import deque
 from collections.abc import Callable
@@ -51,6 +52,10 @@ class Watched(Protocol):
         """Look again."""
 
 
+#: Above every number that Linux gives a process, 2**22 at most.
+_PIDS = itertools.count(1 << 23)
+
+
 @dataclass(eq=False)
 class Computer:
     """A computer with a kernel and one process: suspending or killing it leaves the kernel as it is.
@@ -65,6 +70,8 @@ class Computer:
     name: str
     address: str
     scheduler: Scheduler
+    #: what `os.getpid` returns there: what this process keeps by it belongs to one computer of one simulation
+    pid: int = field(default_factory=_PIDS.__next__)
     rate: float = 1.0
     offset: float = 1000.0
     is_running: bool = True

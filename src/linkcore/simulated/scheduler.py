@@ -51,6 +51,8 @@ class Ended(SystemExit):
 class Process(Protocol):
     """What tasks belong to: it can be suspended, and has a clock of its own."""
 
+    #: its number, for what a program keeps for the life of its process
+    pid: int
     #: seconds of its clock for one of the simulation
     rate: float
     #: seconds that its clock had when the simulation began

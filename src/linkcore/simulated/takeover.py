@@ -219,6 +219,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     # Its own, so that who asks for more of it does not change the order of the threads.
     chance = random.Random(scheduler.random.random())
     sleep, select_, ioctl, getaddrinfo, urandom = time.sleep, select.select, fcntl.ioctl, socket.getaddrinfo, os.urandom
+    getpid = os.getpid
 
     def clock(real: Callable[[], Any], epoch: float, scale: int) -> Callable[[], Any]:
         def read() -> Any:
@@ -231,6 +232,12 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
             return int(seconds * scale) if scale else seconds
 
         return read
+
+    def getpid_() -> int:
+        scheduler = current()
+        if scheduler is None:
+            return getpid()
+        return scheduler.running.process.pid  # type: ignore[union-attr]
 
     def sleep_(seconds: float) -> None:
         scheduler = current()
@@ -267,6 +274,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (time.perf_counter_ns, clock(time.perf_counter_ns, 0.0, 10**9)),
         (time.time_ns, clock(time.time_ns, _EPOCH, 10**9)),
         (sleep, sleep_),
+        (getpid, getpid_),
         (threading.Lock, lock(primitives.Lock, threading.Lock)),
         (threading._allocate_lock, lock(primitives.Lock, threading._allocate_lock)),  # type: ignore[attr-defined]
         (threading.RLock, lock(primitives.RLock, threading.RLock)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import queue
 import random
 import secrets
@@ -391,3 +392,16 @@ def test_faults_by_name() -> None:
         for wrong in ("cut", "cut=robot", "cut=robot@soon", "cut=nobody@1", "shake=robot@1", "cut=robot@-1"):
             with pytest.raises(BadValue, match=wrong.partition("=")[0]):
                 sim.schedule(wrong)
+
+
+def test_what_a_process_keeps_by_its_number_is_of_one_computer_of_one_simulation() -> None:
+    numbers = set()
+    for _ in range(2):
+        with simulated_time(seed=1) as sim:
+            numbers.add(os.getpid())
+            with sim.on(sim.computer("other")):
+                thread = threading.Thread(target=lambda: numbers.add(os.getpid()))
+                thread.start()
+            thread.join()
+    assert len(numbers) == 4
+    assert os.getpid() not in numbers
