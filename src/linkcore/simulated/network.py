@@ -7,8 +7,8 @@ given up is still delivered, when the network is back, unless the connection was
 
 from __future__ import annotations
 
-import itertools
 import errno
+import itertools
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field

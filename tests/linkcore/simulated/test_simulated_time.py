@@ -399,7 +399,7 @@ def test_what_a_process_keeps_by_its_number_is_of_one_computer_of_one_simulation
     for _ in range(2):
         with simulated_time(seed=1) as sim:
             numbers.add(os.getpid())
-            with sim.on(sim.computer("other")):
+            with sim.on(sim.computer("other", "10.0.0.9")):
                 thread = threading.Thread(target=lambda: numbers.add(os.getpid()))
                 thread.start()
             thread.join()
