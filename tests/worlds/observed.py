@@ -301,7 +301,7 @@ class Observed:
                 wait(handle, timeout, **how)
             finally:
                 took = self._sim.now - begun - (self._held_of(computer) - held)
-                if took > timeout * 1.001 + _LATE:
+                if took > timeout * 1.001 + _LATE and computer not in self._dead:
                     self._fault(f"{handle.name}: wait({timeout:g}) took {took:.2f} s")
 
         return wrapped

@@ -288,7 +288,7 @@ class Run:
                 for event in self.world.events
                 if event.client == number and event.what in ("suspend_client", "hold_client")
             )
-            if took > limit + stood + LATE:
+            if took > limit + stood + LATE and number not in self.gone:
                 self.watch.fault(f"{ask.what}: {what} {took:.2f} s, longer than {limit:g} s")
 
     # -- clients with tasks --------------------------------------------------------------------------------
