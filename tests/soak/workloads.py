@@ -18,7 +18,7 @@ from rhdlink.plugins.turtle import Turtle
 from urlink.simulator import Controller, Demonstration
 
 #: Seconds after which something that has to come has not come, on a machine that is busy.
-TIMEOUT = 30.0
+TIMEOUT = 120.0
 
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 
@@ -125,9 +125,9 @@ def robots() -> Iterator[Round]:
             idle = socket.create_connection(("127.0.0.1", host.port), TIMEOUT)
             deaf = socket.create_connection(("127.0.0.1", host.port), TIMEOUT)
             deaf.sendall(b"ar" + b"rree" * 200)
-            with rhdlink.connect(address, rhdlink.VelocityOmega, access="w") as writer:
+            with rhdlink.connect(address, rhdlink.VelocityOmega, access="w", timeout=TIMEOUT) as writer:
                 for _ in range(5):
-                    with rhdlink.connect(address, rhdlink.VelocityOmega) as reader:
+                    with rhdlink.connect(address, rhdlink.VelocityOmega, timeout=TIMEOUT) as reader:
                         for speed in np.linspace(0.0, 0.1, 20):
                             writer.cmdtransvel = float(speed)
                             writer.sync()
