@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import itertools
 import logging
 import threading
@@ -16,6 +17,7 @@ import urlink
 from linkcore.errors import LinkError, RemoteError
 from linkcore.handle import Handle
 from linkcore.simulated import Computer, Deadlock, Simulation, TimeLimit, simulated_time
+from urlink.aio import awaited
 from urlink.compat.rtde_control import RTDEControlInterface
 from urlink.compat.urx import Robot as UrxRobot
 from urlink.simulator import Controller, Still
@@ -44,6 +46,49 @@ _NO_END = {"servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "speedj
 
 class Interrupted(Exception):
     """Raised by the program itself, in a block."""
+
+
+class _Awaited:
+    """A call that a task awaits, as the methods of an `AsyncRobot` make it, and what comes of it.
+
+    Attributes:
+        is_making: it is under way in a thread.
+        made: what it has returned.
+        error: or raised.
+    """
+
+    def __init__(self, function: Callable[[Any, Ask], Any], robot: Any, ask: Ask) -> None:
+        self._function = function
+        self._robot = robot
+        self._ask = ask
+        self.is_making = False
+        self.made: Any = None
+        self.error: BaseException | None = None
+
+    def _make(self, wait: float | None = None) -> Any:
+        self.is_making = True
+        try:
+            self.made = self._function(self._robot._part, self._ask)
+            if wait is not None:
+                self.made.wait(wait)
+        except BaseException as error:
+            self.error = error
+            raise
+        finally:
+            self.is_making = False
+        return self.made
+
+    async def begun(self) -> Any:
+        """What the function returns; `wait=False`."""
+        return await self._robot._workers.make(self._make, awaited._end)
+
+    async def done(self) -> None:
+        """As with `wait=True`."""
+        await self._robot._workers.make(functools.partial(self._make, WAIT), awaited._end)
+
+    def block(self) -> Any:
+        """What is entered."""
+        return awaited.Block(self._robot._workers, self._make, lambda made, workers: made)
 
 
 class Run:
@@ -313,8 +358,7 @@ class Run:
         self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}, in a task")
         owner = None if ask.what in CALL and ask.what not in _LASTING else self.begin(number)
         error: BaseException | None = None
-        begin = CALL.get(ask.what) or MOTION.get(ask.what) or BLOCK[ask.what]
-        call = None
+        call = _Awaited(CALL.get(ask.what) or MOTION.get(ask.what) or BLOCK[ask.what], robot, ask)
         try:
             if client.policy != "never" and ask.size > 0.3:
                 await robot.safety.enable()
@@ -324,7 +368,6 @@ class Run:
             if ask.what == "iterate":
                 await robot.primary.wait(ask.patience)
                 return
-            call = robot.call(begin, robot._robot, ask)
             if owner is not None and ask.then == "forget" and ask.what in MOTION:
                 self._forget(number, owner, await call.begun(), kept)
                 owner = None
@@ -335,27 +378,31 @@ class Run:
         except LinkError as raised:
             error = raised
         finally:
-            if call is not None and owner is not None:
+            if owner is not None:
                 error = await self._ended(call, ask) or error
             self.watch.told(number, ask.what, error)
             if owner is not None and ask.what not in _LASTING:
                 self.end(number, owner, error)
 
-    async def _then_async(self, robot: Any, call: Any, ask: Ask) -> None:
+    async def _then_async(self, robot: Any, call: _Awaited, ask: Ask) -> None:
         async def whole() -> None:
             if ask.what in BLOCK:
-                async with call as entered:
-                    await robot.call(DURING[ask.what], robot._robot, entered, ask)
+                async with call.block() as entered:
+                    await robot.call(DURING[ask.what], robot._part, entered, ask)
                     if ask.then == "interrupt":
                         raise Interrupted
                     await asyncio.sleep(ask.patience)
-            elif ask.then == "leave" and ask.what in MOTION:
-                async with call:
+            elif ask.what in CALL:
+                await call.begun()
+            elif ask.then == "leave":
+                with await call.begun():
                     await asyncio.sleep(ask.patience)
             elif ask.then == "interrupt":
-                await call.begun()
+                (await call.begun()).cancel()
+            elif round(100 * ask.size) % 2:  # as with wait=True
+                await call.done()
             else:
-                await call
+                await (await call.begun())
 
         if ask.then in ("wait_briefly", "cancel"):
             task = asyncio.ensure_future(whole())
@@ -372,20 +419,22 @@ class Run:
         else:
             await asyncio.wait_for(whole(), WAIT)
 
-    async def _ended(self, call: Any, ask: Ask) -> BaseException | None:
+    async def _ended(self, call: _Awaited, ask: Ask) -> BaseException | None:
         """Wait until what a call has begun is over, and return what its handle reports."""
-        call.cancel()
-        submitted, until = call._submitted, self.sim.now + ENDED
-        while not submitted.done() and self.sim.now < until:
+        until = self.sim.now + ENDED
+        await asyncio.sleep(0.01)  # by then it has begun, or never will
+        while call.is_making and self.sim.now < until:
             await asyncio.sleep(0.01)
-        if not submitted.done():
+        if call.is_making:
             self.watch.fault(f"the call of {ask.what} has not ended {ENDED:g} s after it was cancelled")
-        if not submitted.done() or submitted.cancelled() or submitted.exception() is not None:
-            return submitted.exception() if submitted.done() and not submitted.cancelled() else None
-        handle = _handle(submitted.result())
+        if call.error is not None:
+            return call.error
+        handle = _handle(call.made)
         # A block that was not entered has begun nothing, so that nothing ends.
         if handle is None or not getattr(handle, "_is_entered", True):
             return None
+        if ask.what in MOTION:
+            handle.cancel()
         while not handle.done and self.sim.now < until:
             await asyncio.sleep(0.01)
         if not handle.done:
