@@ -39,6 +39,7 @@ from .robot.arm import Arm
 from .robot.gripper import SimulatedGripper
 from .robot.modbus import ModbusSignals
 from .robot.modes import Modes
+from .robot.scaling import ScalingParameters
 from .robot.signals import Signals
 from .robot.sources import SetpointSource, Still
 from .robot.surroundings import Surroundings
@@ -95,6 +96,7 @@ class Controller:
         gripper: whether a Robotiq gripper is mounted and its URCap serves it.
         stepped: time passes only by `step` and within `passing`, even while the ports are served. For tests that need
             the robot at a certain moment.
+        scaling: how the speed scaling of programs behaves, where that is not known or to be tried.
 
     Attributes:
         host: address that it listens on.
@@ -126,6 +128,7 @@ class Controller:
         calibration: DenavitHartenberg | None = None,
         gripper: bool = True,
         stepped: bool = False,
+        scaling: ScalingParameters = ScalingParameters(),  # noqa: B008 -- it is frozen
     ) -> None:
         if model is None:
             model = "UR5" if firmware is not None and not Firmware.parse(firmware).is_e_series else "UR5e"
@@ -147,7 +150,9 @@ class Controller:
         def source() -> SetpointSource:
             return motion or Still()
 
-        self._state = state = ControllerState(kinematics, chosen, source(), serial=serial, seed=seed, noise=noise)
+        self._state = state = ControllerState(
+            kinematics, chosen, source(), serial=serial, seed=seed, noise=noise, scaling_parameters=scaling
+        )
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)
         self.pendant = Pendant(state, self._runner, files or {})

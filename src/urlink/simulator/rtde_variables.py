@@ -116,10 +116,9 @@ def _outputs() -> dict[str, Output]:
         safety_mode=lambda s: s.modes.safety_mode,
         safety_status=lambda s: s.modes.safety_mode,
         actual_tool_accelerometer=lambda s: s.arm.sample.accelerometer,
-        speed_scaling=lambda s: s.modes.speed_scaling * s.speed_fraction,
+        speed_scaling=lambda s: s.speed_scaling,
         target_speed_fraction=lambda s: s.speed_fraction,
-        # "Program not running", or "not scaled".
-        time_scale_source=lambda s: int(s.modes.program_state is ProgramState.PLAYING),
+        time_scale_source=lambda s: s.time_scale_source,
         actual_momentum=lambda s: s.arm.sample.momentum,
         actual_main_voltage=lambda s: _RAIL,
         actual_robot_voltage=lambda s: _RAIL if s.modes.is_powered else 0.0,

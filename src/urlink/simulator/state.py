@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue
 from urlink.firmware import Firmware, release_of
-from urlink.interfaces.enums import ControlMode
+from urlink.interfaces.enums import ControlMode, ProgramState, TimeScaleSource
 from urlink.kinematics import Arm as Kinematics
 from urlink.models import Model
 
@@ -21,6 +21,7 @@ from .registers import Registers, Watchdogs
 from .robot.arm import Arm
 from .robot.modbus import ModbusSignals
 from .robot.modes import Modes, Stop
+from .robot.scaling import ScalingParameters, approached
 from .robot.signals import Signals
 from .robot.sources import SetpointSource
 from .robot.surroundings import Surroundings
@@ -136,6 +137,10 @@ class ControllerState:
         source: where the arm's set-points come from.
         is_paused: whether the source is paused: its program was, by hand or by a protective stop.
         speed_fraction: of the speed slider, 0 to 1.
+        slider: the fraction that the movement of the speed slider has come to; it follows `speed_fraction`.
+        scaling: the fraction of their speed with which the commands of programs are executed; it follows `slider`, and
+            is 0 at the start of a program.
+        scaling_parameters: as given.
         remote_control: whether an e-Series accepts commands from outside the pendant.
         control_mode: what the program that runs controls; position without a program.
         teach_button: whether the button for freedrive is held.
@@ -157,8 +162,10 @@ class ControllerState:
         serial: str,
         seed: int,
         noise: bool,
+        scaling_parameters: ScalingParameters,
     ) -> None:
         self.kinematics = kinematics
+        self.scaling_parameters = scaling_parameters
         self.serial = serial
         self._noise_seed = seed if noise else None
         self.cycle = 0
@@ -184,7 +191,8 @@ class ControllerState:
         self.modes = Modes(firmware)
         self.is_paused = False
         self.control_mode = ControlMode.POSITION
-        self.speed_fraction = 1.0
+        self.speed_fraction = self.slider = 1.0
+        self.scaling = 0.0
         self.flags = [False] * FLAGS
         self.registers = Registers()
         self.watchdogs = Watchdogs()
@@ -230,6 +238,28 @@ class ControllerState:
     def is_up(self) -> bool:
         """Whether it is up; False while it reboots."""
         return self.cycles_down == 0
+
+    def move_slider(self, seconds: float) -> None:
+        """Let the speed slider take effect, as far as it does in some seconds."""
+        if self.slider != self.speed_fraction:
+            most = self.scaling_parameters.slider_rate * seconds
+            self.slider = approached(self.slider, self.speed_fraction, most)
+
+    @property
+    def speed_scaling(self) -> float:
+        """As all interfaces show it: `slider` while a program plays.
+
+        The start of a program does not show in it: in the log of a UR3e it is 1 while the joints still speed up.
+        """
+        return self.modes.speed_scaling * self.slider
+
+    @property
+    def time_scale_source(self) -> TimeScaleSource:
+        """What scales the motion. That the slider and the start of a program are a smooth transition is a guess."""
+        if self.modes.program_state is not ProgramState.PLAYING:
+            return TimeScaleSource.PROGRAM_NOT_RUNNING
+        is_changing = self.slider != self.speed_fraction or self.scaling != self.slider
+        return TimeScaleSource.SMOOTH_TRANSITION if is_changing else TimeScaleSource.NOT_SCALED
 
     # -- modes ---------------------------------------------------------------------------------------
 

@@ -215,7 +215,7 @@ def test_messages_of_many_steps_are_kept_until_they_are_taken() -> None:
 
 
 def test_the_end_while_moving_brakes(watched: Watched) -> None:
-    watched.take("def f():\n  speedj([0.8,0,0,0,0,0], 2, 0.6)\nend\n").step(0.62)
+    watched.take("def f():\n  speedj([0.8,0,0,0,0,0], 2, 0.6)\nend\n").step(0.7)
     assert watched.story == ["started f", "stopped f"]
     assert watched.moves()
     watched.step(1)

@@ -169,7 +169,7 @@ def _robot_mode(state: ControllerState) -> Fields:
         "robot_mode": modes.robot_mode,
         "control_mode": state.control_mode,
         "target_speed_fraction": state.speed_fraction,
-        "speed_scaling": modes.speed_scaling * state.speed_fraction,
+        "speed_scaling": state.speed_scaling,
         "target_speed_fraction_limit": 1.0,
     }
 

@@ -80,7 +80,7 @@ def _fields(state: ControllerState) -> Fields:
         "joint_modes": [modes.joint_mode] * 6,
         "safety_mode": modes.safety_mode,
         "tool_accelerometer": s.accelerometer,
-        "speed_scaling": modes.speed_scaling * state.speed_fraction,
+        "speed_scaling": state.speed_scaling,
         "linear_momentum_norm": s.momentum,
         "V_main": 48.0,
         "V_robot": 48.0 if powered else 0.0,

@@ -5,7 +5,9 @@ arm follows that set-point, and has no access to programs.
 
 Guesses: that a protective stop pauses a program, which `play` then continues, and that an emergency stop or switching
 off ends it; that secondary programs run on through all of these; that a program which was paused because an RTDE input
-was late has the full time for it again when it is resumed.
+was late has the full time for it again when it is resumed. That the scaling does not begin at 0 again if a program
+replaces another, or takes over while the arm still moves, is inferred: drivers send a program with a speed many times a
+second, and the arm keeps its speed.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ class RunningProgram:
         self._state = state
         self._on_end = on_end
         # It continues from what moved the arm before, at its speed.
-        self._drive = Drive(state.kinematics, state.arm.setpoint)
+        self._drive = Drive(state.kinematics, state.arm.setpoint, state.scaling, state.scaling_parameters)
         self._world = ProgramWorld(state, route, self._drive)
         self._execution = Execution(script, self._world)
 
@@ -73,7 +75,7 @@ class RunningProgram:
     def advance(self, seconds: float) -> Setpoint:
         """Run the threads for one cycle of `seconds`, and return its set-point."""
         drive, generator, state = self._drive, self._drive.generator, self._state
-        generator.speed_fraction = state.speed_fraction
+        generator.speed_fraction = state.slider
         if self.is_program:
             generator.tcp = state.arm.tcp
             self._execution.advance()
@@ -82,6 +84,8 @@ class RunningProgram:
         try:
             setpoint = drive.advance(seconds, state.arm.wrench, state.arm.pushed_joints)
             state.control_mode = drive.control_mode
+            # A program that takes over while the arm moves goes on with the scaling of the one before.
+            state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
             return setpoint
         except LimitViolation as violation:
             state.stop_protectively(violation.reason)
@@ -206,6 +210,7 @@ class ProgramRunner:
         """
         state, modes = self._state, self._state.modes
         state.control_mode = ControlMode.POSITION
+        state.move_slider(seconds)
         self._watch()
         if modes.holds_program:
             if self.main is not None and self.main.is_program:
@@ -218,12 +223,15 @@ class ProgramRunner:
             self._advance_secondary()
         if not modes.may_move or state.is_paused:
             self._begins_anew = True
+            state.scaling = 0.0
             return None
         if self._begins_anew:
             if state.arm.is_moving:
                 return None
             state.source.start(state.arm.setpoint.q)
             self._begins_anew = False
+        if state.source is not self.main:
+            state.scaling = state.slider if state.source.is_program else 0.0
         return state.source.advance(seconds)
 
     def _watch(self) -> None:

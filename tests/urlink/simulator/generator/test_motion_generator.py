@@ -161,16 +161,6 @@ def test_a_slider_that_is_moved_has_no_jerk_in_it(begin: str) -> None:
     check_continuous(before, setpoints, np.full(6, 12.0))
 
 
-def test_the_slider_does_not_count_for_servoj() -> None:
-    generator = standing()
-    generator.speed_fraction = 0.0
-    cycles(generator, 100)
-    target = moved(0.01, 0, 0, 0, 0, 0)
-    generator.servoj(target, CYCLE, 0.03, 300.0)
-    to_rest(generator)
-    assert generator.setpoint.q == target
-
-
 # -- ends and new beginnings ---------------------------------------------------------------------
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from urlink.interfaces.enums import ControlMode
 from urlink.kinematics import Arm
 
+from ..scaling import ScalingParameters
 from ..sources import Setpoint
 from .compliance import Compliance, ForceTask, free_tool
 from .free_joints import FreeJoints
@@ -35,14 +36,22 @@ class Drive:
     Args:
         kinematics: of the arm.
         setpoint: the present one.
+        scaling: with which it begins.
+        parameters: of the scaling.
 
     Attributes:
         generator: executes the commands of the program.
         setpoint: that of this cycle.
     """
 
-    def __init__(self, kinematics: Arm, setpoint: Setpoint) -> None:
-        self.generator = MotionGenerator(kinematics, setpoint)
+    def __init__(
+        self,
+        kinematics: Arm,
+        setpoint: Setpoint,
+        scaling: float,
+        parameters: ScalingParameters,
+    ) -> None:
+        self.generator = MotionGenerator(kinematics, setpoint, scaling, parameters)
         self.setpoint = setpoint
         self._kinematics = kinematics
         self._limits = JointLimits(kinematics.model)

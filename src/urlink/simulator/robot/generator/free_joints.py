@@ -103,6 +103,7 @@ class TorqueMotion:
     ) -> None:
         self.move = Move()
         self.is_at_rest = False
+        self.overrun = 0.0
         self._dynamics, self._torque, self._friction = dynamics, torque, np.array(friction)
         self._brake = JointSpeed(_REST, acceleration, None)
 

@@ -5,9 +5,9 @@ servoc) begin where the arm can come to rest, and a blend is added that takes ov
 the present speed; servoj follows its set-point from there.
 
 Guesses, because a controller's algorithm is not published: how hard it brakes without a command, or when a path move
-preempts another movement (a quarter of the model's acceleration), and that the speed slider changes over 0.1 s.
+preempts another movement (a quarter of the model's acceleration).
 
-Not as on a controller: the slider does not scale servoj here (docs/protocols/urscript.md, Speed scaling).
+The speed scaling stretches the time of every command but a stop; how fast it changes is in `..scaling`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from urlink.dynamics import Dynamics
 from urlink.kinematics import Arm
 from urlink.vectors import FloatArray
 
+from ..scaling import ScalingParameters, approached
 from ..sources import BRAKING, Setpoint
 from .free_joints import TorqueMotion
 from .joint_limits import JointLimits, LimitViolation, Unreachable, checked, positive
@@ -33,8 +34,8 @@ from .tool_paths import ToolPath
 __all__ = ["MotionGenerator"]
 
 _REST = [0.0] * 6
-# 1/s: the speed scaling changes from zero to full in a tenth of a second.
-_SCALING_RATE = 10.0
+# Scaling from which on servoj takes over the whole speed of the joints in its stretched time; below, a part of it.
+_TAKES_OVER = 0.1
 # rad or m: the least length for which a speed and an acceleration are computed from a time.
 _SHORTEST = 1e-9
 
@@ -45,10 +46,12 @@ class Command(Protocol):
     Attributes:
         move: the movement that the program waits for.
         is_at_rest: whether the joints stand still, and will until the next command.
+        overrun: s of scaled time by which the last cycle exceeded the time that was asked for.
     """
 
     move: Move
     is_at_rest: bool
+    overrun: float
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
         """The set-point one cycle after `last`, at a speed scaling that has changed by `change` over the cycle."""
@@ -60,21 +63,32 @@ class MotionGenerator:
     Args:
         kinematics: of the arm, with its limits.
         setpoint: the present one; the arm brakes until a command comes.
+        scaling: with which it begins.
+        parameters: of the scaling.
 
     Attributes:
         setpoint: that of this cycle.
-        speed_fraction: of the speed slider, in [0, 1]. It scales everything but stops, and servoj, which a
-            controller scales (docs/protocols/urscript.md, Speed scaling).
+        speed_fraction: of the speed slider, in [0, 1]. It scales everything but stops.
+        scaling: the fraction of their speed with which commands are executed: it approaches `speed_fraction`.
     """
 
-    def __init__(self, kinematics: Arm, setpoint: Setpoint) -> None:
+    def __init__(
+        self,
+        kinematics: Arm,
+        setpoint: Setpoint,
+        scaling: float = 1.0,
+        parameters: ScalingParameters = ScalingParameters(),  # noqa: B008 -- it is frozen
+    ) -> None:
         self.setpoint = setpoint
         self.speed_fraction = 1.0
+        self.scaling = scaling
+        self._parameters = parameters
+        # The scaling rises from 0 at this rate, 1/s, until it has reached the slider.
+        self._rise = parameters.start_rate
         self._kinematics = kinematics
         self._limits = JointLimits(kinematics.model)
         self._gentle = [BRAKING * limit for limit in self._limits.acceleration]
         self._tcp = list(_REST)
-        self._scaling = 1.0
         self._command: Command | None = None
         self._refusal: LimitViolation | None = None
         if any(setpoint.qd):
@@ -116,11 +130,15 @@ class MotionGenerator:
         if self._refusal is not None:
             raise self._refusal
         last = self.setpoint
-        change = max(-_SCALING_RATE * seconds, min(_SCALING_RATE * seconds, self.speed_fraction - self._scaling))
-        self._scaling += change
+        before = self.scaling
+        rate = self._rise if before < self.speed_fraction else self._parameters.slider_rate
+        self.scaling = approached(before, self.speed_fraction, rate * seconds)
+        if self.scaling == self.speed_fraction:
+            self._rise = self._parameters.slider_rate
+        change = self.scaling - before
         if self._command is not None:
             try:
-                setpoint = self._command.advance(last, seconds, self._scaling, change)
+                setpoint = self._command.advance(last, seconds, self.scaling, change)
                 self._limits.check(last, setpoint, seconds)
             except LimitViolation as refusal:
                 self._refusal = refusal
@@ -136,10 +154,10 @@ class MotionGenerator:
         """
         is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
         self.setpoint = Setpoint(checked(q, "joint positions"), _REST, _REST)
+        self.scaling, self._rise = 0.0, self._parameters.resume_rate
         if is_over:
             self._begin(JointSpeed(_REST, self._gentle, None))
         else:
-            self._scaling = 0.0 if isinstance(self._command, PathMotion) else self._scaling
             self.resume(self.setpoint)
 
     def resume(self, setpoint: Setpoint) -> None:
@@ -245,10 +263,28 @@ class MotionGenerator:
             BadValue: an argument is no such number.
         """
         end = checked(q, "joint positions")
-        begin = self._command.goal if isinstance(self._command, ServoMotion) else self.setpoint.q
         seconds = _not_negative(t, "a time")
         lag = lag_of(seconds, _not_negative(lookahead_time, "a look-ahead time"), _not_negative(gain, "a gain"))
-        return self._begin(ServoMotion(self._limits, begin, end, seconds, lag))
+        stretches, old = self._parameters.servoj_lag_stretches, self._command
+        if isinstance(old, ServoMotion):
+            begin, speeds, excess = old.goal, old.speeds, old.excess
+        else:
+            scaling = max(self.scaling, _TAKES_OVER) if stretches else 1.0
+            begin, speeds = self.setpoint.q, [v / scaling for v in self.setpoint.qd]
+            excess = [max(0.0, 1.0 - self.scaling / scaling) * v for v in self.setpoint.qd] if stretches else _REST
+        return self._begin(
+            ServoMotion(
+                self._limits,
+                begin,
+                end,
+                seconds,
+                lag,
+                begun=self._overrun,
+                speeds=speeds,
+                excess=excess,
+                stretches=stretches,
+            )
+        )
 
     def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Move:
         """Change the joint speeds to `qd` rad/s, the one that changes most by `a` rad/s², and keep them.
@@ -256,7 +292,7 @@ class MotionGenerator:
         Raises:
             BadValue: an argument is no such number.
         """
-        return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), _time(t)))
+        return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), self._time(t)))
 
     def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Move:
         """Change the speed of the TCP to `xd` m/s and rad/s in the base frame, by `a` m/s² and `a_rot` rad/s², and keep
@@ -265,7 +301,7 @@ class MotionGenerator:
         Raises:
             BadValue: an argument is no such number.
         """
-        return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, _time(t)))
+        return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, self._time(t)))
 
     def stopj(self, a: float) -> Move:
         """Brake all joints in proportion, the fastest by `a` rad/s², or less where the model cannot; over at rest.
@@ -323,7 +359,7 @@ class MotionGenerator:
         profile = Profile(path.length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
             # No faster than the old speed dies away: then the sum of both never exceeds the larger one.
-            rise = min(acceleration, profile.peak / (blend.duration * max(self._scaling, 0.01)))
+            rise = min(acceleration, profile.peak / (blend.duration * max(self.scaling, 0.01)))
             profile = Profile(path.length, profile.peak, acceleration, rise)
         return self._begin(PathMotion(path, profile, start, blend, radius))
 
@@ -347,13 +383,18 @@ class MotionGenerator:
         old = self._command if isinstance(self._command, ToolSpeed) else None
         return ToolSpeed(self._kinematics, self._limits, self.tcp, self.setpoint, xd, line, turn, t, old)
 
+    @property
+    def _overrun(self) -> float:
+        """s of scaled time by which the last cycle exceeded the time of the command that ended in it."""
+        return 0.0 if self._command is None else self._command.overrun
+
+    def _time(self, t: float | None) -> float | None:
+        """What is left of a time."""
+        return None if t is None else _not_negative(t, "a time") - self._overrun
+
     def _at_most(self, a: float) -> list[float]:
         acceleration = positive(a, "an acceleration")
         return [min(acceleration, limit) for limit in self._limits.acceleration]
-
-
-def _time(t: float | None) -> float | None:
-    return None if t is None else _not_negative(t, "a time")
 
 
 def _not_negative(value: float, what: str) -> float:

@@ -242,6 +242,7 @@ class PathMotion:
         self._way = (0.0, 0.0)
         self._last = Setpoint(start, _REST, _REST)
         self.is_at_rest = False
+        self.overrun = 0.0
 
     @property
     def blends(self) -> bool:

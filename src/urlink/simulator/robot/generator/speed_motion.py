@@ -35,6 +35,7 @@ class JointSpeed:
         self._target, self._acceleration = list(qd), acceleration
         self._left = t
         self._stops = not any(qd)
+        self.overrun = 0.0
         self.is_at_rest = False
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
@@ -55,8 +56,8 @@ class JointSpeed:
         if self._left is None:
             self.move.is_over = is_reached
         else:
-            self._left -= scaling * seconds
-            self.move.is_over = self._left < 0.5 * scaling * seconds
+            self._left, self.overrun = _passed(self._left, scaling * seconds, seconds)
+            self.move.is_over = self._left <= 0.0 and scaling > 0.0
         return setpoint
 
 
@@ -97,6 +98,7 @@ class ToolSpeed:
             self._speed = kinematics.velocity(begin.q, begin.qd, tcp).tolist()
         self._stops = not any(xd)
         self._brake: JointSpeed | None = None
+        self.overrun = 0.0
         self.is_at_rest = False
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
@@ -133,8 +135,8 @@ class ToolSpeed:
         if self._left is None:
             self.move.is_over = line_reached and turn_reached and not self._stops
         else:
-            self._left -= scaling * seconds
-            self.move.is_over = self._left < 0.5 * scaling * seconds
+            self._left, self.overrun = _passed(self._left, scaling * seconds, seconds)
+            self.move.is_over = self._left <= 0.0 and scaling > 0.0
         return setpoint
 
     def restart(self, begin: Setpoint) -> None:
@@ -146,6 +148,14 @@ class ToolSpeed:
         setpoint = brake.advance(last, seconds, 1.0, 0.0)
         self.move.is_over, self.is_at_rest = brake.move.is_over, brake.is_at_rest
         return setpoint
+
+
+def _passed(left: float, passed: float, seconds: float) -> tuple[float, float]:
+    """What is left of a time after some has passed, and by how much the cycle in which it ended exceeded it."""
+    rest = left - passed
+    if rest > 0.01 * seconds:
+        return rest, 0.0
+    return min(rest, 0.0), max(-rest, 0.0) if left > 0.0 else 0.0
 
 
 def _towards(now: list[float], target: list[float], most: float) -> tuple[list[float], bool]:

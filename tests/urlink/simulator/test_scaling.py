@@ -1,0 +1,259 @@
+"""The time of programs: the start, the speed slider, and what shows of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import urlink
+from linkcore.errors import BadValue
+from tests.urlink.simulator.generator.stepping import CYCLE, cycles, standing, trapezoid
+from tests.urlink.simulator.rtde_peer import Peer, step
+from urlink.interfaces.enums import TimeScaleSource
+from urlink.kinematics import Arm
+from urlink.models import model
+from urlink.simulator import Controller, ScalingParameters
+from urlink.simulator.robot.generator import MotionGenerator
+from urlink.simulator.robot.sources import HOME, Setpoint
+
+REST = [0.0] * 6
+TURN = f"def turn():\n  movej([0.4, {', '.join(map(str, HOME[1:]))}], a=1.4, v=1.05)\nend\n"
+SPIN = "def spin():\n  while True:\n    speedj([0.3, 0, 0, 0, 0, 0.2], 2.0, 0.008)\n  end\nend\n"
+
+
+def targets(controller: Controller, count: int) -> list[Setpoint]:
+    setpoints = []
+    for _ in range(count):
+        controller.step()
+        setpoints.append(controller.arm.setpoint)
+    return setpoints
+
+
+# -- servoj --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fraction", [1.0, 0.5, 0.25, 0.7, 0.9, 0.05])
+@pytest.mark.parametrize("command", ["servoj", "speedj", "speedl"])
+def test_a_command_of_one_cycle_lasts_one_over_the_slider(command: str, fraction: float) -> None:
+    generator = standing()
+    generator.scaling = generator.speed_fraction = fraction
+    each = []
+    while sum(each) < 2000:
+        move = {
+            "servoj": lambda: generator.servoj(list(HOME), CYCLE, 0.03, 300.0),
+            "speedj": lambda: generator.speedj([0.01] * 6, 1.0, CYCLE),
+            "speedl": lambda: generator.speedl([0.001, 0, 0, 0, 0, 0], 1.0, CYCLE),
+        }[command]()
+        count = 0
+        while not move.is_over:
+            generator.advance(CYCLE)
+            count += 1
+        each.append(count)
+    assert len(each) == pytest.approx(2000 * fraction, abs=2)
+    assert max(each) - min(each) <= 1
+    if fraction == 0.5:
+        assert set(each) == {2}
+
+
+@pytest.mark.parametrize("command", ["servoj", "speedj", "speedl"])
+def test_nothing_is_consumed_at_zero(command: str) -> None:
+    generator = standing()
+    generator.scaling = generator.speed_fraction = 0.0
+    move = {
+        "servoj": lambda: generator.servoj([q + 0.01 for q in HOME], CYCLE, 0.03, 300.0),
+        "speedj": lambda: generator.speedj([0.1] * 6, 1.0, CYCLE),
+        "speedl": lambda: generator.speedl([0.01, 0, 0, 0, 0, 0], 1.0, 0.0),
+    }[command]()
+    for setpoint in cycles(generator, 1000):
+        assert setpoint.q == list(HOME)
+    assert not move.is_over
+
+
+def streamed(
+    fractions: Sequence[float],
+    parameters: ScalingParameters = ScalingParameters(),  # noqa: B008
+) -> tuple[list[Setpoint], list[float]]:
+    """The set-points of a stream at 1 rad/s that is not skipped, one fraction of the slider for each cycle; and the
+    scaled time after each."""
+    generator = MotionGenerator(Arm(model("UR5e")), Setpoint(list(HOME), REST, REST), 1.0, parameters)
+    number, move, setpoints, times, time = 0, None, [], [], 0.0
+    for fraction in fractions:
+        if move is None or move.is_over:
+            number += 1
+            move = generator.servoj([HOME[0] + wave(number * CYCLE), *HOME[1:]], CYCLE, 0.03, 300.0)
+        generator.speed_fraction = fraction
+        before = generator.scaling
+        setpoints.append(generator.advance(CYCLE))
+        time += 0.5 * (before + generator.scaling) * CYCLE
+        times.append(time)
+    return setpoints, times
+
+
+def wave(time: float) -> float:
+    return float(0.2 * (1.0 - np.cos(3.0 * time)))
+
+
+def test_a_stream_is_the_same_path_in_scaled_time() -> None:
+    full, at = streamed([1.0] * 2500)
+    path = np.array([each.q[0] for each in full])
+    rng = np.random.default_rng(5)
+    profiles = {
+        "half": [0.5] * 3000,
+        "steps": [float(f) for f in np.repeat(rng.random(30), 100)],
+        "zero": [1.0] * 500 + [0.0] * 1000 + [1.0] * 1000,
+        "noise": [float(f) for f in rng.random(3000)],
+    }
+    for name, fractions in profiles.items():
+        setpoints, times = streamed(fractions)
+        there = np.interp(times, at, path)
+        assert np.abs(np.array([each.q[0] for each in setpoints]) - there).max() < 0.5 * CYCLE * 0.6, (
+            name
+        )  # half a cycle at the top speed
+        qd = np.array([each.qd[0] for each in setpoints])
+        drift = np.diff([each.q[0] for each in setpoints]) - 0.5 * CYCLE * (qd[1:] + qd[:-1])
+        assert np.abs(drift).max() < 1e-4, name
+
+
+def test_whether_the_lag_stretches_is_a_parameter() -> None:
+    profile = [1.0] * 400 + [0.0] * 1000
+    stretched, _ = streamed(profile)
+    straight, _ = streamed(profile, ScalingParameters(servoj_lag_stretches=False))
+    speed = stretched[399].qd[0]
+    assert abs(speed) > 0.3
+    # At 0 the arm stops where it is, or goes on to the set-point that it lags behind: here by 0.5 * 0.03 + 2 / 300 s.
+    assert straight[-1].q[0] - stretched[-1].q[0] == pytest.approx(speed * 0.0217, rel=0.3)
+
+
+def test_a_motion_that_is_taken_over_near_zero_is_slowed_down_in_order() -> None:
+    generator = standing()
+    generator.speedj([1.0, 0, 0, 0, 0, 0], 2.0, None)
+    cycles(generator, 400)
+    generator.speed_fraction = 0.0
+    generator.speedj([1.0, 0, 0, 0, 0, 0], 0.5, None)
+    cycles(generator, 90)
+    assert generator.scaling == 0.0
+    assert generator.setpoint.qd[0] > 0.5
+    generator.servoj(generator.setpoint.q, CYCLE, 0.03, 300.0)
+    speeds = [setpoint.qd[0] for setpoint in cycles(generator, 500)]
+    assert max(-np.diff(speeds)) / CYCLE <= float(model("UR5e").max_acceleration[0]) * (1 + 1e-9)
+    assert speeds[-1] == 0.0
+
+
+# -- the start of a program ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("firmware", "rate"), [("5.11", 500), ("3.14", 125), ("1.8", 125)])
+def test_a_program_begins_with_160_ms_of_ramp(firmware: str, rate: int) -> None:
+    controller = Controller(firmware=firmware, noise=False)
+    controller.take(TURN)
+    controller.step()
+    began = controller.cycle
+    while controller.program_name:
+        controller.step()
+    assert (controller.cycle - began) / rate == pytest.approx(trapezoid(0.4, 1.05, 1.4) + 0.08, abs=2.5 / rate)
+
+
+def test_the_ramp_is_that_of_the_log() -> None:
+    """s_k = k / 80, so where a movement accelerates evenly its speed is a s² t with t the scaled time."""
+    controller = Controller(firmware="5.11", noise=False)
+    controller.take(TURN)
+    speeds = [setpoint.qd[0] for setpoint in targets(controller, 100)]
+    scaling = [min(k / 80, 1.0) for k in range(1, 101)]
+    time = np.cumsum([(s - 0.5 / 80 if k < 80 else s) * 0.002 for k, s in enumerate(scaling)])
+    expected = 1.4 * time * scaling
+    begin = next(i for i, speed in enumerate(speeds) if speed > 0.0)
+    np.testing.assert_allclose(speeds[begin:], expected[: 100 - begin], atol=1e-9)
+
+
+def test_a_program_that_replaces_another_goes_on_with_its_speed() -> None:
+    controller = Controller(firmware="5.11", noise=False)
+    controller.take(SPIN)
+    targets(controller, 300)
+    controller.take(SPIN)
+    assert min(setpoint.qd[0] for setpoint in targets(controller, 50)) == pytest.approx(0.3)
+
+
+def test_a_resumed_program_begins_with_a_ramp() -> None:
+    controller = Controller(firmware="5.11", noise=False)
+    controller.take(SPIN)
+    targets(controller, 300)
+    assert controller.pendant.pause()
+    assert not any(targets(controller, 500)[-1].qd)
+    assert controller.pendant.play()
+    speeds = np.array([setpoint.qd[0] for setpoint in targets(controller, 120)])
+    assert np.diff(speeds).max() == pytest.approx(0.3 / 80, rel=1e-6)
+    assert speeds[-1] == pytest.approx(0.3)
+
+
+# -- what shows ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("firmware", ["3.4", "3.14", "5.4", "5.11", "5.22"])
+def test_all_interfaces_show_the_same_in_the_same_cycle(firmware: str) -> None:
+    controller = Controller(firmware=firmware, noise=False)
+    peer = Peer(controller)
+    names = ["speed_scaling", "target_speed_fraction"]
+    if controller.firmware >= (5, 11):
+        names.append("time_scale_source")
+    peer.outputs(*names)
+    peer.start()
+    seen = set()
+    for number in range(400):
+        if number == 20:
+            controller.take(SPIN)
+        if number == 150:
+            controller.speed_fraction = 0.4
+        if number == 300:
+            controller.pendant.pause()
+        step(controller)
+        data = peer.data()
+        if number < 2 or not data:
+            continue
+        (realtime,) = urlink.decode(controller.realtime_packet(), "realtime", firmware)
+        (state,) = urlink.decode(controller.state_package(), "primary", firmware)
+        assert isinstance(state, urlink.RobotState)
+        assert state.robot_mode_data
+        rtde, mode = data[-1], state.robot_mode_data
+        assert rtde["speed_scaling"] == realtime.speed_scaling == mode.speed_scaling
+        assert rtde["target_speed_fraction"] == mode.target_speed_fraction == controller.speed_fraction
+        scaling = rtde["speed_scaling"]
+        if not mode.is_program_running:  # real bytes: docs/protocols/primary.md
+            assert scaling == (1.0 if firmware == "3.4" and number < 150 else 0.0 if firmware != "3.4" else 0.4)
+        if "time_scale_source" in names:
+            seen.add((rtde["time_scale_source"], bool(scaling), mode.is_program_running))
+    if "time_scale_source" in names:
+        assert seen == {
+            (TimeScaleSource.PROGRAM_NOT_RUNNING, False, False),
+            (TimeScaleSource.SMOOTH_TRANSITION, True, True),
+            (TimeScaleSource.NOT_SCALED, True, True),
+        }
+
+
+def test_the_slider_takes_effect_at_its_rate() -> None:
+    controller = Controller(firmware="5.11", noise=False)
+    controller.take(SPIN)
+    targets(controller, 200)
+    controller.speed_fraction = 0.5
+    speeds = np.array([setpoint.qd[0] for setpoint in targets(controller, 60)])
+    np.testing.assert_allclose(speeds[:40], [0.3 * (1 - 0.0125 * k) for k in range(1, 41)], atol=1e-9)
+    np.testing.assert_allclose(speeds[40:], 0.15, atol=1e-9)
+
+
+# -- parameters ----------------------------------------------------------------------------------
+
+
+def test_the_page_has_every_parameter_and_what_backs_it() -> None:
+    page = (Path(__file__).parents[3] / "docs/simulator.md").read_text()
+    for field in dataclasses.fields(ScalingParameters):
+        meta = field.metadata
+        row = f"| `{field.name}` | {field.default} {meta['unit']} | {meta['evidence']}: {meta['source']} |"
+        assert row.replace("  ", " ") in page, row
+
+
+def test_a_rate_is_above_zero() -> None:
+    with pytest.raises(BadValue, match="slider_rate"):
+        ScalingParameters(slider_rate=0.0)
