@@ -99,6 +99,7 @@ def test_a_script_on_the_simulated_arm() -> None:
         "urlink.simulator.robot.generator.motion_generator",
         "urlink.simulator.robot.generator.joint_limits",
         "urlink.simulator.robot.generator.path_motion",
+        "urlink.simulator.robot.scaling",  # how fast programs go
         "urlink.simulator.robot.arm",
     }
     assert "urlink.simulator.urscript.builtins.motions" in language  # `movej`

@@ -193,7 +193,8 @@ def test_it_gives_up_after_its_distance() -> None:
     bench.take(yielding.until_contact(bench.firmware, [0, 0, -1.0], 0.1, 0.5, 0.02, force=None, retracts=True))
     bench.silent(1.0)
     assert not bench.is_running
-    assert bench.pose[2] - bench.start[2] == pytest.approx(-0.03, abs=0.015)
+    # The distance, and at most twice what it takes to speed up and to brake on top of it.
+    assert -0.05 <= bench.pose[2] - bench.start[2] <= -0.02
 
 
 @pytest.mark.parametrize("text", ["urlink: contact ", "urlink: contact [1,2]", "urlink: contact [a,b,c,d,e,f]", "else"])

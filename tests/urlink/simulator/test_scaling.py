@@ -41,7 +41,7 @@ def targets(controller: Controller, count: int) -> list[Setpoint]:
 def test_a_command_of_one_cycle_lasts_one_over_the_slider(command: str, fraction: float) -> None:
     generator = standing()
     generator.scaling = generator.speed_fraction = fraction
-    each = []
+    each: list[int] = []
     while sum(each) < 2000:
         move = {
             "servoj": lambda: generator.servoj(list(HOME), CYCLE, 0.03, 300.0),
