@@ -34,9 +34,9 @@ from linkcore.net.transport import TcpTransport
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.policy import block
 from linkcore.streaming.stream import Stream
-from urlink import RealtimeState
 from urlink.firmware import Firmware
 from urlink.identity import Identity
+from urlink.packets import RealtimeState
 from urlink.source import Source
 
 ROBOTS = 10

@@ -29,9 +29,9 @@ from linkcore.errors import RemoteError
 from linkcore.net.transport import TcpTransport
 from linkcore.streaming.backoff import Backoff
 from linkcore.streaming.policy import drop_oldest
-from urlink import RealtimeState
 from urlink.firmware import Firmware
 from urlink.identity import Identity
+from urlink.packets import RealtimeState
 from urlink.source import Source
 
 RATE = 500

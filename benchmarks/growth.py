@@ -44,7 +44,7 @@ from rhdlink.smrcl.controller import Controller as MissionController
 from rhdlink.smrcl.robot_conf import VELOMEGA, parse_robot_conf
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.wire.decoder import ServerDecoder
-from urlink import RealtimeState, TextMessage, VersionMessage, decode, load
+from urlink import decode, load
 from urlink.address import parse_address
 from urlink.firmware import Firmware
 from urlink.interfaces.dashboard.protocol import (
@@ -59,6 +59,7 @@ from urlink.interfaces.interpreter.protocol import InterpreterProtocol, parse_re
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.interfaces.rtde.packets import decode_reply, decode_request, split_names
+from urlink.packets import RealtimeState, TextMessage, VersionMessage
 from urlink.simulator import Controller, Still
 from urlink.simulator.ports.port import ScriptReceiver
 from urlink.simulator.programs.loader import obey

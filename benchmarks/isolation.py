@@ -29,10 +29,10 @@ import urlink
 from linkcore.isolation.isolated_transport import IsolatedTransport
 from linkcore.net.transport import TcpTransport, Transport
 from linkcore.streaming.backoff import Backoff
-from urlink import RealtimeState
 from urlink.firmware import Firmware
 from urlink.identity import Identity
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import RealtimeState
 from urlink.source import Source
 
 #: name -> options, and whether another process reads

@@ -41,7 +41,7 @@ def measure(seconds: float) -> tuple[np.ndarray, np.ndarray]:
     called: list[float] = []
     arrived: list[float] = []
 
-    def note(state: urlink.RealtimeState) -> None:
+    def note(state: urlink.packets.RealtimeState) -> None:
         called.append(time.monotonic())
         arrived.append(state.received.monotonic if state.received is not None else 0.0)
 

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import urlink
 from linkcore.recording.records import FRAME, HEAD, MAGIC, Kind, pack
-from urlink import RealtimeState, Stamp
+from urlink.packets import RealtimeState, Stamp
 
 PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0], joint_modes=[253] * 6))
 DOUBLES = struct.Struct(f">{(len(PACKET) - 4) // 8}d")

@@ -27,8 +27,8 @@ from linkcore.stamp import Stamp
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
-from urlink import RealtimeState
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import RealtimeState
 
 #: Seconds between two packets: four times as many as the fastest controller sends, and time enough to go to sleep.
 PERIOD = 0.0005

@@ -16,9 +16,9 @@ import struct
 import time
 
 from linkcore.wire.framing import Framer
-from urlink import RealtimeState, VersionMessage
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import RealtimeState, VersionMessage
 
 _SIZE = 1 << 16
 _CHUNKS = (_SIZE, 7, 1)

@@ -72,7 +72,7 @@ def measure(seconds: float) -> dict[str, float]:
     rows: list[tuple[float, float, float, float]] = []
     arrivals: list[tuple[float, float]] = []
 
-    def note(state: urlink.RealtimeState) -> None:
+    def note(state: urlink.packets.RealtimeState) -> None:
         assert state.received is not None
         arrivals.append((state.time, state.received.monotonic))
 

@@ -84,7 +84,7 @@ def record(path: Path, firmware: str) -> None:
                 robot.realtime.wait()
             robot.controller.faults.protective_stop()
             # A message and a state that say so.
-            robot.primary.of(urlink.SafetyModeMessage if e_series else urlink.RobotState).wait()
+            robot.primary.of(urlink.packets.SafetyModeMessage if e_series else urlink.packets.RobotState).wait()
             robot.primary.wait()
 
 

@@ -84,7 +84,7 @@ def recorded() -> Floats:
     for _ in range(FRAMES):
         controller.step(cycles // FRAMES)
         (state,) = urlink.decode(controller.realtime_packet(), interface="realtime", firmware="5.11")
-        assert isinstance(state, urlink.RealtimeState)
+        assert isinstance(state, urlink.packets.RealtimeState)
         rows.append(state.q_actual)
     return np.array(rows)
 

@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 import urlink
-from urlink import RealtimeState, SafetyMode
+from urlink.packets import RealtimeState, SafetyMode
 
 
 class Supervisor:

@@ -14,7 +14,8 @@ import sys
 import numpy as np
 
 import urlink
-from urlink import Trajectory, TrajectoryFeedback
+from urlink import Trajectory
+from urlink.motion import TrajectoryFeedback
 
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
 

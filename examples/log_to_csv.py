@@ -11,7 +11,7 @@ import csv
 import time
 
 import urlink
-from urlink import RealtimeState
+from urlink.packets import RealtimeState
 
 
 def row(state: RealtimeState) -> list[object]:

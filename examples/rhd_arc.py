@@ -20,7 +20,7 @@ PERIOD = 0.01
 SPEED = 0.3
 
 
-def arc(robot: rhdlink.VelocityOmega, radius: float, angle: float) -> None:
+def arc(robot: rhdlink.robots.VelocityOmega, radius: float, angle: float) -> None:
     """Drive along a circle until the heading has changed by `angle` rad; a negative one is to the right."""
     end = robot.rotpos + angle
     under_way = 0.0
@@ -50,7 +50,7 @@ def main() -> None:
     world = World()
     with (
         rhdlink.Host([Turtle(world)], period=PERIOD, port=0, pacing="lockstep") as host,
-        rhdlink.connect(f"127.0.0.1:{host.port}", rhdlink.VelocityOmega, access="w") as robot,
+        rhdlink.connect(f"127.0.0.1:{host.port}", rhdlink.robots.VelocityOmega, access="w") as robot,
     ):
         arc(robot, args.radius, angle)
     at = world.odometry

@@ -54,7 +54,7 @@ def from_the_command_line() -> str:
 def through_the_port() -> str:
     world = new_world()
     robot = PluginLink([SmrTurtle(world)])
-    with rhdlink.MissionServer(robot, port=0) as server:
+    with rhdlink.smrcl.MissionServer(robot, port=0) as server:
         with (
             socket.create_connection(("127.0.0.1", server.port), timeout=60.0) as connection,
             connection.makefile("r", encoding="latin-1") as answers,

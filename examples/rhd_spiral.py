@@ -30,7 +30,7 @@ class BridgedTurtle(VelocityBridge):
     def drive(self, twist: Twist) -> None:
         self.twist = twist
 
-    def init(self, config: rhdlink.Element) -> None:
+    def init(self, config: rhdlink.host.Element) -> None:
         super().init(config)
         self.update_pose(*self.world.pose)
 
@@ -43,7 +43,7 @@ class BridgedTurtle(VelocityBridge):
 class Driver:
     """A program that drives a velocity-omega robot by its odometry."""
 
-    def __init__(self, robot: rhdlink.VelocityOmega) -> None:
+    def __init__(self, robot: rhdlink.robots.VelocityOmega) -> None:
         self.robot = robot
         self.heading = 0.0
 
@@ -85,7 +85,7 @@ def main(path: str) -> None:
     world = World(start=(5.5, 5.0, 0.0))
     with (
         rhdlink.Host([BridgedTurtle(world)], period=PERIOD, port=0, pacing="lockstep") as host,
-        rhdlink.connect(f"127.0.0.1:{host.port}", rhdlink.VelocityOmega, access="w") as robot,
+        rhdlink.connect(f"127.0.0.1:{host.port}", rhdlink.robots.VelocityOmega, access="w") as robot,
     ):
         spiral(Driver(robot))
         print(f"{host.tick * PERIOD:.1f} s of driving, ended {math.hypot(*world.odometry[:2]):.2f} m from the start")

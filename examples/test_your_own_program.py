@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 import urlink
-from urlink import SafetyMode
+from urlink.packets import SafetyMode
 from urlink.simulator import Controller, Still
 
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)

@@ -10,7 +10,8 @@ import time
 from datetime import datetime
 
 import urlink
-from urlink import ConnectionEvent, ConnectionState, MasterboardData, RobotMessage, SafetyMode, Stamp
+from urlink import ConnectionEvent, ConnectionState
+from urlink.packets import MasterboardData, RobotMessage, SafetyMode, Stamp
 from urlink.simulator import Controller
 
 

@@ -36,10 +36,16 @@ MIDDLEWARES = {
 PUBLIC = {
     "urlink.kinematics",
     "urlink.models",
+    "urlink.motion",
+    "urlink.packets",
     "urlink.poses",
     "urlink.rtde",
     "urlink.simulator",
     "urlink.urdf",
+    "rhdlink.host",
+    "rhdlink.robots",
+    "rhdlink.smrcl",
+    "rhdlink.variables",
 }
 
 

@@ -22,11 +22,11 @@ from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-import urlink
 from linkcore.errors import PacketError
 from linkcore.wire.layout import Layout, Place
 from linkcore.wire.packet import State
 from linkcore.wire.shapes import Array, Coded, Mask64, Raw, Text
+from urlink import packets
 from urlink.firmware import RELEASES
 from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
@@ -46,9 +46,9 @@ class LayoutsDirective(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """The class's own sentence, and a table for each layout that no longer one begins with."""
         name = self.arguments[0]
-        cls: type[State] | None = getattr(urlink, name, None)
+        cls: type[State] | None = getattr(packets, name, None)
         if cls is None or not hasattr(cls, "LAYOUTS"):
-            raise self.error(f"urlink has no packet class {name}")
+            raise self.error(f"urlink.packets has no class {name}")
         documented(self.env).setdefault(self.env.docname, set()).add(name)
         firmware = self.options.get("firmware")
         chosen = [cls.LAYOUTS.of(firmware)] if firmware is not None else longest(cls)

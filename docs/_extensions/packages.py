@@ -21,8 +21,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from rhdlink import Database, TimeStamp
 from rhdlink.cli.dissect import lines
+from rhdlink.variables import Database, TimeStamp
 from rhdlink.wire.dissection import Piece, dissect
 from rhdlink.wire.messages import END, encode_access, encode_ready
 from rhdlink.wire.schema import INT, PACKAGES, TABLE, WORD, Package

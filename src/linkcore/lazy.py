@@ -11,7 +11,7 @@ __all__ = ["lazy_names"]
 
 
 def lazy_names(
-    package: str, homes: Mapping[str, str], modules: str = ""
+    package: str, homes: Mapping[str, str], modules: str = "", moved: Mapping[str, str] | None = None
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """What makes the public names of a package, so that a program pays for the modules which it uses and no others.
 
@@ -29,6 +29,8 @@ def lazy_names(
         homes: module -> its public names, separated by blanks. A module that begins with a dot is the package's own.
         modules: names of modules of the package, separated by blanks, that are found as `package.module` without being
             imported by name. They are not in `__all__`.
+        moved: module -> names, separated by blanks, that were public here before and are that module's now. Asking for
+            one raises an AttributeError that names the new place.
 
     Returns:
         The package's `__getattr__`, `__dir__` and `__all__`.
@@ -36,10 +38,13 @@ def lazy_names(
     home = {name: module for module, names in homes.items() for name in names.split()}
     public = sorted(home)
     of_package = modules.split()
+    elsewhere = {name: module for module, names in (moved or {}).items() for name in names.split()}
 
     def get(name: str) -> Any:
         if name in of_package:
             return import_module(f".{name}", package)  # which makes it an attribute of the package
+        if name in elsewhere:
+            raise AttributeError(f"{package}.{name} is {elsewhere[name]}.{name}")
         if name not in home:
             from .text import similar  # a package is imported without it
 

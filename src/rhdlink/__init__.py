@@ -37,45 +37,23 @@ if TYPE_CHECKING:
         RemoteError as RemoteError,
         WrongPeer as WrongPeer,
     )
-    from linkcore.handle import Handle as Handle, Motion as Motion, Phase as Phase
-    from linkcore.recording.table import Table as Table
-    from linkcore.simulated.takeover import Simulation as Simulation, simulated_time as simulated_time
-    from linkcore.stamp import Stamp as Stamp
+    from linkcore.handle import Phase as Phase
+    from linkcore.simulated.takeover import simulated_time as simulated_time
     from linkcore.streaming.backoff import Backoff as Backoff
-    from linkcore.streaming.events import ConnectionEvent as ConnectionEvent, ConnectionState as ConnectionState
-    from linkcore.streaming.policy import Policy as Policy, block as block, drop_oldest as drop_oldest, latest as latest
-    from linkcore.streaming.subscription import Subscription as Subscription
-    from .aio import AsyncRobot as AsyncRobot, connect_async as connect_async
+    from linkcore.streaming.events import ConnectionState as ConnectionState
+    from linkcore.streaming.policy import block as block, drop_oldest as drop_oldest, latest as latest
+    from . import host as host, robots as robots, smrcl as smrcl, variables as variables
+    from .aio import connect_async as connect_async
     from .client import Variables as Variables, connect as connect
     from .drive import Drive as Drive
     from .errors import AccessDenied as AccessDenied, NotThere as NotThere, WrongVariables as WrongVariables
-    from .host.config import (
-        BadConfiguration as BadConfiguration,
-        Configuration as Configuration,
-        Element as Element,
-        read_config as read_config,
-    )
-    from .host.host import (
-        Host as Host,
-        HostFailed as HostFailed,
-        HostStatistics as HostStatistics,
-        PluginFailed as PluginFailed,
-    )
+    from .host.config import BadConfiguration as BadConfiguration
+    from .host.host import Host as Host, HostFailed as HostFailed, PluginFailed as PluginFailed
     from .host.plugin import Plugin as Plugin
     from .recording.loading import load as load
-    from .robots import Ackerman as Ackerman, Gps as Gps, Smr as Smr, VelocityOmega as VelocityOmega
-    from .smrcl.errors import (
-        BadMission as BadMission,
-        MissionFailed as MissionFailed,
-        MissionLimit as MissionLimit,
-        Mistake as Mistake,
-    )
-    from .smrcl.mission import Debugger as Debugger, Mission as Mission, MissionRun as MissionRun
-    from .smrcl.server import MissionServer as MissionServer
-    from .sync_thread import SyncThread as SyncThread
-    from .variables.database import Database as Database, TimeStamp as TimeStamp
+    from .smrcl.errors import BadMission as BadMission, MissionFailed as MissionFailed, MissionLimit as MissionLimit
+    from .smrcl.mission import Mission as Mission
     from .variables.declarations import Read as Read, Write as Write
-    from .variables.snapshot import Change as Change, Update as Update, Variable as Variable
     from .variables.value_types import (
         Bool as Bool,
         Float32 as Float32,
@@ -87,9 +65,7 @@ if TYPE_CHECKING:
         Structure as Structure,
         Text as Text,
         UInt32 as UInt32,
-        ValueType as ValueType,
     )
-    from .wire.decoder import Limits as Limits
     from .wire.schema import schema as schema
 
 else:
@@ -100,34 +76,36 @@ else:
                 BadAddress BadRecording BadValue Cancelled Closed ConnectFailed ConnectionLost LinkError LinkTimeout
                 LocalError PacketError RemoteError WrongPeer
             """,
-            "linkcore.handle": "Handle Motion Phase",
-            "linkcore.recording.table": "Table",
-            "linkcore.simulated.takeover": "Simulation simulated_time",
-            "linkcore.stamp": "Stamp",
+            "linkcore.handle": "Phase",
+            "linkcore.simulated.takeover": "simulated_time",
             "linkcore.streaming.backoff": "Backoff",
-            "linkcore.streaming.events": "ConnectionEvent ConnectionState",
-            "linkcore.streaming.policy": "Policy block drop_oldest latest",
-            "linkcore.streaming.subscription": "Subscription",
-            ".aio": "AsyncRobot connect_async",
+            "linkcore.streaming.events": "ConnectionState",
+            "linkcore.streaming.policy": "block drop_oldest latest",
+            ".aio": "connect_async",
             ".client": "Variables connect",
             ".drive": "Drive",
             ".errors": "AccessDenied NotThere WrongVariables",
-            ".host.config": "BadConfiguration Configuration Element read_config",
-            ".host.host": "Host HostFailed HostStatistics PluginFailed",
+            ".host.config": "BadConfiguration",
+            ".host.host": "Host HostFailed PluginFailed",
             ".host.plugin": "Plugin",
             ".recording.loading": "load",
-            ".robots": "Ackerman Gps Smr VelocityOmega",
-            ".smrcl.errors": "BadMission MissionFailed MissionLimit Mistake",
-            ".smrcl.mission": "Debugger Mission MissionRun",
-            ".smrcl.server": "MissionServer",
-            ".sync_thread": "SyncThread",
-            ".variables.database": "Database TimeStamp",
+            ".smrcl.errors": "BadMission MissionFailed MissionLimit",
+            ".smrcl.mission": "Mission",
             ".variables.declarations": "Read Write",
-            ".variables.snapshot": "Change Update Variable",
-            ".variables.value_types": """
-                Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32 ValueType
-            """,
-            ".wire.decoder": "Limits",
+            ".variables.value_types": "Bool Float32 Float64 Int32 Int64 Millionths Scaled Structure Text UInt32",
             ".wire.schema": "schema",
+        },
+        modules="host robots smrcl variables",
+        moved={
+            "rhdlink.aio": "AsyncRobot",
+            "rhdlink.host": "Configuration Element HostStatistics read_config",
+            "rhdlink.robots": "Ackerman Gps Smr VelocityOmega",
+            "rhdlink.smrcl": "Debugger Handle MissionRun MissionServer Mistake Motion",
+            "rhdlink.sync_thread": "SyncThread",
+            "rhdlink.variables": """
+                Change ConnectionEvent Database Limits Policy Stamp Subscription Table TimeStamp Update ValueType
+                Variable
+            """,
+            "linkcore.simulated.takeover": "Simulation",
         },
     )

@@ -1,6 +1,6 @@
 """A robot for programs that use asyncio: what waits for the robot is awaited, everything else stays as it is.
 
-    async with rhdlink.connect_async("smr12", rhdlink.Smr, access="w") as robot:
+    async with rhdlink.connect_async("smr12", rhdlink.robots.Smr, access="w") as robot:
         robot.variables.speedl = 20
         await robot.sync()
         print(robot.variables.encl)

@@ -124,7 +124,7 @@ def connect(
     check_choice(width, "width", (None, *WIDTHS))
     timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
     if limits is not None and not isinstance(limits, Limits):
-        raise BadValue(f"limits={limits!r}; expected rhdlink.Limits(...)")
+        raise BadValue(f"limits={limits!r}; expected rhdlink.variables.Limits(...)")
     robot = variables()
     transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(

@@ -51,7 +51,7 @@ def decode(
         BadVersion: `firmware` is no version, or one that nothing is known about.
         BadValue: no such interface.
 
-    >>> from urlink import RealtimeState
+    >>> from urlink.packets import RealtimeState
     >>> packet = bytes(RealtimeState("3.4", q_actual=[0, -1.57, 0, -1.57, 0, 0]))
     >>> len(packet), decode(packet, "realtime")[0].q_actual[1].item()
     (1060, -1.57)

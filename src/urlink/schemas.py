@@ -41,7 +41,8 @@ def schema(packet: type[State] | Recipe, version: str | Firmware | None = None) 
         PacketError: that version does not send the packet.
         BadValue: `packet` is nothing that has a layout.
 
-    >>> from urlink import RealtimeState, schema
+    >>> from urlink import schema
+    >>> from urlink.packets import RealtimeState
     >>> realtime = schema(RealtimeState, "5.11")
     >>> realtime.sizeof()
     1220

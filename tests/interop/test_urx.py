@@ -24,7 +24,7 @@ import urlink
 from linkcore.errors import BadAddress
 from linkcore.streaming.stream import Stream
 from tests.waiting import until
-from urlink import CartesianInfo, JointData, MasterboardData, RealtimeState, RobotState
+from urlink.packets import CartesianInfo, JointData, MasterboardData, RealtimeState, RobotState
 from urlink.simulator import Controller, Demonstration
 
 urx = pytest.importorskip("urx", reason="urx is not installed; `nox -s interop` installs it")

@@ -17,6 +17,7 @@ import urlink
 from linkcore.lazy import lazy_names
 
 PACKAGES = [urlink, rhdlink]
+LAZY = [*PACKAGES, urlink.packets, urlink.rtde, rhdlink.host, rhdlink.smrcl, rhdlink.variables]
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def test_a_module_is_imported_when_it_is_first_asked_for() -> None:
     assert done.stdout.strip() == "False"
 
 
-@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.parametrize("package", LAZY)
 def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
     assert package.__file__ is not None
     tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
@@ -70,12 +71,34 @@ def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
         assert getattr(package, name) is value
 
 
-@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.parametrize("package", LAZY)
 def test_no_public_name_is_that_of_a_module(package: ModuleType) -> None:
     """Who imports the module would replace the name."""
     assert package.__file__ is not None
     modules = {path.stem for path in Path(package.__file__).parent.iterdir()}
     assert modules & set(package.__all__) == set()
+
+
+def test_a_name_that_has_moved_names_its_place() -> None:
+    get, names, public = lazy_names("made", {"json": "loads"}, moved={"made.others": "Other Third"})
+    with pytest.raises(AttributeError, match=r"^made\.Other is made\.others\.Other$"):
+        get("Other")
+    assert names() == public == ["loads"]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_has_moved_is_there(package: ModuleType) -> None:
+    """Each pointer of a package leads to what it names."""
+    assert package.__file__ is not None
+    tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
+    (call,) = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "lazy_names")
+    (moved,) = (ast.literal_eval(each.value) for each in call.keywords if each.arg == "moved")
+    assert sum(len(names.split()) for names in moved.values()) > 25
+    for module, names in moved.items():
+        for name in names.split():
+            assert hasattr(importlib.import_module(module), name)
+            with pytest.raises(AttributeError, match=rf"{module}\.{name}$"):
+                getattr(package, name)
 
 
 @pytest.mark.parametrize("package", PACKAGES)

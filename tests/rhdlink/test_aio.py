@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 import rhdlink.aio
-from rhdlink import Closed, ConnectFailed, Drive, Host, LinkTimeout, LocalError, Mission, VelocityOmega
+from rhdlink import Closed, ConnectFailed, Drive, Host, LinkTimeout, LocalError, Mission
 from rhdlink.plugins.turtle import Turtle
+from rhdlink.robots import VelocityOmega
 from rhdlink.world import World
 from tests.cancelling import Sent, Trial, run_cancelled, sends
 from tests.rhdlink.scripted import Peer, ScriptedServer, nothing_more_after_greeting

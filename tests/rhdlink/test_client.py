@@ -645,7 +645,7 @@ def test_addresses() -> None:
         (("localhost",), {"timeout": True}, "timeout=True; expected a positive number of seconds"),
         (("localhost",), {"timeout": float("inf")}, "timeout=inf; expected a positive number of seconds"),
         (("localhost",), {"width": 3}, "width=3; expected None or 2 or 4"),
-        (("localhost",), {"limits": 3}, r"limits=3; expected rhdlink.Limits\(...\)"),
+        (("localhost",), {"limits": 3}, r"limits=3; expected rhdlink.variables.Limits\(...\)"),
         (("localhost", Smr()), {}, "expected a class that derives from rhdlink.Variables"),
         (("localhost", int), {}, "expected a class that derives from rhdlink.Variables"),
         ((None,), {}, "None is no address; expected a host and a port, as in localhost:24902"),
@@ -961,7 +961,7 @@ def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:
 def test_several_threads_may_sync_and_each_update_is_told_once_and_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = Replica.changes
 
-    def after_a_moment(self: Replica, *arguments: Any) -> dict[str, rhdlink.Change]:
+    def after_a_moment(self: Replica, *arguments: Any) -> dict[str, rhdlink.variables.Change]:
         time.sleep(0.001)  # in which another thread could sync
         return changes(self, *arguments)
 
@@ -987,7 +987,7 @@ def test_an_update_that_is_older_than_its_lifespan_is_dropped_and_counted() -> N
     is_in, go_on = threading.Event(), threading.Event()
     ticks: list[int] = []
 
-    def slow(update: rhdlink.Update) -> None:
+    def slow(update: rhdlink.variables.Update) -> None:
         ticks.append(update["tick"])
         is_in.set()
         assert go_on.wait(10)

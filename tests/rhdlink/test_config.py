@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import LocalError
-from rhdlink import Host, Limits
+from rhdlink import Host
 from rhdlink.host.config import (
     BadConfiguration,
     Configuration,
@@ -19,6 +19,7 @@ from rhdlink.host.config import (
     parse_config,
     read_config,
 )
+from rhdlink.variables import Limits
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 pytest.importorskip("paho.mqtt.client")
 
 from linkcore.errors import BadValue
-from rhdlink import Float64, Host, Mission, PluginFailed, Read, Variables, VelocityOmega, connect
+from rhdlink import Float64, Host, Mission, PluginFailed, Read, Variables, connect
 from rhdlink.plugins.mqtt import (
     MASTER_TIMEOUT,
     ROBOBOT,
@@ -24,6 +24,7 @@ from rhdlink.plugins.mqtt import (
     parse_topics,
     read_topics,
 )
+from rhdlink.robots import VelocityOmega
 from rhdlink.world import World
 from tests.mosquitto import needs_broker
 from tests.waiting import until

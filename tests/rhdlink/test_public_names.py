@@ -17,8 +17,6 @@ from rhdlink.world import World
 
 NAMES = [
     "AccessDenied",
-    "Ackerman",
-    "AsyncRobot",
     "Backoff",
     "BadAddress",
     "BadConfiguration",
@@ -27,27 +25,17 @@ NAMES = [
     "BadValue",
     "Bool",
     "Cancelled",
-    "Change",
     "Closed",
-    "Configuration",
     "ConnectFailed",
-    "ConnectionEvent",
     "ConnectionLost",
     "ConnectionState",
-    "Database",
-    "Debugger",
     "Drive",
-    "Element",
     "Float32",
     "Float64",
-    "Gps",
-    "Handle",
     "Host",
     "HostFailed",
-    "HostStatistics",
     "Int32",
     "Int64",
-    "Limits",
     "LinkError",
     "LinkTimeout",
     "LocalError",
@@ -55,34 +43,18 @@ NAMES = [
     "Mission",
     "MissionFailed",
     "MissionLimit",
-    "MissionRun",
-    "MissionServer",
-    "Mistake",
-    "Motion",
     "NotThere",
     "PacketError",
     "Phase",
     "Plugin",
     "PluginFailed",
-    "Policy",
     "Read",
     "RemoteError",
     "Scaled",
-    "Simulation",
-    "Smr",
-    "Stamp",
     "Structure",
-    "Subscription",
-    "SyncThread",
-    "Table",
     "Text",
-    "TimeStamp",
     "UInt32",
-    "Update",
-    "ValueType",
-    "Variable",
     "Variables",
-    "VelocityOmega",
     "Write",
     "WrongPeer",
     "WrongVariables",
@@ -92,15 +64,32 @@ NAMES = [
     "drop_oldest",
     "latest",
     "load",
-    "read_config",
     "schema",
     "simulated_time",
 ]
 
 
+#: Modules that users import names from.
+MODULES = ["host", "robots", "smrcl", "variables"]
+
+
 def test_public_names() -> None:
-    assert dir(rhdlink) == NAMES
+    assert vars(rhdlink)["__all__"] == NAMES
+    assert dir(rhdlink) == sorted([*NAMES, *MODULES])
     assert sorted(set(NAMES)) == NAMES
+    assert len(NAMES) <= 50
+
+
+def test_a_name_is_in_one_place() -> None:
+    places = [rhdlink, *(getattr(rhdlink, module) for module in MODULES)]
+    names = [name for place in places for name in vars(place)["__all__"]]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_every_error_is_in_rhdlink() -> None:
+    places = [getattr(rhdlink, module) for module in MODULES]
+    held = [getattr(place, name) for place in places for name in vars(place)["__all__"]]
+    assert [each for each in held if inspect.isclass(each) and issubclass(each, BaseException)] == []
 
 
 def test_each_is_there_and_says_what_it_is() -> None:
@@ -117,18 +106,18 @@ PLUGIN = "declared init is_critical is_updated name periodic safety terminate"
 VALUE_TYPE = "length pack pack_many packer reader unit unpack unpack_many"
 SURFACES: list[tuple[object, str]] = [
     (rhdlink.Variables, VARIABLES),
-    (rhdlink.Smr, f"{VARIABLES} {' '.join(rhdlink.Smr.declared())}"),
-    (rhdlink.SyncThread, "close is_running"),
-    (rhdlink.Update, ""),
+    (rhdlink.robots.Smr, f"{VARIABLES} {' '.join(rhdlink.robots.Smr.declared())}"),
+    (rhdlink.sync_thread.SyncThread, "close is_running"),
+    (rhdlink.variables.Update, ""),
     (rhdlink.Host, "address close from_config plugins port run start stats stop wait writers"),
     (rhdlink.Plugin, PLUGIN),
     (Turtle, f"{PLUGIN} {' '.join(Turtle.declared())}"),
     (SmrTurtle, f"{PLUGIN} {' '.join(SmrTurtle.declared())}"),
     (VelocityBridge, f"{PLUGIN} stats update_pose {' '.join(VelocityBridge.declared())}"),
     (Logger, f"{PLUGIN} path stats"),
-    (rhdlink.Database, "encode_handshake freeze table"),
+    (rhdlink.variables.Database, "encode_handshake freeze table"),
     (
-        rhdlink.Database().read,
+        rhdlink.variables.Database().read,
         """add begin_round changed clock direction dirty encode find fresh is_frozen layout memory receive rows select
         set set_many stamp stamps start updated value values words""",
     ),
@@ -168,7 +157,9 @@ def test_importing_it_starts_nothing_and_brings_in_nothing_that_is_not_needed() 
         assert name not in told["modules"], name
 
 
-@pytest.mark.parametrize("robot", [rhdlink.Smr, rhdlink.VelocityOmega, rhdlink.Ackerman, rhdlink.Gps])
+@pytest.mark.parametrize(
+    "robot", [rhdlink.robots.Smr, rhdlink.robots.VelocityOmega, rhdlink.robots.Ackerman, rhdlink.robots.Gps]
+)
 def test_the_ready_made_robots_say_what_their_variables_are(robot: type[rhdlink.Variables]) -> None:
     assert inspect.getdoc(robot)
     assert robot.declared()

@@ -10,7 +10,9 @@ import pytest
 
 import rhdlink
 from linkcore.errors import BadValue, ConnectionLost, LocalError
-from rhdlink import Backoff, Int32, Read, SyncThread, Update, Variables
+from rhdlink import Backoff, Int32, Read, Variables
+from rhdlink.sync_thread import SyncThread
+from rhdlink.variables import Update
 from tests.rhdlink.scripted import Peer, Robot, ScriptedServer, endless
 from tests.waiting import until
 

@@ -41,9 +41,9 @@ def streams() -> Iterator[Round]:
         policies = [urlink.latest, urlink.drop_oldest(8), urlink.block]
 
         def listen() -> None:
-            seen: list[urlink.RealtimeState] = []
+            seen: list[urlink.packets.RealtimeState] = []
             subscriptions = [robot.realtime.subscribe(seen.append, policy=policy) for policy in policies]
-            subscriptions.append(robot.primary.subscribe(lambda state: None, urlink.RobotModeData))
+            subscriptions.append(robot.primary.subscribe(lambda state: None, urlink.packets.RobotModeData))
             until(lambda: len(seen) > 300)
             for subscription in subscriptions:
                 subscription.close()
@@ -108,7 +108,7 @@ def recordings() -> Iterator[Round]:
             with urlink.connect(controller.address) as robot, robot.record(path):
                 until(lambda: robot.realtime.stats.received > 200)
             with urlink.connect(f"replay://{path}?rate=max") as robot:
-                count = sum(1 for _ in robot.realtime.of(urlink.RealtimeState))
+                count = sum(1 for _ in robot.realtime.of(urlink.packets.RealtimeState))
             assert count >= 200
             path.unlink()
 
@@ -125,9 +125,9 @@ def robots() -> Iterator[Round]:
             idle = socket.create_connection(("127.0.0.1", host.port), TIMEOUT)
             deaf = socket.create_connection(("127.0.0.1", host.port), TIMEOUT)
             deaf.sendall(b"ar" + b"rree" * 200)
-            with rhdlink.connect(address, rhdlink.VelocityOmega, access="w", timeout=TIMEOUT) as writer:
+            with rhdlink.connect(address, rhdlink.robots.VelocityOmega, access="w", timeout=TIMEOUT) as writer:
                 for _ in range(5):
-                    with rhdlink.connect(address, rhdlink.VelocityOmega, timeout=TIMEOUT) as reader:
+                    with rhdlink.connect(address, rhdlink.robots.VelocityOmega, timeout=TIMEOUT) as reader:
                         for speed in np.linspace(0.0, 0.1, 20):
                             writer.cmdtransvel = float(speed)
                             writer.sync()

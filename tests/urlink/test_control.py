@@ -86,7 +86,7 @@ def test_a_stop_of_the_controller(controller: Controller, robot: urlink.Robot) -
     controller.faults.emergency_stop()
     until(lambda: robot.safety.cause)
     controller.faults.clear()
-    until(lambda: robot.safety.robot_mode is urlink.RobotMode.POWER_OFF)
+    until(lambda: robot.safety.robot_mode is urlink.packets.RobotMode.POWER_OFF)
     until(lambda: robot.safety.cause is None)
     with pytest.raises(NotRunning, match="POWER_OFF"):
         robot.set_payload(1.0)

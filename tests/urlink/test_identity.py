@@ -12,11 +12,11 @@ import pytest
 
 import urlink
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, LocalError, WrongPeer
-from urlink import RobotState, VersionMessage
 from urlink.firmware import RELEASES, Firmware, Release
 from urlink.identity import Identity, identify
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.models import MODELS
+from urlink.packets import RobotState, VersionMessage
 from urlink.simulator import Controller
 from urlink.simulator.ports.form import package
 

@@ -119,13 +119,15 @@ def test_imports_nothing_that_is_not_needed(imported: dict[str, Any]) -> None:
 
 
 def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
-    modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.RealtimeState('3.4')")["modules"]
+    modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.packets.RealtimeState('3.4')")[
+        "modules"
+    ]
     assert "urlink.decoding" in modules
     assert those(modules, NOT_NEEDED_TO_DECODE) == []
 
 
 def test_who_connects_and_reads_imports_nothing_that_commands() -> None:
-    modules = outcome("import urlink; urlink.connect; urlink.Robot.realtime; urlink.RealtimeState")["modules"]
+    modules = outcome("import urlink; urlink.connect; urlink.Robot.realtime; urlink.packets.RealtimeState")["modules"]
     assert "urlink.robot" in modules
     assert those(modules, NOT_NEEDED_TO_READ) == []
 

@@ -56,7 +56,7 @@ def is_there(pid: int) -> bool:
 def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controller) -> None:
     goes_on, is_held = threading.Event(), threading.Event()
 
-    def hold(state: urlink.RealtimeState) -> None:
+    def hold(state: urlink.packets.RealtimeState) -> None:
         is_held.set()
         assert goes_on.wait(30)
 

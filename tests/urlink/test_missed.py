@@ -16,10 +16,10 @@ import urlink
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.statistics import StreamStatistics
 from tests.waiting import until
-from urlink import RobotModeData, Stamp
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.primary.robot_state import RobotState
 from urlink.interfaces.rtde.protocol import package_periods
+from urlink.packets import RobotModeData, Stamp
 from urlink.rtde.outputs import OutputStream
 from urlink.simulator import Controller
 
@@ -219,7 +219,7 @@ def test_nothing_is_missing_only_where_nothing_is(tmp_path: Path, lost: tuple[in
     channel = writer.add_channel({"name": "realtime", "firmware": "5.11"})
     for number in range(30):
         if number not in lost:
-            data = bytes(urlink.RealtimeState("5.11", time=number * 0.002))
+            data = bytes(urlink.packets.RealtimeState("5.11", time=number * 0.002))
             # All of them arrive at the regular times.
             writer.write(Kind.BYTES, channel, Stamp(100 + number * 0.002, 0), data)
     writer.close()

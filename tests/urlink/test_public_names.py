@@ -3,150 +3,80 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import inspect
+import re
+
+import pytest
 
 import urlink
 
 NAMES = [
-    "AdditionalInfo",
-    "Analog",
-    "AnalogDomain",
-    "AsyncFeed",
     "AsyncRobot",
-    "AsyncStream",
     "Backoff",
     "BadAddress",
     "BadRecording",
     "BadValue",
     "BadVersion",
-    "CalibrationData",
     "Cancelled",
-    "CartesianInfo",
-    "Chunk",
     "Circular",
     "Closed",
     "CompileError",
-    "ConfigurationData",
     "ConnectFailed",
     "ConnectionEvent",
     "ConnectionLost",
     "ConnectionState",
-    "Contact",
-    "ContactMotion",
-    "ControlMode",
     "Dashboard",
     "DashboardRefused",
-    "DigitalBits",
     "Feed",
     "Firmware",
-    "ForceMode",
-    "ForceModeData",
-    "Freedrive",
     "Gripper",
     "GripperFault",
-    "GripperStatus",
     "Handle",
     "History",
     "IO",
     "InputInUse",
     "Interpreter",
-    "InterpreterState",
-    "Jog",
     "Joint",
-    "JointData",
-    "JointMode",
-    "KeyMessage",
-    "KinematicsInfo",
-    "LaserPointer",
     "Linear",
     "LinkError",
     "LinkTimeout",
     "LocalError",
-    "MasterboardData",
-    "MessageSource",
-    "MessageType",
     "Motion",
-    "Motions",
     "NoContact",
     "NoSuchVariable",
     "NotConfirmed",
     "NotEnabled",
     "NotOffered",
     "NotRunning",
-    "ObjectStatus",
-    "OtherPackage",
-    "PackageType",
     "PacketError",
-    "PathMotion",
     "Phase",
     "Policy",
-    "PopupMessage",
     "Program",
-    "ProgramLabelMessage",
-    "ProgramState",
-    "ProgramStateMessage",
-    "ProgramStatus",
     "ProgramStopped",
     "RealtimeReport",
-    "RealtimeState",
     "Recorder",
     "Recording",
     "RecordingWriter",
     "RemoteError",
-    "ReportLevel",
-    "RequestValueMessage",
     "Robot",
-    "RobotCommMessage",
-    "RobotMessage",
-    "RobotMode",
-    "RobotModeCB2",
-    "RobotModeData",
-    "RobotState",
-    "RobotType",
     "RtdeRefused",
-    "RuntimeExceptionMessage",
     "Safety",
-    "SafetyComplianceTolerances",
-    "SafetyData",
-    "SafetyMode",
-    "SafetyModeMessage",
     "SafetyStop",
-    "SavedProgram",
     "ScriptError",
     "ScriptFailed",
     "Scripts",
-    "Servo",
-    "ServoStatistics",
     "Simulation",
-    "SingularityInfo",
-    "Stamp",
-    "State",
     "StatementDiscarded",
-    "StoredProgram",
     "Stream",
-    "SubPackage",
     "Subscription",
     "Table",
     "Taught",
-    "TaughtPoint",
-    "Teaching",
-    "TextMessage",
     "ToleranceExceeded",
-    "ToolCommunicationInfo",
-    "ToolData",
-    "ToolMode",
-    "ToolModeInfo",
-    "Torque",
-    "Traffic",
     "Trajectory",
-    "TrajectoryFeedback",
     "TrajectoryPoint",
-    "UnknownMessage",
     "UnknownModel",
-    "UnknownSubPackage",
-    "UnnamedMessage12",
     "Unreachable",
-    "VersionMessage",
     "WrongPeer",
     "block",
     "connect",
@@ -162,7 +92,7 @@ NAMES = [
 
 
 #: Modules that users import names from.
-MODULES = ["dynamics", "kinematics", "models", "poses", "rtde", "urdf"]
+MODULES = ["dynamics", "kinematics", "models", "motion", "packets", "poses", "rtde", "urdf"]
 
 
 def test_public_names() -> None:
@@ -170,6 +100,21 @@ def test_public_names() -> None:
     assert dir(urlink) == sorted([*NAMES, *MODULES])
     assert sorted(NAMES) == NAMES
     assert len(set(NAMES)) == len(NAMES)
+    assert len(NAMES) <= 80
+
+
+def test_a_name_is_in_one_place() -> None:
+    places = [urlink, urlink.packets, urlink.motion, urlink.rtde]
+    names = [name for place in places for name in vars(place)["__all__"]]
+    assert sorted(names) == sorted(set(names))
+
+
+@pytest.mark.parametrize("place", ["urlink.packets", "urlink.motion"])
+def test_a_name_that_was_here_names_its_place(place: str) -> None:
+    for name in vars(importlib.import_module(place))["__all__"]:
+        if name != "Waypoint":
+            with pytest.raises(AttributeError, match=rf"^urlink\.{name} is {re.escape(place)}\.{name}$"):
+                getattr(urlink, name)
 
 
 def test_each_is_there_and_says_what_it_is() -> None:
@@ -240,7 +185,7 @@ ASYNC_SURFACES = {
         set_speed_slider set_tcp teach zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start
         stats stream subscribe wait wait_until""",
-    "robot.realtime.of(urlink.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
+    "robot.realtime.of(urlink.packets.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
     "robot.realtime.iterate()": "aclose next open stats",
     "robot.motion": """current follow force_mode jog move_circular move_joints move_linear path servo speed_joints
         speed_linear stop torque until_contact""",

@@ -16,10 +16,11 @@ import pytest
 import urlink
 from linkcore.streaming.statistics import StreamStatistics
 from tests.waiting import until
-from urlink import (
-    Backoff,
-    ConnectionEvent,
-    ConnectionState,
+from urlink import Backoff, ConnectionEvent, ConnectionState
+from urlink.address import RobotAddress
+from urlink.firmware import RELEASES, Firmware, release_of
+from urlink.models import MODELS
+from urlink.packets import (
     JointData,
     KinematicsInfo,
     RealtimeState,
@@ -31,9 +32,6 @@ from urlink import (
     SafetyMode,
     VersionMessage,
 )
-from urlink.address import RobotAddress
-from urlink.firmware import RELEASES, Firmware, release_of
-from urlink.models import MODELS
 from urlink.simulator import Controller, Demonstration
 
 pytestmark = pytest.mark.simulated_time
@@ -255,7 +253,7 @@ def test_a_simulated_arm_stands_still_unless_it_is_asked_to_move(address: str, i
         until(lambda: robot.realtime.wait().time > first.time + 0.5)
         state = robot.realtime.wait()
         assert (state.q_target != first.q_target).any() == is_moving
-        assert robot.primary.of(urlink.RobotModeData).wait().is_program_running is is_moving
+        assert robot.primary.of(urlink.packets.RobotModeData).wait().is_program_running is is_moving
 
 
 def test_fault_protective_stop(controller: Controller, watch: Watch) -> None:
@@ -385,22 +383,22 @@ def test_fault_appended_bytes_are_kept_as_tails(controller: Controller, robot: u
     assert robot.realtime.stats.tails > 0
     whole = robot.primary.wait(5)
     # The configuration grew by 4 bytes in 5.25, so that much of its tail is known.
-    tails = {len(package.tail) for package in whole if not isinstance(package, urlink.ConfigurationData)}
+    tails = {len(package.tail) for package in whole if not isinstance(package, urlink.packets.ConfigurationData)}
     assert tails == {16}
     assert whole.robot_mode_data is not None
     assert whole.robot_mode_data.robot_mode is RobotMode.RUNNING
 
 
 def test_fault_unknown_packages(controller: Controller, robot: urlink.Robot) -> None:
-    others: list[urlink.OtherPackage] = []
-    robot.primary.of(urlink.OtherPackage).subscribe(others.append)
+    others: list[urlink.packets.OtherPackage] = []
+    robot.primary.of(urlink.packets.OtherPackage).subscribe(others.append)
     robot.primary.wait(5)
     controller.faults.unknown_package(99, b"something new")
     controller.faults.unknown_sub_package(77, b"a new part")
     until(lambda: others)
     assert (others[0].type, others[0].payload) == (99, b"something new")
     state = robot.primary.wait(5)
-    unknown = [package for package in state if isinstance(package, urlink.UnknownSubPackage)]
+    unknown = [package for package in state if isinstance(package, urlink.packets.UnknownSubPackage)]
     assert (unknown[0].type, unknown[0].payload) == (77, b"a new part")
     assert robot.primary.stats.failed == 0
     assert robot.primary.stats.unknown >= 2

@@ -154,7 +154,7 @@ def test_the_newest_of_several_goals_wins(robot: urlink.Robot, drive: Drive) -> 
 def test_a_goal_begins_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
     moved: list[float] = []
 
-    def note(state: urlink.RealtimeState) -> None:
+    def note(state: urlink.packets.RealtimeState) -> None:
         if np.abs(state.qd_actual).max() > 1e-3 and state.received is not None:
             moved.append(state.received.wall)
 

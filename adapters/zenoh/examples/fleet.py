@@ -31,7 +31,8 @@ import numpy as np
 
 import urlink
 import urlink_zenoh
-from urlink import Chunk, RecordingWriter, Stamp
+from urlink import RecordingWriter
+from urlink.packets import Chunk, Stamp
 from urlink.simulator import Controller, Demonstration, Still
 
 FIRMWARE = "3.15"

@@ -39,7 +39,7 @@ FAR = [1.5, -1.5, 1.5, -1.5, -1.5, 0.0]
 @pytest.mark.property
 @given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(0, 2**40))
 def test_an_attachment_is_read_as_it_was_written(sequence: int, monotonic: int, wall: int) -> None:
-    stamp = urlink.Stamp(monotonic / 1024, wall / 1024)
+    stamp = urlink.packets.Stamp(monotonic / 1024, wall / 1024)
     number, read = stamped(attachment(sequence, stamp))
     assert number == sequence
     assert read == pytest.approx(stamp, abs=1e-6)
@@ -64,7 +64,7 @@ def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, urlink_r
     # The description is enough to read a packet without the library.
     field = next(field for field in info["realtime"]["fields"] if field["name"] == "q_actual")
     state = came[-1].state
-    assert isinstance(state, urlink.RealtimeState)
+    assert isinstance(state, urlink.packets.RealtimeState)
     read = np.frombuffer(bytes(state), field["type"], field["count"], field["offset"])
     assert read.tolist() == state.q_actual.tolist()
 
@@ -84,7 +84,7 @@ def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
         until(lambda: len(packages) > 5 and len(states) > 20)
     times = [sample.state.to_dict()["time"] for sample in states]
     assert np.diff(times) == pytest.approx(0.02, abs=1e-6)
-    assert any(isinstance(sample.state, urlink.RobotState) for sample in packages)
+    assert any(isinstance(sample.state, urlink.packets.RobotState) for sample in packages)
 
 
 @pytest.mark.parametrize("rate", [None, 100.0])

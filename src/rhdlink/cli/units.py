@@ -62,7 +62,7 @@ def in_units(direction: str, name: str, words: Words) -> str:
 
 
 def words_of(value: int | Words) -> Words:
-    """The words of a variable that was not declared: its value is an int or an array (see `rhdlink.Variable`)."""
+    """The words of a variable that was not declared: its value is an int or an array (see `Variable`)."""
     return np.atleast_1d(np.asarray(value, np.int32))
 
 

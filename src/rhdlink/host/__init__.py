@@ -1,1 +1,20 @@
 """A robot in Python: plugins, the tick that drives them, and the server that RHD clients connect to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from linkcore.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .config import Configuration as Configuration, Element as Element, read_config as read_config
+    from .host import HostStatistics as HostStatistics
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            ".config": "Configuration Element read_config",
+            ".host": "HostStatistics",
+        },
+    )

@@ -127,7 +127,7 @@ class Service:
         check_whole(clients, "clients", 1, 10_000)
         check_choice(resend, "resend", ("changed", "original"))
         if limits is not None and not isinstance(limits, Limits):
-            raise BadValue(f"limits={limits!r}; expected rhdlink.Limits(...)")
+            raise BadValue(f"limits={limits!r}; expected rhdlink.variables.Limits(...)")
         database.freeze()
         self._database = database
         self._allwriters = allwriters

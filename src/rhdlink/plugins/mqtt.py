@@ -260,7 +260,7 @@ class MqttRobot(VelocityBridge):
     Its pose becomes `transpos` and `rotpos`, `cmdtransvel` and `cmdrotvel` become its command; and each topic that it
     tells is a read variable of doubles by the name that the table has for it::
 
-        class Robobot(rhdlink.VelocityOmega):
+        class Robobot(rhdlink.robots.VelocityOmega):
             pose = rhdlink.Read(rhdlink.Float64, 4)      # time, x, y, heading
 
     While a program may write, the robot is told so, and its velocity again, four times a second. When none may, or the

@@ -67,8 +67,8 @@ def load(
 
     Args:
         path: of the file.
-        declared: class that declares variables, such as `rhdlink.Smr`: their columns are typed as it says, under the
-            names of its attributes. Other variables are 32-bit words, int32, (n,) or (n, words).
+        declared: class that declares variables, such as `rhdlink.robots.Smr`: their columns are typed as it says, under
+            the names of its attributes. Other variables are 32-bit words, int32, (n,) or (n, words).
         progress: called with the part that is done, 0 to 1.
 
     Raises:

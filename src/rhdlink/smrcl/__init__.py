@@ -4,3 +4,26 @@ Where the facts come from: MRC's sources (LaserNavigation, 2014) and recorded ru
 tick. `docs/smrcl.md` describes the language, and `profile.py` has each difference from the original. What has not been
 compared with a run of it: `followline`, `followwall`, `followwall2` and `align`.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from linkcore.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from linkcore.handle import Handle as Handle, Motion as Motion
+    from .errors import Mistake as Mistake
+    from .mission import Debugger as Debugger, MissionRun as MissionRun
+    from .server import MissionServer as MissionServer
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "linkcore.handle": "Handle Motion",
+            ".errors": "Mistake",
+            ".mission": "Debugger MissionRun",
+            ".server": "MissionServer",
+        },
+    )

@@ -1,1 +1,34 @@
 """The variable database: tables of words, what the words mean, and how classes declare them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from linkcore.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from linkcore.recording.table import Table as Table
+    from linkcore.stamp import Stamp as Stamp
+    from linkcore.streaming.events import ConnectionEvent as ConnectionEvent
+    from linkcore.streaming.policy import Policy as Policy
+    from linkcore.streaming.subscription import Subscription as Subscription
+    from .database import Database as Database, TimeStamp as TimeStamp
+    from .snapshot import Change as Change, Update as Update, Variable as Variable
+    from .value_types import ValueType as ValueType
+    from ..wire.decoder import Limits as Limits
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "linkcore.recording.table": "Table",
+            "linkcore.stamp": "Stamp",
+            "linkcore.streaming.events": "ConnectionEvent",
+            "linkcore.streaming.policy": "Policy",
+            "linkcore.streaming.subscription": "Subscription",
+            ".database": "Database TimeStamp",
+            ".snapshot": "Change Update Variable",
+            ".value_types": "ValueType",
+            "..wire.decoder": "Limits",
+        },
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from linkcore.aio.async_stream import AsyncStream
+from linkcore.aio.async_stream import AsyncFeed, AsyncStream
 from linkcore.errors import LinkError
 from linkcore.handle import Motion, Phase
 from linkcore.streaming.events import ConnectionState
@@ -23,7 +23,8 @@ from ..interfaces.dashboard.client import Dashboard
 from ..interfaces.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..interfaces.gripper.client import Gripper
 from ..interfaces.rtde.recipes import Outputs, Recipe
-from ..motion import Freedrive, Motions, Taught, Teaching
+from ..motion import Freedrive, Motions, Teaching
+from ..motion.taught import Taught
 from ..rtde import Inputs, OutputStream, Registers, Rtde
 from .awaited import Block, Part, awaited, block, motion
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AsyncDashboard",
+    "AsyncFeed",
     "AsyncGripper",
     "AsyncIO",
     "AsyncInputs",
@@ -43,6 +45,7 @@ __all__ = [
     "AsyncRtde",
     "AsyncSafety",
     "AsyncScripts",
+    "AsyncStream",
     "AsyncTeaching",
 ]
 

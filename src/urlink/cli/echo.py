@@ -8,11 +8,11 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any, TypeGuard
 
-import urlink
 from linkcore.cli.completion import completed_from
 from linkcore.text import strict_json
 from linkcore.wire.packet import State
 
+from .. import packets
 from ..decoding import INTERFACES
 from ..interfaces.primary.robot_state import RobotState
 from ..interfaces.realtime.packets import RealtimeState
@@ -68,11 +68,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _packet_class(name: str) -> type[State]:
-    # All public names are imported only to list them in the message: some of them import asyncio.
-    kind = getattr(urlink, name, None)
+    kind = getattr(packets, name, None)
     if _is_packet_class(kind):
         return kind
-    there = ", ".join(each for each in dir(urlink) if _is_packet_class(getattr(urlink, each)))
+    there = ", ".join(each for each in dir(packets) if _is_packet_class(getattr(packets, each)))
     raise argparse.ArgumentTypeError(f"{name!r} is no class of packets; there are {there}")
 
 

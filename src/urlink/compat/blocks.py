@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import urlink
+from urlink.interfaces.rtde.protocol import InputInUse
 from urlink.motion.linked_block import LinkedBlock
-from urlink.rtde import InputInUse
 
 if TYPE_CHECKING:
     from urlink.motion.motions import LinkName

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from urlink import CartesianInfo
 from urlink.kinematics import Unreachable
+from urlink.packets import CartesianInfo
 from urlink.poses import compose
 from urlink.urscript import text
 

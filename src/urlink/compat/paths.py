@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 from linkcore.errors import BadValue
-from urlink.motion import Joint, Linear, Waypoint
+from urlink.motion.path import Joint, Linear, Waypoint
 from urlink.vectors import six
 
 from .interface import NotOffered

@@ -12,7 +12,7 @@ from pathlib import Path as FilePath
 from typing import Any, NoReturn
 
 from linkcore.errors import BadValue
-from urlink import RobotModeData
+from urlink.packets import RobotModeData
 from urlink.urscript import text
 
 from .asking import ask

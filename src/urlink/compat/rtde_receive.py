@@ -192,15 +192,15 @@ class RTDEReceiveInterface(RtdeInterface):
         return self._number("actual_execution_time")
 
     def getRobotMode(self) -> int:
-        """Robot mode, a number of `urlink.RobotMode`."""
+        """Robot mode, a number of `urlink.packets.RobotMode`."""
         return self._integer("robot_mode")
 
     def getJointMode(self) -> list[int]:
-        """Mode of each joint, numbers of `urlink.JointMode`."""
+        """Mode of each joint, numbers of `urlink.packets.JointMode`."""
         return [int(mode) for mode in self._value("joint_mode")]
 
     def getSafetyMode(self) -> int:
-        """Safety mode, a number of `urlink.SafetyMode`."""
+        """Safety mode, a number of `urlink.packets.SafetyMode`."""
         return self._integer("safety_mode")
 
     def getActualToolAccelerometer(self) -> list[float]:
@@ -249,7 +249,7 @@ class RTDEReceiveInterface(RtdeInterface):
         return _bit(self.getActualDigitalOutputBits(), output_id)
 
     def getRuntimeState(self) -> int:
-        """State of the program, a number of `urlink.ProgramState`."""
+        """State of the program, a number of `urlink.packets.ProgramState`."""
         return self._integer("runtime_state")
 
     def getStandardAnalogInput0(self) -> float:

@@ -14,7 +14,7 @@ from linkcore.errors import LinkError
 from linkcore.handle import Motion
 from linkcore.streaming.feed import Feed
 from urlink import poses
-from urlink.motion import Joint, Linear, Waypoint
+from urlink.motion.path import Joint, Linear, Waypoint
 from urlink.urscript import text
 from urlink.vectors import six
 
@@ -88,7 +88,7 @@ class Robot:
 
     def is_program_running(self) -> bool:
         """Whether a program runs."""
-        return bool(_newest(self._robot.primary.of(urlink.RobotModeData), False).is_program_running)
+        return bool(_newest(self._robot.primary.of(urlink.packets.RobotModeData), False).is_program_running)
 
     # -- movements ---------------------------------------------------------------------------------------
 
@@ -277,15 +277,15 @@ class Robot:
 
     def get_digital_out_bits(self, wait: bool = False) -> int:
         """All digital outputs."""
-        return int(_newest(self._robot.primary.of(urlink.MasterboardData), wait).digital_output_bits)
+        return int(_newest(self._robot.primary.of(urlink.packets.MasterboardData), wait).digital_output_bits)
 
     def get_digital_in(self, nb: int, wait: bool = False) -> bool:
         """Whether an input is on: its bit in the robot state, 8 to 15 configurable, 16 and 17 of the tool."""
-        return bool(_newest(self._robot.primary.of(urlink.MasterboardData), wait).digital_input_bits >> nb & 1)
+        return bool(_newest(self._robot.primary.of(urlink.packets.MasterboardData), wait).digital_input_bits >> nb & 1)
 
     def get_digital_in_bits(self) -> int:
         """All digital inputs."""
-        return int(_newest(self._robot.primary.of(urlink.MasterboardData), False).digital_input_bits)
+        return int(_newest(self._robot.primary.of(urlink.packets.MasterboardData), False).digital_input_bits)
 
     def get_analog_in(self, nb: int, wait: bool = False) -> float:
         """Analogue input 0 or 1 of the control box, A or V."""

@@ -82,7 +82,7 @@ class RobotStates(Table):
             BadValue: `kind` is none of these classes.
         """
         if not (isinstance(kind, type) and issubclass(kind, (SubPackage, RobotMessage, OtherPackage))):
-            raise BadValue(f"kind={kind!r}; expected a class of sub-packages or messages, such as urlink.JointData")
+            raise BadValue(f"kind={kind!r}; expected a class of sub-packages or messages, such as JointData")
         if kind not in self._known:
             found = [
                 (record, part)

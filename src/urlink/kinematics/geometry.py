@@ -61,7 +61,7 @@ _TURNED = 0.1  # rad
 
 
 class DenavitHartenberg(Protocol):
-    """Anything with a DH table, six values of each: `urlink.KinematicsInfo`, `urlink.models.Model`, `DhTable`."""
+    """Anything with a DH table, six values of each: `KinematicsInfo`, `urlink.models.Model`, `DhTable`."""
 
     @property
     def dh_theta(self) -> ArrayLike:

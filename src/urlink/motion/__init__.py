@@ -1,4 +1,4 @@
-"""Motions of the arm; `robot.motion` is a `Motions`."""
+"""Motions of the arm: `robot.motion` is a `Motions`, and this is what it begins and returns."""
 
 from .contact import Contact, ContactMotion
 from .following import TrajectoryFeedback
@@ -6,26 +6,22 @@ from .force_mode import ForceMode
 from .freedrive import Freedrive
 from .jog import Jog
 from .motions import Motions
-from .path import Circular, Joint, Linear, PathMotion, Waypoint
+from .path import PathMotion, Waypoint
 from .servo import Servo, ServoStatistics
-from .taught import Taught, TaughtPoint
+from .taught import TaughtPoint
 from .teaching import Teaching
 from .torque import Torque
 
 __all__ = [
-    "Circular",
     "Contact",
     "ContactMotion",
     "ForceMode",
     "Freedrive",
     "Jog",
-    "Joint",
-    "Linear",
     "Motions",
     "PathMotion",
     "Servo",
     "ServoStatistics",
-    "Taught",
     "TaughtPoint",
     "Teaching",
     "Torque",

@@ -11,27 +11,33 @@
 
 from __future__ import annotations
 
-from ..interfaces.rtde.packets import MessageLevel, RtdeMessage
-from ..interfaces.rtde.protocol import InputInUse, NoSuchVariable, RtdeRefused
-from ..interfaces.rtde.recipes import Outputs
-from ..interfaces.rtde.variables import INPUTS, OUTPUTS, Variable
-from .client import Rtde
-from .inputs import Inputs
-from .outputs import OutputStream
-from .shared_registers import Registers
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "INPUTS",
-    "OUTPUTS",
-    "InputInUse",
-    "Inputs",
-    "MessageLevel",
-    "NoSuchVariable",
-    "OutputStream",
-    "Outputs",
-    "Registers",
-    "Rtde",
-    "RtdeMessage",
-    "RtdeRefused",
-    "Variable",
-]
+from linkcore.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from ..interfaces.rtde.packets import MessageLevel as MessageLevel
+    from ..interfaces.rtde.packets import RtdeMessage as RtdeMessage
+    from ..interfaces.rtde.recipes import Outputs as Outputs
+    from ..interfaces.rtde.variables import INPUTS as INPUTS
+    from ..interfaces.rtde.variables import OUTPUTS as OUTPUTS
+    from ..interfaces.rtde.variables import Variable as Variable
+    from .client import Rtde as Rtde
+    from .inputs import Inputs as Inputs
+    from .outputs import OutputStream as OutputStream
+    from .shared_registers import Registers as Registers
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "..interfaces.rtde.packets": "MessageLevel RtdeMessage",
+            "..interfaces.rtde.recipes": "Outputs",
+            "..interfaces.rtde.variables": "INPUTS OUTPUTS Variable",
+            ".client": "Rtde",
+            ".inputs": "Inputs",
+            ".outputs": "OutputStream",
+            ".shared_registers": "Registers",
+        },
+        moved={"urlink": "InputInUse NoSuchVariable RtdeRefused"},
+    )

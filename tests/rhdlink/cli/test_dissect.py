@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhdlink import Database
+from rhdlink.variables import Database
 from rhdlink.wire.dissection import Piece, dissect, guess_sender, tables_in
 from rhdlink.wire.messages import END, encode_ready
 from tests import real_captures

@@ -186,7 +186,7 @@ def test_limits_of_the_command_line_are_those_of_the_host(run: Run, monkeypatch:
     monkeypatch.setattr("rhdlink.cli.hosting.Host", host)
     run("turtle", "--port", "0", "--limit", "words=1000", "--limit", "batch=5000")
     (options,) = made
-    assert options["limits"] == rhdlink.Limits(words=1000, batch=5000)
+    assert options["limits"] == rhdlink.variables.Limits(words=1000, batch=5000)
     for wrong in ("words=0", "words", "words=many", "speed=3"):
         status, _, err = run("turtle", "--port", "0", "--limit", wrong)
         assert status == 2

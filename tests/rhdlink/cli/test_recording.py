@@ -12,10 +12,11 @@ import pytest
 import rhdlink
 from linkcore.recording.file import Kind, Recording, RecordingWriter
 from linkcore.stamp import Stamp
-from rhdlink import Database, Host, TimeStamp
+from rhdlink import Host
 from rhdlink.plugins.logger import Logger
 from rhdlink.plugins.turtle import Turtle
 from rhdlink.recording.playback import play
+from rhdlink.variables import Database, TimeStamp
 from rhdlink.wire.messages import END
 from tests.harm import assert_harmless, strict
 
@@ -207,7 +208,7 @@ def test_what_the_logger_wrote_is_played(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     with (
         Host([Turtle(), Logger(path)], port=0, pacing="lockstep") as host,
-        rhdlink.connect(f"127.0.0.1:{host.port}", rhdlink.VelocityOmega, access="w") as robot,
+        rhdlink.connect(f"127.0.0.1:{host.port}", rhdlink.robots.VelocityOmega, access="w") as robot,
     ):
         robot.cmdtransvel = 0.5
         for _ in range(11):

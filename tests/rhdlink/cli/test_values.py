@@ -126,7 +126,7 @@ def test_set_holds_until_it_is_told_to_go(spawn: Spawn, host: Host, address: str
     process = spawn("set", address, "cmdtransvel", "30000", "--hold", "1000")
     assert process.stderr is not None
     assert process.stderr.readline() == "rhdlink: cmdtransvel is 30000 = 0.3 m/s\n"
-    with rhdlink.connect(address, rhdlink.VelocityOmega) as robot:
+    with rhdlink.connect(address, rhdlink.robots.VelocityOmega) as robot:
 
         def drives() -> bool:
             robot.sync()
@@ -147,7 +147,7 @@ def test_set_holds_for_a_while(run: Run, address: str) -> None:
 
 def greet(peer: Peer) -> None:
     """A robot that is up to no good."""
-    database = rhdlink.Database()
+    database = rhdlink.variables.Database()
     database.read.add("tick")
     database.read.add("\x1b[2J\x9b31m\u00ad")
     peer.hear(b"ar")

@@ -8,10 +8,11 @@ import pytest
 
 import rhdlink
 from linkcore.stamp import Stamp
-from linkcore.streaming.events import ConnectionState
-from rhdlink import Change, Host, TimeStamp, Update
+from linkcore.streaming.events import ConnectionEvent, ConnectionState
+from rhdlink import Host
 from rhdlink.cli.view import RateCounter
 from rhdlink.plugins.turtle import Turtle
+from rhdlink.variables import Change, TimeStamp, Update
 from tests.harm import strict
 
 from .conftest import Run, Spawn
@@ -91,9 +92,9 @@ def test_rates_are_counted_over_two_seconds() -> None:
 def test_a_lost_connection_is_told_until_it_is_back() -> None:
     counter = RateCounter(began=0.0)
     lost = rhdlink.ConnectionLost("gone")
-    counter.on_connection(rhdlink.ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
+    counter.on_connection(ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
     assert str(counter.trouble) == "gone"
-    counter.on_connection(rhdlink.ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
+    counter.on_connection(ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
     assert counter.trouble is None, "it is back"
     assert counter.rates(2.4) == (None, {})
 

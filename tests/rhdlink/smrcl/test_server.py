@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from linkcore.errors import BadAddress, BadValue, Closed, ConnectFailed, ConnectionLost
-from rhdlink import Host, MissionServer
+from rhdlink import Host
 from rhdlink.plugins.turtle import SmrTurtle, Turtle
+from rhdlink.smrcl import MissionServer
 from rhdlink.smrcl.dialogue import MOST_BACKLOG
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.world import World

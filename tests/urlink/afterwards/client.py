@@ -18,9 +18,9 @@ import numpy as np
 
 import urlink
 from tests.urlink.afterwards import controller
-from urlink import Linear
+from urlink import Linear, Taught
 from urlink.compat import rtde_control, urx
-from urlink.motion import Taught, TaughtPoint
+from urlink.motion import TaughtPoint
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 
@@ -145,7 +145,7 @@ def off(robot: Robot) -> None:
     """Switch the arm off, and wait until it is."""
     robot.dashboard.power_off()
     until = time.monotonic() + 10.0
-    while robot.realtime.wait(5).robot_mode != urlink.RobotMode.POWER_OFF and time.monotonic() < until:
+    while robot.realtime.wait(5).robot_mode != urlink.packets.RobotMode.POWER_OFF and time.monotonic() < until:
         time.sleep(0.02)
 
 

@@ -15,7 +15,8 @@ import pytest
 import urlink
 from linkcore import plotting
 from tests.waiting import until
-from urlink import Closed, ConnectFailed, LocalError, SafetyMode, SafetyStop
+from urlink import Closed, ConnectFailed, LocalError, SafetyStop
+from urlink.packets import SafetyMode
 from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time
@@ -61,7 +62,7 @@ def test_streams_are_read_without_a_thread(controller: Controller) -> None:
                 assert (states.stats.delivered, states.stats.dropped) == (50, 0)
             assert np.allclose(np.diff(times), 0.002)
             both = await asyncio.gather(
-                other.realtime.wait(), robot.primary.of(urlink.RobotModeData).wait(), robot.secondary.wait()
+                other.realtime.wait(), robot.primary.of(urlink.packets.RobotModeData).wait(), robot.secondary.wait()
             )
             assert [type(each).__name__ for each in both] == ["RealtimeState", "RobotModeData", "RobotState"]
             assert threading.active_count() == before
@@ -82,7 +83,7 @@ def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: 
             assert np.allclose((await robot.realtime.wait()).q_actual, begin + 0.05, atol=1e-3)
             await robot.io.set_digital_out(2, True)
             assert await robot.io.digital_out(2)
-            assert await robot.dashboard.robot_mode() is urlink.RobotMode.RUNNING
+            assert await robot.dashboard.robot_mode() is urlink.packets.RobotMode.RUNNING
             assert await robot.call(lambda: robot.safety.mode) is SafetyMode.NORMAL
             async with robot.rtde.outputs("timestamp", "actual_q", frequency=125) as stream:
                 first, second = await stream.wait(), await stream.wait()
@@ -143,7 +144,7 @@ def test_each_part_works_as_the_blocking_one(controller: Controller) -> None:
                 assert (await interpreter.state()).last_interpreted >= 1
                 assert not interpreter.done
             assert interpreter.phase is urlink.Phase.DONE
-            boards = robot.primary.of(urlink.MasterboardData)
+            boards = robot.primary.of(urlink.packets.MasterboardData)
             await boards.wait_until(lambda board: bool(board.digital_output_bits & 1 << 3))
             assert await robot.io.digital_out(3)
             alone = await robot.interpreter()

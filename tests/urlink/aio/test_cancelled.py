@@ -87,7 +87,7 @@ STREAMS: dict[str, Use] = {
     "wait": lambda robot: robot.realtime.wait(),
     "wait_until": lambda robot: robot.realtime.wait_until(lambda state: True),
     "start": lambda robot: robot.secondary.start(),
-    "of": lambda robot: robot.primary.of(urlink.RobotModeData).wait(),
+    "of": lambda robot: robot.primary.of(urlink.packets.RobotModeData).wait(),
     "iterate": iterated,
     "async for": iterated_plainly,
     "subscribe": subscribed,

@@ -24,9 +24,9 @@ ROOT = Path(__file__).parents[3]
 #: An expression for what users hold -> its class there, and with asyncio.
 PAIRS: dict[str, tuple[type, type]] = {
     "robot": (urlink.Robot, urlink.AsyncRobot),
-    "robot.realtime": (urlink.Stream, urlink.AsyncStream),
-    "robot.realtime.of(urlink.RealtimeState)": (urlink.Feed, AsyncFeed),
-    "robot.motion": (urlink.Motions, parts.AsyncMotions),
+    "robot.realtime": (urlink.Stream, urlink.aio.parts.AsyncStream),
+    "robot.realtime.of(urlink.packets.RealtimeState)": (urlink.Feed, AsyncFeed),
+    "robot.motion": (urlink.motion.Motions, parts.AsyncMotions),
     "robot.io": (urlink.IO, parts.AsyncIO),
     "robot.safety": (urlink.Safety, parts.AsyncSafety),
     "robot.script": (urlink.Scripts, parts.AsyncScripts),
@@ -35,7 +35,7 @@ PAIRS: dict[str, tuple[type, type]] = {
     "robot.rtde": (urlink.rtde.Rtde, parts.AsyncRtde),
     "robot.registers": (urlink.rtde.Registers, parts.AsyncRegisters),
     "interpreter": (urlink.Interpreter, parts.AsyncInterpreter),
-    "teaching": (urlink.Teaching, parts.AsyncTeaching),
+    "teaching": (urlink.motion.Teaching, parts.AsyncTeaching),
     "inputs": (urlink.rtde.Inputs, parts.AsyncInputs),
     "outputs": (urlink.rtde.OutputStream, parts.AsyncOutputStream),
 }
@@ -53,7 +53,7 @@ LESS = {
     "close": {"timeout"},
 }
 #: Where they are missing.
-STREAMS = {"robot.realtime", "robot.realtime.of(urlink.RealtimeState)", "outputs"}
+STREAMS = {"robot.realtime", "robot.realtime.of(urlink.packets.RealtimeState)", "outputs"}
 
 #: What is read there and asked for here.
 ASKED = {"interpreter.state"}
@@ -207,7 +207,7 @@ def revealed(lines: list[str]) -> list[str]:
 def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path) -> None:
     names = ["robot", "interpreter", "teaching", "inputs", "outputs"]
     blocking_types = (
-        "urlink.Robot, urlink.Interpreter, urlink.Teaching, urlink.rtde.Inputs, urlink.rtde.OutputStream[Cell]"
+        "urlink.Robot, urlink.Interpreter, urlink.motion.Teaching, urlink.rtde.Inputs, urlink.rtde.OutputStream[Cell]"
     )
     awaited_types = (
         "urlink.AsyncRobot, parts.AsyncInterpreter, parts.AsyncTeaching, parts.AsyncInputs, "

@@ -12,8 +12,8 @@ from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests.harm import HOSTILE
 from tests.spawning import spawning
-from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.interfaces.primary.robot_state import MasterboardData, ToolData
+from urlink.packets import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.simulator import Controller
 
 Run = Callable[..., tuple[int, str, str]]

@@ -14,10 +14,10 @@ from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests import real_captures
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.cli.dissect import Piece, dissect
 from urlink.cli.stretches import cut, guess_interface
 from urlink.firmware import RELEASES
+from urlink.packets import JointData, RealtimeState, RobotModeData, RobotState, TextMessage, VersionMessage
 from urlink.simulator import Controller
 
 from .conftest import Run

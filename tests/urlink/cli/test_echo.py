@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink import RealtimeState
 from urlink.cli.tap import Tap
+from urlink.packets import RealtimeState
 from urlink.robot import connect
 from urlink.simulator import Controller
 

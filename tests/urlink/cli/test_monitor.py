@@ -182,7 +182,7 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
     ],
 )
 def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: Status) -> None:
-    reading = None if age is None else Reading(urlink.Stamp(time.monotonic() - age, 0.0))
+    reading = None if age is None else Reading(urlink.packets.Stamp(time.monotonic() - age, 0.0))
     assert status_of(connection, has_latest, reading) is status
 
 
@@ -199,7 +199,7 @@ def test_status(connection: ConnectionState, has_latest: bool, age: float | None
     ],
 )
 def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | None, status: Status) -> None:
-    reading = Reading(urlink.Stamp.now(), q=[0.0] * 6)
+    reading = Reading(urlink.packets.Stamp.now(), q=[0.0] * 6)
     seen = status_of(ConnectionState.CONNECTED, True, reading, rate, usual)
     assert seen is status
     glance = Glance("UR5e", "here", seen, reading, _STATS, rate, usual)
@@ -262,7 +262,7 @@ def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
 
 
 def test_state_without_sub_packages_can_be_painted() -> None:
-    glance = Glance("UR", "made", Status.CONNECTED, read(urlink.RobotState()), _STATS)
+    glance = Glance("UR", "made", Status.CONNECTED, read(urlink.packets.RobotState()), _STATS)
     assert "joint" not in painted(glance)
     assert "robot –" in painted(glance)
     assert "no state" not in line(glance, "12:00:00")
@@ -272,7 +272,7 @@ def test_state_without_sub_packages_can_be_painted() -> None:
 
 
 def test_picture_shows_it_all() -> None:
-    state = urlink.RealtimeState(
+    state = urlink.packets.RealtimeState(
         "5.11",
         q_actual=[3.14159265, -1.5, 0, float("nan"), float("inf"), 99],
         I_actual=[1.25] * 6,
@@ -303,7 +303,7 @@ def test_picture_shows_it_all() -> None:
 
 
 def test_old_values_are_dim_and_never_green() -> None:
-    state = urlink.RealtimeState("5.11", robot_mode=7, safety_mode=1, safety_status=1, joint_modes=[253] * 6)
+    state = urlink.packets.RealtimeState("5.11", robot_mode=7, safety_mode=1, safety_status=1, joint_modes=[253] * 6)
     fresh = Glance("UR", "made", Status.CONNECTED, read(state), _STATS)
     lost = Glance("UR", "made", Status.LOST, read(state), _STATS, trouble="cable")
     green = "\x1b[32m"
@@ -327,7 +327,9 @@ def test_messages_of_the_controller_are_shown(recording: Path) -> None:
 
 
 def test_hostile_recording(run: Run, tmp_path: Path) -> None:
-    path = write(tmp_path / "x.urlog", {"realtime": [bytes(urlink.RealtimeState("5.11"))]}, info={"model": HOSTILE})
+    path = write(
+        tmp_path / "x.urlog", {"realtime": [bytes(urlink.packets.RealtimeState("5.11"))]}, info={"model": HOSTILE}
+    )
     status, out, err = run("monitor", f"replay://{path}", "--plain")
     assert status == 0
     assert_harmless(out, err)

@@ -9,8 +9,8 @@ import pytest
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.stamp import Stamp
 from tests.harm import HOSTILE, assert_harmless, strict
-from urlink import RealtimeState
 from urlink.firmware import RELEASES
+from urlink.packets import RealtimeState
 from urlink.simulator import Controller
 
 from .conftest import Run, write

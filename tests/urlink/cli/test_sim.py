@@ -9,7 +9,7 @@ import pytest
 
 import urlink
 from tests.waiting import until
-from urlink import SafetyMode
+from urlink.packets import SafetyMode
 
 from .conftest import Run
 
@@ -99,8 +99,8 @@ def test_programs_that_the_dashboard_loads(spawn: Spawn, tmp_path: Path) -> None
     process = spawn("sim", "--program", f"pick.urp={tmp_path / 'pick.script'}")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:
-        texts: list[urlink.TextMessage] = []
-        robot.primary.subscribe(texts.append, urlink.TextMessage)
+        texts: list[urlink.packets.TextMessage] = []
+        robot.primary.subscribe(texts.append, urlink.packets.TextMessage)
         robot.dashboard.load("pick.urp")
         with pytest.raises(urlink.DashboardRefused):
             robot.dashboard.load("place.urp")

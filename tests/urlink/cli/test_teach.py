@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from urlink.motion import Taught
+from urlink import Taught
 from urlink.simulator import Controller, Still
 
 from .conftest import Run

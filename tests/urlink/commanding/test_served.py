@@ -94,8 +94,8 @@ def test_secondary_runs_beside(robot: urlink.Robot) -> None:
 
 
 def test_payload_tcp_and_popup(robot: urlink.Robot) -> None:
-    messages: list[urlink.PopupMessage] = []
-    robot.primary.subscribe(messages.append, urlink.PopupMessage)
+    messages: list[urlink.packets.PopupMessage] = []
+    robot.primary.subscribe(messages.append, urlink.packets.PopupMessage)
     robot.set_payload(1.5, (0, 0, 0.1))
     robot.set_tcp((0, 0, 0.2, 0, 0, 0))
     robot.popup("mind the gap")

@@ -16,12 +16,13 @@ from linkcore.streaming.connection import Connection
 from tests.urlink.line import Line
 from tests.urlink.stand_in import StandIn
 from tests.waiting import until
+from urlink import InputInUse
 from urlink.commanding import setting_channel
 from urlink.commanding.channel import CommandChannel
 from urlink.commanding.section import Section
 from urlink.errors import NotConfirmed, NotRunning
 from urlink.interfaces.enums import RobotMode
-from urlink.rtde import InputInUse, brief_claims, client
+from urlink.rtde import brief_claims, client
 from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time

@@ -68,7 +68,7 @@ def test_what_is_not_received_is_named(controller: Controller) -> None:
         assert len(receive.getActualQ()) == 6
         with pytest.raises(LocalError, match="actual_qd is not received"):
             receive.getActualQd()
-    with pytest.raises(urlink.rtde.NoSuchVariable, match="did you mean actual_q"):
+    with pytest.raises(urlink.NoSuchVariable, match="did you mean actual_q"):
         RTDEReceiveInterface(controller.address, variables=["actual_Q"])
 
 

@@ -90,7 +90,7 @@ def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> No
     realtime = recording.realtime
     counts = Counter({topic: len(messages) for topic, messages in found.items()})
     each = dict.fromkeys(("/realtime", "/joint_states", "/tf", "/tcp_pose", "/tcp_speed", "/wrench"), len(realtime))
-    robot_messages = recording.primary.of(urlink.RobotMessage)
+    robot_messages = recording.primary.of(urlink.packets.RobotMessage)
     assert counts == {**each, "/primary": len(recording.primary), "/log": len(robot_messages), "/robot_description": 1}
     types = {topic: messages[0].schema.name for topic, messages in found.items()}
     assert types["/joint_states"] == "sensor_msgs/msg/JointState"

@@ -81,7 +81,7 @@ def test_the_arm_moves_in_the_viewer() -> None:
     assert list(decoded["/joint_states"].position) in positions
     assert [each.child_frame_id for each in decoded["/tf"].transforms][-1] == "tool0"
     assert "<cylinder" in decoded["/robot_description"].data
-    assert decoded["/realtime"].robot_mode == urlink.RobotMode.RUNNING
+    assert decoded["/realtime"].robot_mode == urlink.packets.RobotMode.RUNNING
     stamp = decoded["/realtime"].header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == found["/realtime"][0][0]
 

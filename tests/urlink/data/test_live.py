@@ -54,7 +54,7 @@ def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
     stamps = np.array([message.message.log_time for message in found["/realtime"]])
     assert np.abs(stamps - run.realtime.wall.astype(np.int64)).max() < 1000
     assert len(found["/primary"]) == len(run.primary)
-    assert len(found["/log"]) == len(run.primary.of(urlink.RobotMessage))
+    assert len(found["/log"]) == len(run.primary.of(urlink.packets.RobotMessage))
     assert len(found["/robot_description"]) == 1
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
         with pytest.raises(urlink.BadRecording, match="never overwrites"):

@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.recording.records import pack
-from urlink import RealtimeState, Stamp
 from urlink.interfaces.primary.robot_message import TextMessage, VersionMessage
 from urlink.interfaces.primary.robot_state import JointData, RobotModeData, RobotState
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.interfaces.rtde.packets import OutputsReply
 from urlink.interfaces.rtde.recipes import Recipe
+from urlink.packets import RealtimeState, Stamp
 
 KEYS = ("name", "state", "error", "firmware", "model", "dh_table", "serial", "recipe", "a", "d", "address")
 CAPTURES = Path(__file__).resolve().parents[3] / "captures"
@@ -81,7 +81,7 @@ def test_columns_times_and_what_they_mean() -> None:
     assert table.wall[1] - table.wall[0] == np.timedelta64(2, "ms")
     assert table["robot_mode"].tolist() == [number % 9 for number in range(50)]
     assert table["digital_input_bits"].tolist() == [1 << (number % 40) for number in range(50)]
-    assert table.fields["robot_mode"].meaning is urlink.RobotMode
+    assert table.fields["robot_mode"].meaning is urlink.packets.RobotMode
     assert (table.fields["tcp_force"].unit, table.fields["tcp_force"].width) == ("N, Nm", 6)
     assert "tcp_force" in table
     with pytest.raises(urlink.BadValue, match=r"no field 'q_actuel'; did you mean q_actual.*it has time, q_target"):
@@ -209,8 +209,8 @@ def test_robot_states_their_parts_and_messages() -> None:
     assert states.fields["joint_data.q_actual"].unit == "rad"
     assert states.joint_data["q_actual"].tolist() == states["joint_data.q_actual"].tolist()
     assert states.of(RobotModeData)["robot_mode"].tolist() == [7, 7, 7]
-    assert states.of(urlink.TextMessage)["text"].tolist() == ["hello"]
-    assert states.of(urlink.TextMessage).time.tolist() == [states.time[1]]
+    assert states.of(urlink.packets.TextMessage)["text"].tolist() == ["hello"]
+    assert states.of(urlink.packets.TextMessage).time.tolist() == [states.time[1]]
     assert [type(each).__name__ for each in states.messages] == ["VersionMessage", "TextMessage"]
     assert len(states.kinematics_info) == 0
     assert states.between(0.003, 1)["joint_data.q_actual"][:, 0].tolist() == [1, 2]

@@ -17,7 +17,7 @@ from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.history import History
 from tests.waiting import until
-from urlink import RealtimeState, Stamp
+from urlink.packets import RealtimeState, Stamp
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 

@@ -18,7 +18,12 @@ import pytest
 import urlink
 from linkcore.errors import PacketError
 from linkcore.wire.packet import State
-from urlink import (
+from urlink import decode
+from urlink.decoding import Interface
+from urlink.firmware import Firmware, infer
+from urlink.interfaces.primary.protocol import PrimaryProtocol
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import (
     KeyMessage,
     OtherPackage,
     PackageType,
@@ -31,12 +36,7 @@ from urlink import (
     SafetyModeMessage,
     UnnamedMessage12,
     VersionMessage,
-    decode,
 )
-from urlink.decoding import Interface
-from urlink.firmware import Firmware, infer
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 
 pytestmark = pytest.mark.captures("ur")
 
@@ -365,7 +365,7 @@ def test_complete_packets_have_the_values_that_are_known(captures: Path, name: s
         assert state.tail == b""
         for part in state.packages if isinstance(state, RobotState) else ():
             assert part.tail == b""
-            assert type(part) is not urlink.UnknownSubPackage
+            assert type(part) is not urlink.packets.UnknownSubPackage
     for size in (1, 7, len(data)):
         one = session(interface)
         frames = [frame for piece in pieces(data, size) for frame in one.framer.feed(piece)]
@@ -422,7 +422,7 @@ def test_the_heads_of_states_show_the_first_sub_packages(captures: Path) -> None
     data = (captures / "eseries_5.11.11_connect_head.bin").read_bytes()
     mode = RobotModeData.LAYOUTS.decode(data[84 : 84 + 47], Firmware(5, 11, 11))
     assert (mode.robot_mode, mode.speed_scaling, mode.reserved) == (7, 0.0, 0)
-    joints = urlink.JointData.LAYOUTS.decode(data[131 : 131 + 251], Firmware(5, 11, 11))
+    joints = urlink.packets.JointData.LAYOUTS.decode(data[131 : 131 + 251], Firmware(5, 11, 11))
     assert joints.joint_modes == (253,) * 6
     assert np.abs(joints.q_actual - joints.q_target).max() < 1e-3
 
@@ -461,7 +461,7 @@ def test_an_error_code_template_that_declares_six_bytes_too_few(captures: Path) 
     assert one.framer.feed(data) == [data[:32]]
     assert one.framer.skipped + len(one.framer.rest) == 6
     (state,) = decode(b"\x00\x00\x00\x26" + data[4:], "primary", "5.8")
-    assert isinstance(state, urlink.RobotCommMessage)
+    assert isinstance(state, urlink.packets.RobotCommMessage)
     assert (state.code, state.argument, state.report_level, state.data_type) == (0, 0, 0, 0)
 
 

@@ -18,7 +18,14 @@ from linkcore.streaming.policy import block
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
 from tests.linkcore.script import ScriptedTransport
-from urlink import (
+from urlink.firmware import RELEASES, Firmware, Release, release_of
+from urlink.identity import Identity
+from urlink.interfaces.primary.framing import PackageBoundary
+from urlink.interfaces.primary.protocol import PrimaryProtocol
+from urlink.interfaces.primary.robot_state import SUB_PACKAGES
+from urlink.interfaces.realtime.framing import RealtimeBoundary
+from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import (
     AdditionalInfo,
     JointData,
     KeyMessage,
@@ -35,13 +42,6 @@ from urlink import (
     UnnamedMessage12,
     VersionMessage,
 )
-from urlink.firmware import RELEASES, Firmware, Release, release_of
-from urlink.identity import Identity
-from urlink.interfaces.primary.framing import PackageBoundary
-from urlink.interfaces.primary.protocol import PrimaryProtocol
-from urlink.interfaces.primary.robot_state import SUB_PACKAGES
-from urlink.interfaces.realtime.framing import RealtimeBoundary
-from urlink.interfaces.realtime.protocol import RealtimeProtocol
 from urlink.source import Source
 
 Session = type[RealtimeProtocol] | type[PrimaryProtocol]

@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkcore.wire import framing
-from urlink import RealtimeState, VersionMessage
 from urlink.interfaces.primary import framing as primary
 from urlink.interfaces.primary.protocol import PrimaryProtocol
 from urlink.interfaces.realtime import framing as realtime
 from urlink.interfaces.realtime.protocol import RealtimeProtocol
+from urlink.packets import RealtimeState, VersionMessage
 
 FILES = {module.__file__ for module in (framing, primary, realtime)}
 Kind = type[RealtimeProtocol] | type[PrimaryProtocol]

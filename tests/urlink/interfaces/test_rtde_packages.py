@@ -18,7 +18,6 @@ from linkcore.wire.packet import State
 from tests import real_captures
 from tests.oracle import parse
 from tests.urlink.interfaces.rtde_material import recordings, replies, requests
-from urlink import RealtimeState
 from urlink.interfaces.rtde.framing import REPLY_SIZES, REQUEST_SIZES, RtdeBoundary
 from urlink.interfaces.rtde.packets import (
     REPLIES,
@@ -36,6 +35,7 @@ from urlink.interfaces.rtde.packets import (
     decode_request,
     split_names,
 )
+from urlink.packets import RealtimeState
 
 
 def cut(stream: bytes, at: list[int]) -> list[bytes]:

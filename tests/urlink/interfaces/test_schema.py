@@ -10,16 +10,17 @@ import pytest
 import urlink
 from linkcore.wire.packet import State
 from tests.real_captures import folder
-from urlink import BadValue, BadVersion, PacketError, RealtimeState, RobotState, schema
+from urlink import BadValue, BadVersion, PacketError, schema
 from urlink.firmware import RELEASES
 from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
 from urlink.interfaces.primary.robot_state import SUB_PACKAGES
 from urlink.interfaces.rtde.packets import REPLIES, REQUESTS
 from urlink.interfaces.rtde.recipes import Recipe
+from urlink.packets import RealtimeState, RobotState
 
 FIRMWARES = [str(release.since) for release in RELEASES]
 #: A text that has to be there for a layout to be told from an older one.
-TEXTS: dict[type[State], dict[str, str]] = {urlink.VersionMessage: {"build_date": "Jan 01 2020, 00:00:00"}}
+TEXTS: dict[type[State], dict[str, str]] = {urlink.packets.VersionMessage: {"build_date": "Jan 01 2020, 00:00:00"}}
 CLASSES: list[type[State]] = [
     RealtimeState,
     *(each for kinds in SUB_PACKAGES.values() for each in kinds),
@@ -54,16 +55,16 @@ def test_every_packet_of_a_firmware_is_parsed_and_built_again(firmware: str) -> 
 def test_a_packet_of_another_firmware_or_type_is_refused_by_name() -> None:
     with pytest.raises(construct.ConstError, match=r"size\n.*expected 1220 but parsed 1060"):
         schema(RealtimeState, "5.11").parse(bytes(RealtimeState("3.4")))
-    calibration = bytes(urlink.CalibrationData("5.11"))
+    calibration = bytes(urlink.packets.CalibrationData("5.11"))
     with pytest.raises(construct.ConstError, match="type"):
-        schema(urlink.CalibrationData, "5.11").parse(calibration[:4] + b"\7" + calibration[5:])
+        schema(urlink.packets.CalibrationData, "5.11").parse(calibration[:4] + b"\7" + calibration[5:])
     with pytest.raises(construct.ConstError, match="message_type"):
-        schema(urlink.RequestValueMessage).parse(bytes(urlink.KeyMessage("5.11")))
+        schema(urlink.packets.RequestValueMessage).parse(bytes(urlink.packets.KeyMessage("5.11")))
 
 
 def test_joints_lie_on_the_wire_one_after_the_other() -> None:
-    packet = bytes(urlink.JointData("5.11", q_actual=[1, 2, 3, 4, 5, 6]))
-    parsed = schema(urlink.JointData, "5.11").parse(packet)
+    packet = bytes(urlink.packets.JointData("5.11", q_actual=[1, 2, 3, 4, 5, 6]))
+    parsed = schema(urlink.packets.JointData, "5.11").parse(packet)
     assert [joint.q_actual for joint in parsed.joint] == [1, 2, 3, 4, 5, 6]
 
 
@@ -72,8 +73,8 @@ def test_an_optional_block_is_there_where_its_flag_says_so(has_block: bool) -> N
     given: dict[str, Any] = {"is_euromap_installed": has_block}
     if has_block:
         given["euromap_voltage_24V"] = 24.0
-    packet = bytes(urlink.MasterboardData("5.11", **given))
-    made = schema(urlink.MasterboardData, "5.11")
+    packet = bytes(urlink.packets.MasterboardData("5.11", **given))
+    made = schema(urlink.packets.MasterboardData, "5.11")
     parsed = made.parse(packet)
     assert parsed.euromap_voltage_24V == (24.0 if has_block else None)
     assert made.build(parsed) == packet
@@ -128,7 +129,7 @@ def test_what_is_no_packet_is_said_to_be_none() -> None:
     with pytest.raises(BadVersion):
         schema(RealtimeState, "five")
     with pytest.raises(PacketError, match="not sent"):
-        schema(urlink.SafetyComplianceTolerances, "3.4")
+        schema(urlink.packets.SafetyComplianceTolerances, "3.4")
 
 
 @pytest.mark.captures("ur")
@@ -137,8 +138,8 @@ def test_recorded_packets_are_parsed_and_built_again() -> None:
         ("cb2_rt_812.bin", RealtimeState, "1.8"),
         ("cb2_primary_state_1254.bin", RobotState, "1.8"),
         ("eseries_secondary_state_716.bin", RobotState, "5.4"),
-        ("urcl_5.24_version_message.bin", urlink.VersionMessage, "5.24"),
-        ("urcl_key_message.bin", urlink.KeyMessage, "5.11"),
+        ("urcl_5.24_version_message.bin", urlink.packets.VersionMessage, "5.24"),
+        ("urcl_key_message.bin", urlink.packets.KeyMessage, "5.11"),
     ):
         packet = (folder("ur") / name).read_bytes()
         made = schema(cls, firmware)

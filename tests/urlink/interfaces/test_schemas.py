@@ -12,7 +12,14 @@ import urlink
 from linkcore.errors import BadValue, BadVersion, PacketError
 from linkcore.wire.packet import State
 from linkcore.wire.shapes import Mask64, OpenInt
-from urlink import (
+from urlink import decode
+from urlink.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
+from urlink.interfaces import enums
+from urlink.interfaces.primary import robot_message, robot_state
+from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
+from urlink.interfaces.primary.robot_state import SUB_PACKAGES
+from urlink.interfaces.realtime import packets as realtime
+from urlink.packets import (
     AdditionalInfo,
     CartesianInfo,
     ConfigurationData,
@@ -33,14 +40,7 @@ from urlink import (
     ToolData,
     UnknownSubPackage,
     VersionMessage,
-    decode,
 )
-from urlink.firmware import NEWEST, RELEASES, Firmware, Release, infer, release_of
-from urlink.interfaces import enums
-from urlink.interfaces.primary import robot_message, robot_state
-from urlink.interfaces.primary.robot_message import MESSAGES, PACKAGES
-from urlink.interfaces.primary.robot_state import SUB_PACKAGES
-from urlink.interfaces.realtime import packets as realtime
 
 CLASSES: list[type[State]] = sorted(
     {
@@ -136,19 +136,19 @@ SIZES: dict[type[State], dict[str, int]] = {
     MasterboardData: {"1.5": 61, "1.6": 64, "1.8": 64, "3.0": 72, "3.1": 72, "3.2": 74, "3.9": 74, "3.10": 75}
     | {"5.0": 74, "5.3": 74, "5.4": 75, "5.25": 75},
     CartesianInfo: {"1.8": 53, "3.0": 53, "3.2": 101, "5.25": 101},
-    urlink.LaserPointer: {"1.5": 29},
-    urlink.KinematicsInfo: {"1.8": 225, "5.25": 225},
+    urlink.packets.LaserPointer: {"1.5": 29},
+    urlink.packets.KinematicsInfo: {"1.8": 225, "5.25": 225},
     ConfigurationData: {"1.8": 469, "3.0": 445, "5.24": 445, "5.25.1": 449},
-    urlink.ForceModeData: {"1.7": 61, "5.25": 61},
+    urlink.packets.ForceModeData: {"1.7": 61, "5.25": 61},
     AdditionalInfo: {"1.7": 10, "1.8": 7, "3.1": 7, "3.3": 8, "3.9": 8, "3.10": 9, "5.3": 8, "5.4": 9},
-    urlink.CalibrationData: {"1.8": 53, "5.25": 53},
-    urlink.SafetyData: {"3.5": 43, "5.25": 43},
-    urlink.ToolCommunicationInfo: {"5.0": 26},
-    urlink.ToolModeInfo: {"5.2": 8},
-    urlink.SingularityInfo: {"5.25": 7},
-    urlink.SafetyComplianceTolerances: {"3.10": 181, "5.4": 181},
-    urlink.UnnamedMessage12: {"3.3": 24},
-    urlink.SafetyModeMessage: {"5.8": 32},
+    urlink.packets.CalibrationData: {"1.8": 53, "5.25": 53},
+    urlink.packets.SafetyData: {"3.5": 43, "5.25": 43},
+    urlink.packets.ToolCommunicationInfo: {"5.0": 26},
+    urlink.packets.ToolModeInfo: {"5.2": 8},
+    urlink.packets.SingularityInfo: {"5.25": 7},
+    urlink.packets.SafetyComplianceTolerances: {"3.10": 181, "5.4": 181},
+    urlink.packets.UnnamedMessage12: {"3.3": 24},
+    urlink.packets.SafetyModeMessage: {"5.8": 32},
 }
 
 
@@ -279,7 +279,7 @@ def test_joints_are_sent_one_by_one() -> None:
         (MasterboardData, "1.8", {"digital_output_bits": 7, "analog_input_0": 11, "master_safety_state": 61}),
         (CartesianInfo, "3.2", {"X": 5, "Rz": 45, "tcp_offset_X": 53, "tcp_offset_Rz": 93}),
         (
-            urlink.KinematicsInfo,
+            urlink.packets.KinematicsInfo,
             "5.4",
             {"checksum": 5, "dh_theta": 29, "dh_a": 77, "dh_d": 125, "calibration_status": 221},
         ),
@@ -290,16 +290,24 @@ def test_joints_are_sent_one_by_one() -> None:
             | {"eq_radius": 229, "dh_a": 237, "dh_theta": 381, "masterboard_version": 429, "motor_type": 445},
         ),
         (ConfigurationData, "5.25", {"robot_type": 437, "robot_sub_type": 441, "reserved": 445}),
-        (urlink.ForceModeData, "5.4", {"Fx": 5, "robot_dexterity": 53}),
+        (urlink.packets.ForceModeData, "5.4", {"Fx": 5, "robot_dexterity": 53}),
         (AdditionalInfo, "1.7", {"ctrl_bits": 5, "teach_button": 9}),
         (AdditionalInfo, "5.4", {"freedrive_button_pressed": 5, "io_enabled_freedrive": 7, "reserved": 8}),
         (
-            urlink.SafetyData,
+            urlink.packets.SafetyData,
             "5.4",
             {"checksum": 5, "reserved": 9, "elbow_sphere_centre": 11, "elbow_sphere_radius": 35},
         ),
-        (urlink.ToolCommunicationInfo, "5.4", {"is_enabled": 5, "baud_rate": 6, "stop_bits": 14, "tx_idle_chars": 22}),
-        (urlink.SafetyModeMessage, "5.4", {"timestamp": 5, "source": 13, "code": 15, "safety_mode": 23, "data": 28}),
+        (
+            urlink.packets.ToolCommunicationInfo,
+            "5.4",
+            {"is_enabled": 5, "baud_rate": 6, "stop_bits": 14, "tx_idle_chars": 22},
+        ),
+        (
+            urlink.packets.SafetyModeMessage,
+            "5.4",
+            {"timestamp": 5, "source": 13, "code": 15, "safety_mode": 23, "data": 28},
+        ),
     ],
 )
 def test_offsets_in_sub_packages(cls: type[State], version: str, offsets: dict[str, int]) -> None:
@@ -352,7 +360,7 @@ def test_popup_and_report_of_cb2() -> None:
 @pytest.mark.parametrize("kind", [4, 8, 11, 13, 14, 99, 255])
 def test_unknown_messages_are_kept(kind: int) -> None:
     (state,) = decode(message(kind, b"payload"), "primary")
-    assert isinstance(state, urlink.UnknownMessage)
+    assert isinstance(state, urlink.packets.UnknownMessage)
     assert (state.message_type, state.payload, state.source) == (kind, b"payload", -2)
 
 
@@ -361,7 +369,7 @@ def test_unknown_messages_are_kept(kind: int) -> None:
 )
 def test_packages_without_a_layout_are_kept_with_their_type(kind: int, name: str) -> None:
     (state,) = decode(struct.pack(">iB", 9, kind) + b"abcd", "primary")
-    assert isinstance(state, urlink.OtherPackage)
+    assert isinstance(state, urlink.packets.OtherPackage)
     assert state.payload == b"abcd"
     assert state.type is PackageType[name]
     assert state.to_dict() == {"type": name, "payload": "61626364"}
@@ -452,7 +460,7 @@ def test_several_packets_in_one_run_of_bytes() -> None:
 def test_an_error_inside_a_state_names_the_sub_package_and_where_it_is() -> None:
     good = bytes(ToolData())
     body = good + struct.pack(">iB", 36, 2) + good[5:-1]
-    data = bytes(urlink.KeyMessage()) + struct.pack(">iB", 5 + len(body), 16) + body
+    data = bytes(urlink.packets.KeyMessage()) + struct.pack(">iB", 5 + len(body), 16) + body
     with pytest.raises(PacketError, match="in a robot state, packet too short") as caught:
         decode(data, "primary")
     error = caught.value
@@ -557,11 +565,17 @@ def test_every_field_says_what_it_is(cls: type[State]) -> None:
 
 def test_every_class_is_reachable_and_public() -> None:
     reachable = {cls for classes in SUB_PACKAGES.values() for cls in classes} | {*MESSAGES.values(), *PACKAGES.values()}
-    reachable |= {RealtimeState, UnknownSubPackage, urlink.RobotMessage, urlink.UnknownMessage, urlink.OtherPackage}
+    reachable |= {
+        RealtimeState,
+        UnknownSubPackage,
+        urlink.packets.RobotMessage,
+        urlink.packets.UnknownMessage,
+        urlink.packets.OtherPackage,
+    }
     assert reachable == {*CLASSES}
     for cls in CLASSES:
-        assert getattr(urlink, cls.__name__) is cls
-        assert cls.__name__ in dir(urlink)
+        assert getattr(urlink.packets, cls.__name__) is cls
+        assert cls.__name__ in dir(urlink.packets)
     assert sorted(SUB_PACKAGES) == list(range(14))
 
 

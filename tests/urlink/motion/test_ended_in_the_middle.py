@@ -23,10 +23,10 @@ from linkcore.handle import Motion, Phase
 from linkcore.wire.version import Since
 from tests.urlink.motion.lockstep import READY, TIMEOUT, Lockstep
 from tests.waiting import until
-from urlink import Joint, Linear
+from urlink import Joint, Linear, Taught
 from urlink.errors import NotRunning, SafetyStop
 from urlink.firmware import Firmware
-from urlink.motion import Taught, TaughtPoint
+from urlink.motion import TaughtPoint
 from urlink.motion.trajectory import Trajectory
 from urlink.robot import Robot
 

@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.errors import BadValue, Cancelled, LocalError
 from tests.waiting import until
+from urlink import Joint, Taught
 from urlink.errors import SafetyStop
 from urlink.interfaces.enums import RobotStatusBits
-from urlink.motion import Joint, Taught, TaughtPoint, Teaching
+from urlink.motion import TaughtPoint, Teaching
 from urlink.motion.teaching import Triggers
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still

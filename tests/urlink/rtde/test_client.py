@@ -19,6 +19,7 @@ from linkcore.wire.packet import State, Vector
 from tests.urlink.rtde import names_module
 from tests.urlink.rtde.desk import Desk
 from tests.waiting import until
+from urlink import InputInUse, NoSuchVariable
 from urlink.firmware import Firmware
 from urlink.identity import Identity
 from urlink.interfaces.rtde.packets import (
@@ -29,7 +30,7 @@ from urlink.interfaces.rtde.packets import (
     RtdeMessage,
     StartRequest,
 )
-from urlink.rtde import InputInUse, NoSuchVariable, Outputs, Rtde
+from urlink.rtde import Outputs, Rtde
 from urlink.source import Source
 
 AT_ONCE = Backoff(first=0, most=0)
@@ -435,7 +436,7 @@ def test_registers_that_cannot_be_had() -> None:
 def test_a_claim_that_is_not_answered() -> None:
     desk = Desk()
     desk.answers[InputsRequest] = lambda request: [InputsReply(recipe=0, types="INT32")]
-    with rtde_of(desk) as rtde, pytest.raises(urlink.rtde.RtdeRefused, match="refused the inputs"):
+    with rtde_of(desk) as rtde, pytest.raises(urlink.RtdeRefused, match="refused the inputs"):
         rtde.registers().write_integer(24, 1)
 
 

@@ -11,7 +11,8 @@ import pytest
 import urlink
 from linkcore.errors import BadRecording, BadValue, LocalError
 from tests.waiting import until
-from urlink.rtde import OUTPUTS, InputInUse, Inputs, NoSuchVariable, Outputs
+from urlink import InputInUse, NoSuchVariable
+from urlink.rtde import OUTPUTS, Inputs, Outputs
 
 pytestmark = pytest.mark.simulated_time
 

@@ -408,7 +408,7 @@ def test_the_robot_state_says_what_is_regulated(body: str, mode: str) -> None:
     bench = Bench("5.25")
     bench.run(body, 0.02)
     (state,) = urlink.decode(bench.controller.state_package(), "primary", "5.25")
-    assert isinstance(state, urlink.RobotState)
+    assert isinstance(state, urlink.packets.RobotState)
     assert state.robot_mode_data is not None
     assert state.robot_mode_data.control_mode is ControlMode[mode]
     # Not once the program is over.

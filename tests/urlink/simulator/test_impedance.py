@@ -98,7 +98,7 @@ def test_an_impedance_follows_a_large_circle_from_the_home_posture(axes: tuple[i
         controller.step()
         path.append(controller.arm.sample.pose_actual[:3])
     said = urlink.decode(b"".join(controller.take_messages()), "primary", "5.25")
-    texts = [message.text for message in said if isinstance(message, urlink.TextMessage)]
+    texts = [message.text for message in said if isinstance(message, urlink.packets.TextMessage)]
     assert texts == ["slowest cycle, ms: 0.06"], said
     assert controller.modes.safety_mode.name == "NORMAL"
     way = np.array(path) - begin[:3]

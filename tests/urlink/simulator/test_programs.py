@@ -118,7 +118,7 @@ def test_what_it_says_can_be_read_on_every_firmware(firmware: str) -> None:
     assert watched.story[2:4] == ["'hello 3'", "PopupMessage"]
     assert watched.story[4].startswith("4:")
     assert watched.story[5:] == ["stopped f"]
-    popup = next(message for message in watched.said if isinstance(message, urlink.PopupMessage))
+    popup = next(message for message in watched.said if isinstance(message, urlink.packets.PopupMessage))
     assert (popup.title, popup.text, popup.is_warning, popup.is_error) == ("here", "look", True, False)
 
 
@@ -201,7 +201,7 @@ def test_messages_of_many_steps_are_kept_until_they_are_taken() -> None:
 
     def texts() -> list[str]:
         said = urlink.decode(b"".join(controller.take_messages()), "primary", "5.11")
-        return [message.text for message in said if isinstance(message, urlink.TextMessage)]
+        return [message.text for message in said if isinstance(message, urlink.packets.TextMessage)]
 
     controller.step(3)
     controller.step(2)
@@ -561,7 +561,7 @@ def test_floods_of_text_are_bounded_and_the_end_is_never_lost(watched: Watched) 
     messages = watched.controller.take_messages()
     assert 16_000 < sum(map(len, messages)) < 18_000
     decoded = urlink.decode(b"".join(messages), "primary", "5.11")
-    titles = [message.title for message in decoded if isinstance(message, urlink.KeyMessage)]
+    titles = [message.title for message in decoded if isinstance(message, urlink.packets.KeyMessage)]
     assert titles == ["PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"]
     assert watched.controller.counters.lost_messages > 0
 

@@ -402,7 +402,7 @@ def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: st
                 assert np.array_equal(np.asarray(data[name]), np.asarray(expected)), name
         assert data["timestamp"] - 45.0 == pytest.approx(realtime.time)
         (state,) = urlink.decode(sim.state_package(first=True), "primary", firmware)
-        assert isinstance(state, urlink.RobotState)
+        assert isinstance(state, urlink.packets.RobotState)
         assert state.masterboard_data
         assert state.robot_mode_data
         assert state.tool_data
@@ -696,7 +696,9 @@ def test_a_watchdog_over_nothing_is_an_error() -> None:
     sim.take(LOOP.replace("input_int_register_0", "output_int_register_0").format(action="stop"))
     step(sim)
     data = b"".join(sim.take_messages())
-    (failed,) = [m for m in urlink.decode(data, "primary", "5.11") if isinstance(m, urlink.RuntimeExceptionMessage)]
+    (failed,) = [
+        m for m in urlink.decode(data, "primary", "5.11") if isinstance(m, urlink.packets.RuntimeExceptionMessage)
+    ]
     assert failed.text == "rtde_set_watchdog: there is no RTDE input 'output_int_register_0'"
 
 

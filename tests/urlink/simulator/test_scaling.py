@@ -215,7 +215,7 @@ def test_all_interfaces_show_the_same_in_the_same_cycle(firmware: str) -> None:
             continue
         (realtime,) = urlink.decode(controller.realtime_packet(), "realtime", firmware)
         (state,) = urlink.decode(controller.state_package(), "primary", firmware)
-        assert isinstance(state, urlink.RobotState)
+        assert isinstance(state, urlink.packets.RobotState)
         assert state.robot_mode_data
         rtde, mode = data[-1], state.robot_mode_data
         assert rtde["speed_scaling"] == realtime.speed_scaling == mode.speed_scaling

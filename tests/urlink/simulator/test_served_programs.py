@@ -56,7 +56,7 @@ def messages(link: Any, kind: type, count: int) -> list[Any]:
 def keys(link: Any, count: int) -> list[str]:
     return [
         f"{message.title.rpartition('_')[2].lower()} {message.text}"
-        for message in messages(link, urlink.KeyMessage, count)
+        for message in messages(link, urlink.packets.KeyMessage, count)
     ]
 
 
@@ -96,7 +96,7 @@ def test_a_client_that_leaves_in_the_middle_has_sent_nothing(controller: Control
     leaving.close()
     primary.send(b"end\n" + TURN.encode())
     # The `end` is a line by itself, and no program.
-    assert len(messages(primary, urlink.RuntimeExceptionMessage, 1)) == 1
+    assert len(messages(primary, urlink.packets.RuntimeExceptionMessage, 1)) == 1
     assert keys(primary, 2) == ["started turn", "stopped turn"]
 
 
@@ -177,10 +177,10 @@ def test_long_programs_of_several_clients_are_compiled_one_after_the_other(
 def test_a_long_program_that_does_not_compile(controller: Controller, connect: Connect) -> None:
     primary = connect(controller, "primary")
     primary.send(f"def long():\n{PADDING}  nonsense()\nend\n".encode())
-    (error,) = messages(primary, urlink.RuntimeExceptionMessage, 1)
+    (error,) = messages(primary, urlink.packets.RuntimeExceptionMessage, 1)
     assert error.line == 2002
     primary.send(b"def long():\n" + b"  # " + b"x" * 60_000 + b"\n" * 250_000 + b"end\n")
-    (error,) = messages(primary, urlink.RuntimeExceptionMessage, 1)
+    (error,) = messages(primary, urlink.packets.RuntimeExceptionMessage, 1)
     assert error.text.startswith("program_too_long")
     primary.send(TURN.encode())
     assert keys(primary, 2) == ["started turn", "stopped turn"]
@@ -440,7 +440,7 @@ def test_to_a_program_this_computer_is_the_controller(controller: Controller, co
 end
 """
     link.send(program.encode())
-    (greeting,) = messages(link, urlink.TextMessage, 1)
+    (greeting,) = messages(link, urlink.packets.TextMessage, 1)
     assert greeting.text == "Connected: Universal Robots Dashboard Server"
     until(lambda: controller.speed_fraction == 0.4)
 
@@ -449,5 +449,5 @@ def test_a_port_that_is_not_served_is_not_there(connect: Connect) -> None:
     with Controller("UR5e", "5.11", motion=Still(), ports={"primary": 0}) as controller:
         link = connect(controller, "primary")
         link.send(b'textmsg(socket_open("127.0.0.1", 29999))\n')
-        (answer,) = messages(link, urlink.TextMessage, 1)
+        (answer,) = messages(link, urlink.packets.TextMessage, 1)
         assert answer.text == "False"

@@ -118,9 +118,9 @@ def test_a_state_that_shows_the_stop_comes_before_its_message(connect: Connect) 
                 while SafetyModeMessage not in kinds:
                     for package in urlink.decode(link.packet(), "primary", "5.25"):
                         kinds.add(type(package))
-                        newest = package if isinstance(package, urlink.RobotState) else newest
+                        newest = package if isinstance(package, urlink.packets.RobotState) else newest
                         if isinstance(package, (SafetyModeMessage, RobotCommMessage)):
-                            assert isinstance(newest, urlink.RobotState)
+                            assert isinstance(newest, urlink.packets.RobotState)
                             assert newest.robot_mode_data is not None
                             assert newest.robot_mode_data.is_protective_stopped is (mode is SafetyMode.PROTECTIVE_STOP)
                 assert (RobotCommMessage in kinds) is (mode is SafetyMode.PROTECTIVE_STOP)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from urlink import RealtimeState, Robot
+from urlink import Robot
+from urlink.packets import RealtimeState
 
 __all__ = ["POSITIONS", "STATE_TIMEOUT", "TOOL", "VELOCITIES", "named", "newest"]
 

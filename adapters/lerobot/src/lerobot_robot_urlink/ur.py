@@ -60,7 +60,7 @@ class UR(Robot):
         self.config = config
         self.cameras = make_cameras_from_configs(config.cameras)
         self._robot: urlink.Robot | None = None
-        self._servo: urlink.Servo | None = None
+        self._servo: urlink.motion.Servo | None = None
         self._led: Any = None
 
     # -- what it has -----------------------------------------------------------------------------------

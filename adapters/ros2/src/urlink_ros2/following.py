@@ -13,7 +13,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
-from urlink import BadValue, Cancelled, LinkError, LinkTimeout, Motion, RealtimeState, Robot, TrajectoryFeedback
+from urlink import BadValue, Cancelled, LinkError, LinkTimeout, Motion, Robot
+from urlink.motion import TrajectoryFeedback
+from urlink.packets import RealtimeState
 
 from .expiry import Expiry
 from .goals import has_passed, outcome, read_goal, start_of

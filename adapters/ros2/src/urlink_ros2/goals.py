@@ -24,9 +24,9 @@ from urlink import (
 
 __all__ = ["Goal", "Late", "has_passed", "outcome", "read_goal", "seconds", "start_of"]
 
-#: rad and s, where a goal does not say; as `urlink.Motions.follow`.
+#: rad and s, where a goal does not say; as `urlink.motion.Motions.follow`.
 _GOAL_TOLERANCE, _GOAL_TIME = 0.01, 1.0
-#: rad that a joint may be off where a trajectory begins that should have begun before; as `urlink.Motions.follow`.
+#: rad that a joint may be off where a trajectory begins that should have begun before; as `Motions.follow`.
 _START_TOLERANCE = 0.05
 
 #: Codes of a result that `FollowJointTrajectory` has none for: it has those from 0 to -5.

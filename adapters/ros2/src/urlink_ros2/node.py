@@ -14,7 +14,8 @@ import rclpy.executors
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from urlink import BadValue, LinkError, LocalError, RealtimeState, Robot, drop_oldest
+from urlink import BadValue, LinkError, LocalError, Robot, drop_oldest
+from urlink.packets import RealtimeState
 from urlink.urdf import JOINTS as JOINT_NAMES
 
 from .expiry import Expiry

@@ -9,7 +9,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String, UInt32
 
-from urlink import ProgramState, RealtimeState, poses
+from urlink import poses
+from urlink.packets import ProgramState, RealtimeState
 
 __all__ = ["LATCHED", "STREAMED", "StatePublishers"]
 

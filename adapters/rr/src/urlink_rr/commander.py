@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from urlink import BadValue, LinkError, LocalError, Motion, Robot, Servo
+from urlink import BadValue, LinkError, LocalError, Motion, Robot
+from urlink.motion import Servo
 
 from .expiry import Expiry
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import RobotRaconteur as RR
 
-from rhdlink import ConnectionEvent, ConnectionState, LinkError, Update, Variables
+from rhdlink import ConnectionState, LinkError, Variables
+from rhdlink.variables import ConnectionEvent, Update
 
 from .expiry import Expiry
 

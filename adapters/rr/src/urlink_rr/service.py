@@ -13,17 +13,8 @@ import numpy as np
 import RobotRaconteur as RR
 from RobotRaconteurCompanion.Util.DateTimeUtil import DateTimeUtil
 
-from urlink import (
-    BadValue,
-    LocalError,
-    Motion,
-    RealtimeState,
-    Robot,
-    RobotModeData,
-    SafetyMode,
-    drop_oldest,
-    poses,
-)
+from urlink import BadValue, LocalError, Motion, Robot, drop_oldest, poses
+from urlink.packets import RealtimeState, RobotModeData, SafetyMode
 
 from .commander import Commander
 from .description import HOME, robot_info

@@ -9,7 +9,8 @@ import numpy as np
 from RobotRaconteurCompanion.Util.DateTimeUtil import DateTimeUtil
 from RobotRaconteurCompanion.Util.SensorDataUtil import SensorDataUtil
 
-from urlink import LinkError, RealtimeState, RobotMode, SafetyMode
+from urlink import LinkError
+from urlink.packets import RealtimeState, RobotMode, SafetyMode
 
 from .description import pose_array
 

@@ -13,19 +13,8 @@ import zenoh
 import zenoh.ext
 
 import urlink
-from urlink import (
-    BadValue,
-    LinkError,
-    LinkTimeout,
-    NotEnabled,
-    PacketError,
-    RealtimeState,
-    RemoteError,
-    SafetyStop,
-    ScriptError,
-    Stamp,
-    State,
-)
+from urlink import BadValue, LinkError, LinkTimeout, NotEnabled, PacketError, RemoteError, SafetyStop, ScriptError
+from urlink.packets import RealtimeState, Stamp, State
 
 from .description import json_of
 from .expiry import LARGEST_AGE

@@ -13,17 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import zenoh
 
-from urlink import (
-    Chunk,
-    ConnectionEvent,
-    ConnectionLost,
-    ConnectionState,
-    LinkError,
-    RealtimeState,
-    RecordingWriter,
-    Stamp,
-    State,
-)
+from urlink import ConnectionEvent, ConnectionLost, ConnectionState, LinkError, RecordingWriter
+from urlink.packets import Chunk, RealtimeState, Stamp, State
 
 from .client import RemoteRobot, Sample, Watch
 from .keys import PREFIX

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from urlink import RealtimeState, Robot
+from urlink import Robot
+from urlink.packets import RealtimeState
 
 __all__ = ["described", "json_of", "status_of"]
 

@@ -24,7 +24,8 @@ import struct
 
 import zenoh
 
-from urlink import BadValue, Stamp
+from urlink import BadValue
+from urlink.packets import Stamp
 
 __all__ = ["JSON", "PREFIX", "attachment", "check_name", "firmware_of", "packets_of", "stamped"]
 

@@ -14,17 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from urlink import (
-    BadValue,
-    ConnectionEvent,
-    LinkError,
-    LocalError,
-    Motion,
-    RealtimeState,
-    Robot,
-    State,
-    Subscription,
-)
+from urlink import BadValue, ConnectionEvent, LinkError, LocalError, Motion, Robot, Subscription
+from urlink.packets import RealtimeState, State
 
 from .clients import Clients
 from .commands import COMMANDS, Kind, failed, read_arguments

@@ -1,0 +1,108 @@
+"""What robots send: packets, messages, their parts, and the enums of their numbers.
+
+    from urlink.packets import RealtimeState, RobotModeData
+
+    robot.primary.subscribe(on_mode, RobotModeData)
+
+With the bytes that they are made of, and what the dashboard, the gripper and interpreter mode answer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from linkcore.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from linkcore.stamp import Stamp as Stamp
+    from linkcore.streaming.events import Chunk as Chunk, Traffic as Traffic
+    from linkcore.wire.packet import State as State
+    from urlink.commanding.interpreter import InterpreterState as InterpreterState
+    from urlink.commanding.io import Analog as Analog
+    from urlink.interfaces.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
+    from urlink.interfaces.dashboard.stored_programs import StoredProgram as StoredProgram
+    from urlink.interfaces.gripper.client import GripperStatus as GripperStatus, ObjectStatus as ObjectStatus
+    from urlink.interfaces.enums import (
+        AnalogDomain as AnalogDomain,
+        ControlMode as ControlMode,
+        DigitalBits as DigitalBits,
+        JointMode as JointMode,
+        MessageSource as MessageSource,
+        MessageType as MessageType,
+        PackageType as PackageType,
+        ProgramState as ProgramState,
+        ReportLevel as ReportLevel,
+        RobotMode as RobotMode,
+        RobotModeCB2 as RobotModeCB2,
+        RobotType as RobotType,
+        SafetyMode as SafetyMode,
+        ToolMode as ToolMode,
+    )
+    from urlink.interfaces.primary.robot_message import (
+        KeyMessage as KeyMessage,
+        OtherPackage as OtherPackage,
+        PopupMessage as PopupMessage,
+        ProgramLabelMessage as ProgramLabelMessage,
+        ProgramStateMessage as ProgramStateMessage,
+        RequestValueMessage as RequestValueMessage,
+        RobotCommMessage as RobotCommMessage,
+        RobotMessage as RobotMessage,
+        RuntimeExceptionMessage as RuntimeExceptionMessage,
+        SafetyComplianceTolerances as SafetyComplianceTolerances,
+        SafetyModeMessage as SafetyModeMessage,
+        TextMessage as TextMessage,
+        UnknownMessage as UnknownMessage,
+        UnnamedMessage12 as UnnamedMessage12,
+        VersionMessage as VersionMessage,
+    )
+    from urlink.interfaces.primary.robot_state import (
+        AdditionalInfo as AdditionalInfo,
+        CalibrationData as CalibrationData,
+        CartesianInfo as CartesianInfo,
+        ConfigurationData as ConfigurationData,
+        ForceModeData as ForceModeData,
+        JointData as JointData,
+        KinematicsInfo as KinematicsInfo,
+        LaserPointer as LaserPointer,
+        MasterboardData as MasterboardData,
+        RobotModeData as RobotModeData,
+        RobotState as RobotState,
+        SafetyData as SafetyData,
+        SingularityInfo as SingularityInfo,
+        SubPackage as SubPackage,
+        ToolCommunicationInfo as ToolCommunicationInfo,
+        ToolData as ToolData,
+        ToolModeInfo as ToolModeInfo,
+        UnknownSubPackage as UnknownSubPackage,
+    )
+    from urlink.interfaces.realtime.packets import RealtimeState as RealtimeState
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "linkcore.stamp": "Stamp",
+            "linkcore.streaming.events": "Chunk Traffic",
+            "linkcore.wire.packet": "State",
+            "urlink.commanding.interpreter": "InterpreterState",
+            "urlink.commanding.io": "Analog",
+            "urlink.interfaces.dashboard.protocol": "ProgramStatus SavedProgram",
+            "urlink.interfaces.dashboard.stored_programs": "StoredProgram",
+            "urlink.interfaces.gripper.client": "GripperStatus ObjectStatus",
+            "urlink.interfaces.enums": """
+                AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState
+                ReportLevel RobotMode RobotModeCB2 RobotType SafetyMode ToolMode
+            """,
+            "urlink.interfaces.primary.robot_message": """
+                KeyMessage OtherPackage PopupMessage ProgramLabelMessage ProgramStateMessage RequestValueMessage
+                RobotCommMessage RobotMessage RuntimeExceptionMessage SafetyComplianceTolerances SafetyModeMessage
+                TextMessage UnknownMessage UnnamedMessage12 VersionMessage
+            """,
+            "urlink.interfaces.primary.robot_state": """
+                AdditionalInfo CalibrationData CartesianInfo ConfigurationData ForceModeData JointData KinematicsInfo
+                LaserPointer MasterboardData RobotModeData RobotState SafetyData SingularityInfo SubPackage
+                ToolCommunicationInfo ToolData ToolModeInfo UnknownSubPackage
+            """,
+            "urlink.interfaces.realtime.packets": "RealtimeState",
+        },
+    )
