@@ -37,16 +37,6 @@ def _world(*clients: Client, events: tuple[Event, ...] = (), latency: float = 1e
 #: A small world that shows the defect, and with how many seeds in place of its own it is tried: which thread goes first
 #: is the seed's.
 SHOWN: Mapping[str, tuple[World, int]] = {
-    # The permission of the first client comes when the program of the second one waits for its own.
-    "one-permission-for-all": (
-        _world(
-            Client((_ask("move_joints"),), 0.0),
-            Client((_ask("move_joints", after=0.008, size=0.4),), 0.0),
-            latency=0.005,
-            jitter=0.004,
-        ),
-        20,
-    ),
     # The program's text is lost on the way and sent again, when a stop has come and is over.
     "held-program-goes-on": (
         _world(
