@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from .motion.path import Circular as Circular, Joint as Joint, Linear as Linear
     from .motion.taught import Taught as Taught
     from .motion.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
+    from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
     from .schemas import schema as schema
 
@@ -134,6 +135,7 @@ else:
             ".motion.path": "Circular Joint Linear",
             ".motion.taught": "Taught",
             ".motion.trajectory": "Trajectory TrajectoryPoint",
+            ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
             ".schemas": "schema",
         },
@@ -145,9 +147,9 @@ else:
                 ProgramLabelMessage ProgramStateMessage RequestValueMessage RobotCommMessage RobotMessage
                 RuntimeExceptionMessage SafetyComplianceTolerances SafetyModeMessage TextMessage UnknownMessage
                 UnnamedMessage12 VersionMessage AdditionalInfo CalibrationData CartesianInfo ConfigurationData
-                ForceModeData JointData KinematicsInfo LaserPointer MasterboardData RobotModeData RobotState
+                ForceModeData JointData KinematicsInfo LaserPointer MasterboardData RobotState
                 SafetyData SingularityInfo SubPackage ToolCommunicationInfo ToolData ToolModeInfo UnknownSubPackage
-                RealtimeState State Stamp Chunk Traffic Analog ObjectStatus GripperStatus InterpreterState
+                State Stamp Chunk Traffic Analog ObjectStatus GripperStatus InterpreterState
                 ProgramStatus SavedProgram StoredProgram
             """,
             "urlink.motion": """

@@ -55,11 +55,13 @@ NAMES = [
     "Program",
     "ProgramStopped",
     "RealtimeReport",
+    "RealtimeState",
     "Recorder",
     "Recording",
     "RecordingWriter",
     "RemoteError",
     "Robot",
+    "RobotModeData",
     "RtdeRefused",
     "Safety",
     "SafetyStop",
@@ -95,6 +97,10 @@ NAMES = [
 MODULES = ["dynamics", "kinematics", "models", "motion", "packets", "poses", "rtde", "urdf"]
 
 
+#: What first scripts subscribe to: in `urlink` as well as in `urlink.packets`.
+FIRST = ("RealtimeState", "RobotModeData")
+
+
 def test_public_names() -> None:
     assert vars(urlink)["__all__"] == NAMES
     assert dir(urlink) == sorted([*NAMES, *MODULES])
@@ -106,13 +112,15 @@ def test_public_names() -> None:
 def test_a_name_is_in_one_place() -> None:
     places = [urlink, urlink.packets, urlink.motion, urlink.rtde]
     names = [name for place in places for name in vars(place)["__all__"]]
-    assert sorted(names) == sorted(set(names))
+    assert sorted(names) == sorted([*set(names), *FIRST])
+    for name in FIRST:
+        assert getattr(urlink, name) is getattr(urlink.packets, name)
 
 
 @pytest.mark.parametrize("place", ["urlink.packets", "urlink.motion"])
 def test_a_name_that_was_here_names_its_place(place: str) -> None:
     for name in vars(importlib.import_module(place))["__all__"]:
-        if name != "Waypoint":
+        if name not in ("Waypoint", *FIRST):
             with pytest.raises(AttributeError, match=rf"^urlink\.{name} is {re.escape(place)}\.{name}$"):
                 getattr(urlink, name)
 
