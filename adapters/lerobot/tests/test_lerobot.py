@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,24 +19,6 @@ from lerobot_robot_urlink import UR, URConfig, URLeader, URLeaderConfig
 from urlink.simulator import Controller
 
 NAMES = [f"joint_{number}.pos" for number in range(1, 7)]
-
-
-@pytest.fixture
-def controller() -> Iterator[Controller]:
-    with Controller("UR5e", "5.11") as controller:
-        with urlink.connect(controller.address) as robot:
-            robot.motion.move_joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0], wait=True)
-        yield controller
-
-
-@pytest.fixture
-def arm(controller: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[UR]:
-    # A robot that is silent here is so because the machine is busy.
-    connect = partial(urlink.connect, silence=20.0, stale_after=20.0, start_timeout=20.0)
-    monkeypatch.setattr(urlink, "connect", connect)
-    arm = UR(URConfig(id="test", calibration_dir=tmp_path, address=controller.address, fps=50.0))
-    yield arm
-    arm.disconnect()
 
 
 # Not out of `tests`: draccus, which LeRobot needs, installs a package of that name.

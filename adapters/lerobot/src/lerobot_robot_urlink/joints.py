@@ -1,4 +1,8 @@
-"""The names that observations and actions have in a data set, and the state that they are of."""
+"""The names that observations and actions have in a data set, and the state that they are of.
+
+They end in ``.pos`` or ``.vel``: ``lerobot-rollout`` 0.6.1 gives a policy nothing else of an observation, and sends
+nothing else of an action (``lerobot/rollout/context.py``, build_rollout_context).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,8 @@ from collections.abc import Sequence
 from urlink import Robot
 from urlink.packets import RealtimeState
 
-__all__ = ["POSITIONS", "STATE_TIMEOUT", "TOOL", "VELOCITIES", "named", "newest"]
+__all__ = ["FORCE", "GRIPPER", "JOINT_DELTAS", "POSE", "POSE_DELTAS", "POSITIONS", "STATE_TIMEOUT", "VELOCITIES"]
+__all__ += ["named", "newest"]
 
 #: Seconds within which a state has to come.
 STATE_TIMEOUT = 1.0
@@ -15,11 +20,17 @@ STATE_TIMEOUT = 1.0
 POSITIONS = tuple(f"joint_{number}.pos" for number in range(1, 7))
 #: rad/s.
 VELOCITIES = tuple(f"joint_{number}.vel" for number in range(1, 7))
-#: The pose of the tool in the base frame, m and rotation vector in rad, and the force at it, N and Nm.
-TOOL = (
-    *(f"tcp.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")),
-    *(f"tcp_force.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")),
-)
+#: rad, from where the joints are led.
+JOINT_DELTAS = tuple(f"joint_{number}_delta.pos" for number in range(1, 7))
+#: The pose of the tool in the base frame: m, and the first two columns of its rotation matrix. A rotation vector jumps
+#: where the tool points down; of these six numbers a mean of two is near both.
+POSE = (*(f"tcp_{axis}.pos" for axis in "xyz"), *(f"tcp_r{number}.pos" for number in range(1, 7)))
+#: m, and a rotation vector in rad, both along the axes of the base, from where the tool is led.
+POSE_DELTAS = tuple(f"tcp_{axis}_delta.pos" for axis in ("x", "y", "z", "rx", "ry", "rz"))
+#: The force at the tool, N and Nm, along the axes of the base.
+FORCE = tuple(f"tcp_force.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))
+#: 0 (open) to 1 (closed).
+GRIPPER = "gripper.pos"
 
 
 def named(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:

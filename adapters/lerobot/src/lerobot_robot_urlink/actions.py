@@ -1,0 +1,129 @@
+"""What the numbers of an action mean, and the joint positions that they lead to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urlink import BadValue, Robot, poses
+from urlink.packets import RealtimeState
+
+from .joints import JOINT_DELTAS, POSE, POSE_DELTAS, POSITIONS, named
+
+__all__ = ["KINDS", "Actions", "pose_numbers"]
+
+#: kind of action -> the names of its numbers
+KINDS = {"joints": POSITIONS, "joint_deltas": JOINT_DELTAS, "pose": POSE, "pose_deltas": POSE_DELTAS}
+#: rad that a joint may be away from where it is led, for a pose; more means a singularity, or another pose of the arm.
+_LEAP = 1.5
+#: Length below which a column of a rotation has no direction.
+_SHORT = 1e-3
+
+Floats = NDArray[np.float64]
+
+
+def pose_numbers(pose: Any) -> list[float]:
+    """The nine numbers of `POSE` for a pose (6,)."""
+    matrix = poses.to_matrix(pose)
+    found: list[float] = [*matrix[:3, 3].tolist(), *matrix[:3, 0].tolist(), *matrix[:3, 1].tolist()]
+    return found
+
+
+def _matrix(numbers: Floats) -> Floats:
+    """The homogeneous matrix of the nine numbers, whose columns need be neither of length 1 nor at right angles."""
+    first, second = numbers[3:6], numbers[6:]
+    if np.linalg.norm(first) > _SHORT:
+        first = first / np.linalg.norm(first)
+        second = second - (first @ second) * first
+    if min(np.linalg.norm(first), np.linalg.norm(second)) < _SHORT:
+        raise BadValue(f"{', '.join(POSE[3:])} are {numbers[3:].tolist()}; expected two columns of a rotation")
+    second = second / np.linalg.norm(second)
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack((first, second, np.cross(first, second), numbers[:3]))
+    return matrix
+
+
+@dataclass(frozen=True)
+class Actions:
+    """Actions of one kind, for an arm with the tool that it has.
+
+    Attributes:
+        kind: one of `KINDS`.
+        robot: whose kinematics hold.
+        tcp: (6,) pose of the TCP in the frame of the flange.
+        max_step: rad that a joint is led further by one action, at most.
+    """
+
+    kind: str
+    robot: Robot
+    tcp: Floats
+    max_step: float
+
+    @classmethod
+    def of(cls, kind: str, robot: Robot, state: RealtimeState, max_step: float) -> Actions:
+        """With the tool that a state shows."""
+        flange = robot.kinematics.forward(state.q_actual)
+        return cls(kind, robot, poses.compose(poses.invert(flange), state.tool_vector_actual), max_step)
+
+    def read(self, action: dict[str, Any]) -> Floats:
+        """The numbers of an action.
+
+        Raises:
+            BadValue: one is missing, or is no finite number.
+        """
+        try:
+            values = np.array([float(action[name]) for name in KINDS[self.kind]])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadValue(f"an action needs {', '.join(KINDS[self.kind])}: {error!r}") from None
+        if not np.isfinite(values).all():
+            raise BadValue(f"an action of {values.tolist()}; expected finite numbers")
+        return values
+
+    def lead(self, values: Floats, led: Floats) -> Floats:
+        """Where an action leads the joints, (6,) rad, from where they are led: no further than a step, within limits.
+
+        Of a pose all joints go the same fraction of their way, so that the tool stays near the way to it.
+
+        Raises:
+            BadValue: the pose is none, or needs a joint to turn more than 1.5 rad.
+            Unreachable: the pose is out of reach.
+        """
+        low, high = self.robot.kinematics.position_limits.T
+        if self.kind in ("joints", "joint_deltas"):
+            wanted = values if self.kind == "joints" else led + values
+            joints: Floats = np.clip(np.clip(wanted, low, high), led - self.max_step, led + self.max_step)
+            return joints
+        away = self.robot.kinematics.inverse(self._pose(values, led), led, self.tcp) - led
+        furthest = float(np.abs(away).max())
+        if furthest > _LEAP:
+            raise BadValue(
+                f"an action whose pose turns a joint by {furthest:.3f} rad; expected at most {_LEAP:g} rad: it is "
+                "beyond a singularity, or too far away"
+            )
+        scaled: Floats = np.clip(led + away * min(1.0, self.max_step / max(furthest, self.max_step)), low, high)
+        return scaled
+
+    def _pose(self, values: Floats, led: Floats) -> Floats:
+        if self.kind == "pose":
+            return poses.from_matrix(_matrix(values))
+        matrix = poses.to_matrix(self.robot.kinematics.forward(led, self.tcp))
+        matrix[:3, 3] += values[:3]
+        matrix[:3, :3] = poses.rotvec_to_matrix(values[3:]) @ matrix[:3, :3]
+        return poses.from_matrix(matrix)
+
+    def named(self, q: Floats, led: Floats) -> dict[str, float]:
+        """As an action: leading the joints from `led` to `q`."""
+        names = KINDS[self.kind]
+        if self.kind == "joints":
+            return named(names, q.tolist())
+        if self.kind == "joint_deltas":
+            return named(names, (q - led).tolist())
+        there = self.robot.kinematics.forward(q, self.tcp)
+        if self.kind == "pose":
+            return named(names, pose_numbers(there))
+        after, before = poses.to_matrix(there), poses.to_matrix(self.robot.kinematics.forward(led, self.tcp))
+        turned = poses.matrix_to_rotvec(after[:3, :3] @ before[:3, :3].T)
+        return named(names, [*(after[:3, 3] - before[:3, 3]).tolist(), *turned.tolist()])
