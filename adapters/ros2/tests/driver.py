@@ -5,6 +5,8 @@ python driver.py follow GOAL ...     sends a goal, or several, and prints feedba
 python driver.py give_up GOAL S      sends a goal, and waits S seconds for its acceptance
 python driver.py watch SECONDS       is a client of the action that sends nothing
 python driver.py call SERVICE [on]   calls a service
+python driver.py send TOPIC JSON S   sends a message 50 times a second for S seconds, once a subscriber is there
+python driver.py describe            prints what is in robot_description
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from rclpy.action import ActionClient
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -201,6 +203,35 @@ def call(node: Any, service: str, on: str = "") -> None:
     say(success=future.result().success, message=future.result().message)
 
 
+def send(node: Any, topic: str, value: str, duration: str) -> None:
+    """Send numbers, whether, or a text."""
+    data = json.loads(value)
+    kind = Bool if isinstance(data, bool) else String if isinstance(data, str) else Float64MultiArray
+    publisher = node.create_publisher(kind, topic, 10)
+    found = time.monotonic() + 20.0
+    while not publisher.get_subscription_count() and time.monotonic() < found:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    end = time.monotonic() + float(duration)
+    sent = 0
+    while sent == 0 or time.monotonic() < end:
+        publisher.publish(kind(data=data))
+        sent += 1
+        time.sleep(0.02)
+    publisher.wait_for_all_acked(Duration(seconds=5.0))
+    say(sent=sent)
+
+
+def describe(node: Any) -> None:
+    """The arm's URDF, by its length and its joints."""
+    said: list[str] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(String, "robot_description", lambda message: said.append(message.data), latched)
+    found = time.monotonic() + 20.0
+    while not said and time.monotonic() < found:
+        rclpy.spin_once(node, timeout_sec=0.1)
+    say(joints=said[0].count("<joint "), robot="<robot " in said[0])
+
+
 if __name__ == "__main__":
     rclpy.init()
     try:
@@ -210,6 +241,8 @@ if __name__ == "__main__":
             "call": call,
             "give_up": give_up,
             "watch": watch,
+            "send": send,
+            "describe": describe,
         }[sys.argv[1]]
         task(rclpy.create_node("driver"), *sys.argv[2:])
     finally:

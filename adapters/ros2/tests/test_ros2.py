@@ -22,7 +22,6 @@ from tests.waiting import until
 from urlink.simulator import Controller
 from urlink_ros2 import JOINT_NAMES
 from urlink_ros2 import serve as serve_nodes
-from urlink_ros2.expiry import Expiry
 from urlink_ros2.goals import Late, has_passed, outcome, read_goal, start_of
 
 #: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
@@ -413,25 +412,67 @@ def test_codes_of_results(error: Exception, code: int, prefix: str) -> None:
     assert outcome(urlink.ToleranceExceeded("far"), _Codes, True, False) == (-5, "GOAL_TOLERANCE_VIOLATED")
 
 
-def test_what_may_be_older_than_its_client_waits_is_refused() -> None:
-    now = 100.0
-    expiry = Expiry(lambda: now)
-    now = 200.0  # it has not begun to tick
-    expiry.check()
-    assert not expiry.tick()
-    now += 2.0
-    expiry.check()
-    now += 2.1
-    for _ in range(2):
-        with pytest.raises(urlink.LinkTimeout, match=r"held up for 2\.1 s.* nothing was done"):
-            expiry.check()
-    assert [expiry.tick(), expiry.tick()] == [True, False]
-    for _ in range(39):
-        now += 0.1
-        assert not expiry.tick()
-    with pytest.raises(urlink.LinkTimeout):
-        expiry.check()
-    now += 0.2
-    expiry.check()
-    now += 30.0
-    assert expiry.tick()
+def test_velocities_move_the_arm_for_as_long_as_they_come(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        drive("send", "forward_velocity_controller/commands", "[0, 0, 0, 0, 0, 0.4]", "1.5")
+        until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
+        until(lambda: robot.motion.current is None)
+    assert robot.realtime.wait().q_target[5] > 0.1
+
+
+def test_positions_are_gone_to(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        drive("send", "forward_position_controller/commands", json.dumps([0.2, *START[1:]]), "3.0")
+        until(lambda: robot.motion.current is None)
+    assert robot.realtime.wait().q_target[0] == pytest.approx(0.2, abs=0.02)
+
+
+def test_what_a_stop_has_ended_is_not_begun_again_by_who_sends_on(robot: urlink.Robot, drive: Drive) -> None:
+    command = ("send", "forward_velocity_controller/commands", "[0, 0, 0, 0, 0, 0.2]")
+    with serve({"arm": robot}):
+        process = drive(*command, "12.0", wait=False)
+        until(lambda: robot.realtime.wait().qd_target[5] > 0.1, 20.0)
+        motion = robot.motion.current
+        assert motion is not None
+        motion.cancel()
+        until(lambda: not robot.realtime.wait().qd_target.any())
+        there = robot.realtime.wait().q_target[5]
+        time.sleep(1.0)  # in which fifty more messages come
+        assert robot.realtime.wait().q_target[5] == there
+        process.kill()
+        process.communicate()
+        drive(*command, "1.0")  # after a silence
+        until(lambda: robot.realtime.wait().q_target[5] > there + 0.02)
+
+
+def test_numbers_that_are_none_move_nothing(robot: urlink.Robot, drive: Drive) -> None:
+    before = robot.realtime.wait().q_target
+    with serve({"arm": robot}):
+        drive("send", "forward_position_controller/commands", "[90, 0, 0, 0, 0, 0]", "0.5")
+        drive("send", "forward_velocity_controller/commands", "[1, 2]", "0.5")
+        until(lambda: robot.motion.current is None)
+    assert np.abs(robot.realtime.wait().q_target - before).max() < 1e-3
+
+
+def test_freedrive_is_on_for_as_long_as_it_is_asked_for(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        process = drive("send", "freedrive_mode_controller/enable_freedrive_mode", "true", "12.0", wait=False)
+        until(lambda: robot.motion.current is not None and robot.motion.current.name == "freedrive", 20.0)
+        process.kill()
+        process.communicate()
+        until(lambda: robot.motion.current is None, 10.0)
+
+
+def test_a_script_is_run(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        drive("send", "urscript_interface/script_command", '"set_standard_digital_out(5, True)"', "0.0")
+        until(lambda: robot.io.digital_out(5))
+
+
+def test_the_arm_is_described(robot: urlink.Robot, drive: Drive) -> None:
+    with serve({"arm": robot}):
+        said = drive("describe")
+        zeroed = drive("call", "io_and_status_controller/zero_ftsensor")
+    assert said["robot"]
+    assert said["joints"] >= 6
+    assert zeroed["success"], zeroed["message"]

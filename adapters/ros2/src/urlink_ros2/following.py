@@ -13,11 +13,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
-from urlink import BadValue, Cancelled, LinkError, LinkTimeout, Motion, Robot
+from urlink import BadValue, Cancelled, Expiry, LinkError, LinkTimeout, Motion, Robot
 from urlink.motion import TrajectoryFeedback
 from urlink.packets import RealtimeState
 
-from .expiry import Expiry
 from .goals import has_passed, outcome, read_goal, start_of
 
 __all__ = ["TrajectoryAction"]
@@ -214,7 +213,7 @@ class TrajectoryAction:
                 _log.warning("%s: the trajectory is cancelled: %s", self._robot.address, error)
                 reason = error
                 motion.cancel()
-        is_at_the_end = bool(newest) and newest[0].time >= duration - _FEEDBACK
+        is_at_the_end = bool(newest) and newest[0].trajectory_time >= duration - _FEEDBACK
         ended = motion.error
         if isinstance(ended, Cancelled) and reason is not None:
             ended = reason
@@ -286,8 +285,8 @@ class TrajectoryAction:
         message.actual.velocities = told.qd_actual.tolist()
         message.error.positions = told.error.tolist()
         for point in (message.desired, message.actual, message.error):
-            point.time_from_start.sec = int(told.time)
-            point.time_from_start.nanosec = int((told.time % 1.0) * 1e9)
+            point.time_from_start.sec = int(told.trajectory_time)
+            point.time_from_start.nanosec = int((told.trajectory_time % 1.0) * 1e9)
         return message
 
 
@@ -339,4 +338,4 @@ class _Watch:
 def _standing(state: RealtimeState) -> TrajectoryFeedback:
     """The feedback of a goal whose time has not come."""
     off = state.q_target - state.q_actual
-    return TrajectoryFeedback(0.0, state.q_target, state.qd_target, state.q_actual, state.qd_actual, off)
+    return TrajectoryFeedback(0.0, 0.0, state.q_target, state.qd_target, state.q_actual, state.qd_actual, off)

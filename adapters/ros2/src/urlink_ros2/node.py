@@ -14,18 +14,21 @@ import rclpy.executors
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from urlink import BadValue, LinkError, LocalError, Robot, drop_oldest
+from urlink import BadValue, Expiry, LinkError, LocalError, Robot, drop_oldest
 from urlink.packets import RealtimeState
 from urlink.urdf import JOINTS as JOINT_NAMES
 
-from .expiry import Expiry
 from .services import create_services
 from .states import STREAMED, StatePublishers
+from .streams import CommandTopics
 
 __all__ = ["JOINT_NAMES", "RobotNode", "serve"]
 
 _log = logging.getLogger("urlink.ros2")
 
+#: Seconds for which commands are refused after this process was held up: Fast DDS sends again what was lost with its
+#: heartbeats, every 3 s.
+_SETTLING = 4.0
 #: Seconds between two looks at what changes seldom, and without a state after which a robot counts as lost.
 _LOOK, _SILENT = 0.1, 0.5
 
@@ -75,11 +78,13 @@ class RobotNode:
         self._publishers = StatePublishers(self.node, joints, f"{prefix}base", f"{prefix}tool0")
         self._is_commanded = _takes_commands(robot)
         self._action: Any = None
-        self._expiry = Expiry()
+        self._topics: CommandTopics | None = None
+        self._expiry = Expiry(_SETTLING)
         self._is_closed = threading.Event()
         if self._is_commanded:
             create_services(self.node, robot, self._halt, self._expiry)
             self.node.create_subscription(Float64, "set_speed_slider", self._set_speed, STREAMED)
+            self._topics = CommandTopics(self.node, robot, self._expiry)
             try:
                 from .following import TrajectoryAction
 
@@ -87,6 +92,7 @@ class RobotNode:
                 self._action = TrajectoryAction(self.node, name, robot, joints, watchdog, self._expiry)
             except ImportError as error:
                 _log.warning("FollowJointTrajectory is not served: %s", error)
+        self._publishers.describe(robot)
         self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
         self.node.create_timer(_LOOK, self._look)
         # Not by the timer: a busy executor is late by seconds, while the process runs.
@@ -94,12 +100,16 @@ class RobotNode:
         threading.Thread(target=self._tick, name="urlink-ros2 tick", daemon=True).start()
 
     def end_motion(self) -> None:
-        """Take no more goals, and cancel what a client moves; returns before it has ended."""
+        """Take no more goals and messages, and cancel what a client moves; returns before it has ended."""
+        if self._topics is not None:
+            self._topics.end()
         if self._action is not None:
             self._action.end()
 
     def wait_motion_ended(self) -> None:
         """Wait until what `end_motion` cancelled has ended and, by the executor, its client has been told."""
+        if self._topics is not None:
+            self._topics.wait_ended()
         if self._action is not None:
             self._action.wait_ended(_END)
 

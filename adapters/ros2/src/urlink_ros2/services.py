@@ -8,14 +8,12 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 
-from urlink import LinkError, Robot
-
-from .expiry import Expiry
+from urlink import Expiry, LinkError, Robot
 
 __all__ = ["create_services"]
 
-#: Services of the dashboard that the ROS 2 driver of the vendor has too, but for those that start and stop an
-#: installed program: nobody would hold a handle of what it moves.
+#: Services of the dashboard that the ROS 2 driver of the vendor has too, but for those that start an installed program:
+#: nobody would hold a handle of what it moves.
 _DASHBOARD = (
     "power_on",
     "power_off",
@@ -24,7 +22,14 @@ _DASHBOARD = (
     "restart_safety",
     "close_popup",
     "close_safety_popup",
+    "clear_operational_mode",
+    "pause",
+    "quit",
+    "shutdown",
+    "stop",
 )
+#: Those of them that come late rather than not at all.
+_ALWAYS = ("power_off", "pause", "stop", "shutdown")
 
 
 def create_services(node: Any, robot: Robot, halt: Callable[[], object], expiry: Expiry) -> None:
@@ -34,7 +39,7 @@ def create_services(node: Any, robot: Robot, halt: Callable[[], object], expiry:
         node: that serves them.
         robot: what is told.
         halt: brakes, and ends what moves the arm.
-        expiry: whether a call may have been given up; `halt` and `power_off` come late rather than not at all.
+        expiry: whether a call may have been given up; `halt`, and what only stops, come late rather than not at all.
     """
     # One that waits for the dashboard does not keep `halt` waiting.
     slow, quick = MutuallyExclusiveCallbackGroup(), ReentrantCallbackGroup()
@@ -54,7 +59,8 @@ def create_services(node: Any, robot: Robot, halt: Callable[[], object], expiry:
         node.create_service(SetBool, name, answer, callback_group=slow)
 
     for name in _DASHBOARD:
-        triggered(f"dashboard_client/{name}", getattr(robot.dashboard, name), slow, expires=name != "power_off")
+        triggered(f"dashboard_client/{name}", getattr(robot.dashboard, name), slow, expires=name not in _ALWAYS)
+    triggered("io_and_status_controller/zero_ftsensor", robot.zero_force_sensor, slow)
     triggered("enable", robot.safety.enable, quick)
     triggered("halt", halt, quick, expires=False)
     banks = (("digital_out", 8), ("configurable_digital_out", 8), ("tool_digital_out", 2))

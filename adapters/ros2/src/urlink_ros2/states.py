@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -9,8 +10,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String, UInt32
 
-from urlink import poses
+from urlink import LocalError, Robot, poses
 from urlink.packets import ProgramState, RealtimeState
+from urlink.urdf import to_urdf
 
 __all__ = ["LATCHED", "STREAMED", "StatePublishers"]
 
@@ -47,12 +49,18 @@ class StatePublishers:
                 ("refusal", String),
             )
         }
+        self._description = node.create_publisher(String, "robot_description", LATCHED)
         self._told: dict[str, Any] = {}
         self._joint_state = JointState(name=joints)
         self._pose_stamped = PoseStamped()
         self._pose_stamped.header.frame_id = base
         self._wrench_stamped = WrenchStamped()
         self._wrench_stamped.header.frame_id = force
+
+    def describe(self, robot: Robot) -> None:
+        """The arm as URDF, with simple shapes; nothing where it is not known."""
+        with contextlib.suppress(LocalError):
+            self._description.publish(String(data=to_urdf(robot.kinematics, shapes=True)))
 
     def publish(self, state: RealtimeState) -> None:
         """What streams: joints, tool, force, speed scaling. The stamp is when the state arrived."""

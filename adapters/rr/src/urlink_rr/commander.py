@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from urlink import BadValue, LinkError, LocalError, Motion, Robot
+from urlink import BadValue, Expiry, LinkError, LocalError, Motion, Robot
 from urlink.motion import Servo
-
-from .expiry import Expiry
 
 __all__ = ["Commander"]
 

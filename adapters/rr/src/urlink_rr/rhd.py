@@ -14,8 +14,9 @@ import RobotRaconteur as RR
 
 from rhdlink import ConnectionState, LinkError, Variables
 from rhdlink.variables import ConnectionEvent, Update
+from urlink import Expiry
 
-from .expiry import Expiry
+from .service import SETTLING
 
 __all__ = ["RhdService", "definition", "register_rhd"]
 
@@ -73,7 +74,7 @@ class RhdService:
         #: variable -> the client that wrote it last
         self._written: dict[str, int] = {}
         self._subscriptions: list[Any] = []
-        self._expiry = Expiry()
+        self._expiry = Expiry(SETTLING)
         self._ended = threading.Event()
 
     @property

@@ -13,23 +13,25 @@ import numpy as np
 import RobotRaconteur as RR
 from RobotRaconteurCompanion.Util.DateTimeUtil import DateTimeUtil
 
-from urlink import BadValue, LocalError, Motion, Robot, drop_oldest, poses
+from urlink import BadValue, Expiry, LocalError, Motion, Robot, drop_oldest, poses
 from urlink.packets import RealtimeState, RobotModeData, SafetyMode
 
 from .commander import Commander
 from .description import HOME, robot_info
 from .errors import translated
-from .expiry import Expiry
 from .signals import read_signal, write_signal
 from .states import Commanded, States, controller_state_of
 from .trajectories import MotionGenerator, read_trajectory
 
-__all__ = ["RATE", "RobotService"]
+__all__ = ["RATE", "SETTLING", "RobotService"]
 
 _log = logging.getLogger("urlink.rr")
 
 #: States a second, where no other rate is chosen.
 RATE = 125.0
+#: Seconds for which commands are refused after this process was held up: what waited in the buffers of TCP is delivered
+#: within.
+SETTLING = 2.0
 #: Seconds in which a robot that says nothing is shown as lost.
 _RETOLD = 0.1
 #: Seconds that the state may be old to which a command by wire belongs.
@@ -76,7 +78,7 @@ class RobotService:
         self._tools: dict[int, str] = {}
         self._downsampler: Any = None
         self._watchdog = watchdog
-        self._expiry = Expiry()
+        self._expiry = Expiry(SETTLING)
         self._commander = Commander(robot, self._wire_value, self._expiry) if self._is_commanded else None
         self._lock = threading.Lock()
         self._ended = threading.Event()

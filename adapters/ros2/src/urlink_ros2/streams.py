@@ -1,0 +1,179 @@
+"""Topics that lead the arm: positions, velocities, freedrive and scripts, by the names of the vendor's driver.
+
+The first message enters a block of `robot.motion`, and a time without one leaves it. A block that has ended otherwise,
+by a stop, another motion or an error, is not entered again until its topic was silent for that time: whoever sends on
+has not asked anew.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import partial
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from std_msgs.msg import Bool, Float64MultiArray, String
+
+from urlink import Expiry, LinkError, Robot
+
+from .states import STREAMED
+
+__all__ = ["CommandTopics"]
+
+_log = logging.getLogger("urlink.ros2")
+
+#: Seconds without a message after which the arm is led no longer: of positions and velocities, and of freedrive, where
+#: it is that of the vendor's driver.
+_SILENT, _FREEDRIVE = 0.3, 1.0
+#: Seconds that a block may take to end.
+_END = 5.0
+
+
+class CommandTopics:
+    """The topics of one robot through which others lead it.
+
+    Args:
+        node: that is subscribed.
+        robot: what is led.
+        expiry: whether messages may be late; what is, is not carried out.
+    """
+
+    def __init__(self, node: Any, robot: Robot, expiry: Expiry) -> None:
+        self._robot = robot
+        self._expiry = expiry
+        group = ReentrantCallbackGroup()
+        self._led = []
+        for kind, name, led in (
+            (
+                Float64MultiArray,
+                "forward_position_controller/commands",
+                _Led(
+                    "positions",
+                    partial(robot.motion.servo, target_filter="jerk_limited"),
+                    lambda servo, message: servo.send(list(message.data)),
+                    _SILENT,
+                ),
+            ),
+            (
+                Float64MultiArray,
+                "forward_velocity_controller/commands",
+                _Led(
+                    "velocities",
+                    partial(robot.motion.jog, "joints", timeout=_SILENT),
+                    lambda jog, message: jog.move(list(message.data)),
+                    _SILENT,
+                ),
+            ),
+            (
+                Bool,
+                "freedrive_mode_controller/enable_freedrive_mode",
+                _Led("freedrive", robot.freedrive, lambda freedrive, message: None, _FREEDRIVE, lambda m: bool(m.data)),
+            ),
+        ):
+            self._led.append(led)
+            node.create_subscription(kind, name, partial(self._take, led), STREAMED, callback_group=group)
+        node.create_subscription(String, "urscript_interface/script_command", self._run, 10, callback_group=group)
+
+    def end(self) -> None:
+        """Lead it no more; returns before it has ended."""
+        for led in self._led:
+            led.end()
+
+    def wait_ended(self, seconds: float = _END) -> None:
+        """Wait, at most so long for each, until it is led no more."""
+        for led in self._led:
+            led.wait_ended(seconds)
+
+    def _take(self, led: _Led, message: Any) -> None:
+        try:
+            self._expiry.check()
+        except LinkError as error:
+            _log.warning("%s are not followed: %s", led.name, error)
+        else:
+            led.take(message)
+
+    def _run(self, message: Any) -> None:
+        try:
+            self._expiry.check()
+            self._robot.script.run(message.data)
+        except LinkError as error:
+            _log.warning("the script is not run: %s", error)
+
+
+class _Led:
+    """One block, and the messages for it.
+
+    Args:
+        name: of what is led, for the log.
+        enter: opens the block.
+        obey: carries out a message within it.
+        silent: s without a message after which the block is left.
+        wants: whether a message asks for the block; one that does not ends it.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        enter: Callable[[], AbstractContextManager[Any]],
+        obey: Callable[[Any, Any], object],
+        silent: float,
+        wants: Callable[[Any], bool] = lambda message: True,
+    ) -> None:
+        self.name = name
+        self._enter = enter
+        self._obey = obey
+        self._silent = silent
+        self._wants = wants
+        #: the newest message counts, and None ends it
+        self._messages: queue.Queue[Any] = queue.Queue()
+        self._turn = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._is_over = False
+
+    def take(self, message: Any) -> None:
+        """Follow a message, which begins to lead the arm if it is the first."""
+        with self._turn:
+            if self._is_over or (self._thread is None and not self._wants(message)):
+                return
+            self._messages.put(message)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._lead, name=f"urlink-ros2 {self.name}", daemon=True)
+                self._thread.start()
+
+    def end(self) -> None:
+        with self._turn:
+            self._is_over = True
+            self._messages.put(None)
+
+    def wait_ended(self, seconds: float) -> None:
+        thread = self._thread
+        if thread is not None:
+            thread.join(seconds)
+
+    def _lead(self) -> None:
+        try:
+            with self._enter() as block:
+                while (message := self._next()) is not None:
+                    self._obey(block, message)
+        except LinkError as error:
+            _log.warning("%s are followed no longer: %s", self.name, error)
+            while self._next() is not None:
+                continue
+        finally:
+            with self._turn:
+                self._thread = None
+                self._messages = queue.Queue()
+
+    def _next(self) -> Any:
+        """The newest message; None where the block is to be left."""
+        try:
+            message = self._messages.get(timeout=self._silent)
+            while message is not None and not self._messages.empty():
+                message = self._messages.get_nowait()
+        except queue.Empty:
+            return None
+        return message if message is not None and self._wants(message) else None
